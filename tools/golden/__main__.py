@@ -30,7 +30,7 @@ from golden.steps import CALLS, COMMANDS  # noqa: E402
 
 KEPT = Path(__file__).parent / "kept.json"
 _REAL = ("real", "real.zarr", "real.h5", "real-left-out", "shared", "lamp.exr")  # inputs that may be missing
-_DIGITS = 9  # of numbers that are kept
+_DIGITS = 8  # of numbers that are kept
 
 
 def main() -> int:
@@ -95,7 +95,9 @@ def _run(names: list[str], work: Path, options: argparse.Namespace) -> int:
     if left_out:
         print(f"left out, no real files at hand: {', '.join(left_out)}")
     count = sum(len(step.get("numbers", ())) for step in found.values())
-    failed = [name for name, step in found.items() if "failed" in step]
+    failed = [
+        n for n, step in found.items() if "failed" in step or any(v[:5] == "error" for v in step["numbers"])
+    ]
     print(f"{len(found)} steps, {count} values, in {time.monotonic() - began:.0f} s")
     print(f"failed: {', '.join(failed) or 'none'}\nmoved or new: {', '.join(moved) or 'none'}")
     if options.keep:

@@ -77,12 +77,12 @@ def python_analytic(folder: Path) -> dict[str, Any]:
     """The materials of the corpus before they are measured, and readings of instruments."""
     wi, wo = direction_pairs()
     materials = mf.analytic.corpus.isotropic_materials()
-    made = {m.name: m.brdf(mf.Bands(None)).eval(wi, wo) for m in materials[::5]}
+    made = {m.name: m.recipe(mf.Bands(None)).eval(wi, wo) for m in materials[::5]}
     return made | {f"{m.name} in 31 bands": _spectral(m, wi, wo) for m in materials[::10]}
 
 
 def _spectral(material: Any, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    return material.brdf(mf.Bands(tuple(np.linspace(400.0, 700.0, 31).tolist()))).eval(wi, wo)
+    return material.recipe(mf.Bands(tuple(np.linspace(400.0, 700.0, 31).tolist()))).eval(wi, wo)
 
 
 def python_completion(folder: Path) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def python_completion(folder: Path) -> dict[str, Any]:
         "misfits": completed.misfits,
         "expected": calibrate(atoms, readings).expected(completed),
         "errors": errors(brdf, completed.brdf),
-        "suggested": [vars_or_value(s) for s in suggest(atoms, readings, 3)],
+        "suggested": suggest(atoms, 3, completed).angles_deg,
     }
 
 
@@ -141,7 +141,7 @@ def python_latent_models(folder: Path) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for optimizer in ("dls", "l-bfgs"):
         model = mf.latent.GPLVM(2, optimizer=optimizer).fit(Y)
-        made[optimizer] = {"latents": model.X_, "likelihood": model.log_likelihood_}
+        made[optimizer] = {"latents": model.embedding_, "objective": model.objective_}
     regressor = mf.latent.GPRegressor().fit(t[:, None], Y)
     mean, std = regressor.predict(t[:, None] + 0.1, return_std=True)
     kernels = {

@@ -25,5 +25,5 @@ def command(line: str) -> str:
             status = left.code
     if status:
         said = err.getvalue().strip().splitlines()
-        raise CommandError(f"{line}: {said[-1] if said else f'status {status}'}")
+        raise CommandError(said[-1] if said else f"status {status}")
     return out.getvalue()

@@ -14,7 +14,6 @@ from helpers.paths import REPOSITORY, real_rgl_folder
 
 import manifold as mf
 from golden.commands import command
-from golden.values import direction_pairs
 
 SHARED = REPOSITORY.parent / "shared" / "files"
 
@@ -159,6 +158,3 @@ def _write_exr(path: Path, pixels: np.ndarray) -> None:
     if mitsuba.variant() is None:
         mitsuba.set_variant("scalar_rgb")
     mitsuba.Bitmap(pixels.astype(np.float32)).write(str(path))
-
-
-__all__ = ["SHARED", "direction_pairs", "prepare"]

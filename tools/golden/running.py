@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import warnings
 from pathlib import Path
 
 from golden import inputs, values
@@ -30,23 +31,31 @@ def run_step(name: str, work: Path) -> tuple[Step, float]:
     os.chdir(folder)
     try:
         if name in CALLS:
-            made = values.flat(CALLS[name](work / "inputs"))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                made = values.flat(CALLS[name](work / "inputs"))
         else:
-            made = {}
-            for k, line in enumerate(COMMANDS[name].split(";"), start=1):
-                with_json = line.split()[0] not in _WITHOUT_JSON
-                printed = command(line + (f" --json result{k}.json" if with_json else ""))
-                if not with_json:
-                    made |= values.of_text(printed, f"printed{k}")
-            made |= values.of_folder(folder)
-    except CommandError as error:
-        return {"failed": values.text_value(str(error))}, _cpu_seconds() - began
+            made = _of_commands(COMMANDS[name]) | values.of_folder(folder)
     except Exception as error:
         return {"failed": values.text_value(f"{type(error).__name__}: {error}")}, _cpu_seconds() - began
     finally:
         os.chdir(work)
         shutil.rmtree(folder, ignore_errors=True)
     return {"numbers": made}, _cpu_seconds() - began
+
+
+def _of_commands(lines: str) -> values.Numbers:
+    """Run commands; the messages of those that fail, and what those without JSON print."""
+    made: values.Numbers = {}
+    for k, line in enumerate(lines.split(";"), start=1):
+        with_json = line.split()[0] not in _WITHOUT_JSON
+        try:
+            printed = command(line + f" --json result{k}.json" * with_json)
+            if not with_json:
+                made |= values.of_text(printed, f"printed{k}")
+        except CommandError as error:
+            made[f"error{k}"] = values.text_value(str(error))
+    return made
 
 
 def _cpu_seconds() -> float:

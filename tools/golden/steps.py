@@ -35,7 +35,7 @@ COMMANDS: dict[str, str] = {
     "slices syn_satin_gold --bands 450,650 -M spectral.h5 -o bands.png",
     "render": "render cardboard -M real.h5 --size 48 --samples 16 -o file.exr;"
     "render --latent 0.3,0.5 --srgb #a04020 -M real.h5 --size 48 --samples 16 -o place.exr;"
-    "render cardboard --direct -M real.h5 --size 48 --samples 16 -o direct.exr",
+    "render 0.3,0.5 --direct -M real.h5 --size 48 --samples 16 -o direct.exr",
     "render spectral": "render syn_metal_copper -M spectral.h5 --illuminant F11 --size 48 --samples 16 -o copper.exr;"
     "render spectral-left-out/syn_satin_rose_spec.bsdf --environment light.exr --size 48 --samples 16 -o rose.png",
     "render places": "render --from places.csv -M real.h5 --size 32 --samples 8 -o balls",
@@ -64,7 +64,7 @@ COMMANDS: dict[str, str] = {
     "locate real-left-out/paper_blue_rgb.bsdf -M own.h5 -o located.bsdf; predict 0.1,0.2 -M own.h5 -o predicted.bsdf;"
     "report -M own.h5",
     "embed as published": "embed -L real.zarr --kind material --mapping identity --criterion likelihood -M own.h5;"
-    "predict cardboard -M own.h5 -o predicted.bsdf; predict 0.1,0.2 -M own.h5 -o between.bsdf --force",
+    "predict cardboard -M own.h5 -o predicted.bsdf; predict 0.1,0.2 -M own.h5 -o between.bsdf",
     "embed bands": "embed -L real.zarr --kind monochrome -M own.h5;"
     "locate real-left-out/paper_blue_rgb.bsdf -M own.h5 -o located.bsdf;"
     "predict 0.1,0.2 --like cardboard -M own.h5 -o predicted.bsdf",
@@ -104,12 +104,12 @@ COMMANDS: dict[str, str] = {
     "complete goniometer": "complete mini-diff/syn_satin_rose.astm -L real.zarr -o made.bsdf",
     "complete both": "complete ma-t12/syn_satin_rose.xlsx mini-diff/syn_satin_rose.astm --merge -L corpus.zarr"
     " -o made.bsdf --gloss 20=15 --gloss 60=45",
-    "complete one reading": "complete sand.csv -L real.zarr -o made.bsdf; complete sand.csv --gloss 60=30 -L real.zarr"
-    " -o gloss.bsdf",
+    "complete one reading": "complete sand.csv -L real.zarr -o made.bsdf;"
+    "complete sand.csv --gloss 60=30 -L real.zarr -o gloss.bsdf",
     "complete colour": "complete --lab 40,50,30 --gloss 60=70 -L real.zarr -o gloss.bsdf;"
     "complete --lab 40,50,30 -L real.zarr -o colour.bsdf; complete --lab 60,5,20 -L spectral.zarr -o spectral.bsdf",
     "complete other formats": "complete formats/cxf/smooth.cxf -L real.zarr -o cxf.bsdf;"
-    "complete formats/pab-opto/smooth.txt -L corpus.zarr -o pab-opto.bsdf;"
+    "complete formats/lighttools/smooth.bsdf -L corpus.zarr -o lighttools.bsdf;"
     "complete formats/zemax/smooth.bsdf -L corpus.zarr -o zemax.bsdf",
     "complete spectral": "complete ma-t12/syn_satin_rose.xlsx -L spectral.zarr -o made.bsdf;"
     "complete mini-diff/syn_satin_rose.astm -L spectral.zarr -o goniometer.bsdf",
@@ -166,14 +166,21 @@ _TARGETS = {
     "gltf": "glb", "openpbr": "mtlx", "standard-surface": "mtlx", "usd": "usda", "usd-materialx": "usda",
     "blender": "py", "blender-json": "json", "unreal": "json", "unity": "json",
 }  # fmt: skip
+_ONE_BAND = ("fred", "speos-anisotropic")  # which make no RGL file
+_FEW_READINGS = ("ma-t12", "csv", "cxf", "astm", "pab-opto")
+_SPECTRAL = ("speos", "openmaterial")
+_RGB_FILE = "real-left-out/paper_blue_rgb.bsdf"
+_SPECTRAL_FILE = "spectral-left-out/syn_satin_rose_spec.bsdf"
 COMMANDS |= {
-    f"convert to {name}": f"convert real-left-out/paper_blue_rgb.bsdf --format {name} -o made{suffix};"
-    + (f"convert made{suffix} -o back.bsdf" if name not in ("fred", "speos-anisotropic") else f"info made{suffix}")
+    f"convert to {name}": f"convert {_SPECTRAL_FILE if name in _SPECTRAL else _RGB_FILE}"
+    f" --format {name} -o made{suffix}; info made{suffix}"
+    + f";convert made{suffix} -o back.bsdf"
+    * (name not in _ONE_BAND)
     for name, suffix in _FORMATS.items()
-}  # fmt: skip
+}
 COMMANDS |= {
-    f"convert from {name}": f"info formats/{name}/smooth{suffix};"
-    f"convert formats/{name}/smooth{suffix} -o table.csv; convert formats/{name}/smooth{suffix} -o made.bsdf"
+    f"convert from {name}": f"info formats/{name}/smooth{suffix}; convert formats/{name}/smooth{suffix} -o table.csv"
+    + f";convert formats/{name}/smooth{suffix} -o made.bsdf" * (name not in _FEW_READINGS)
     for name, suffix in _READ.items()
 }
 COMMANDS |= {

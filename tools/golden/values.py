@@ -20,9 +20,9 @@ Numbers = dict[str, Value]
 
 DROPPED = re.compile(
     r"(^|_)(seconds|milliseconds|ms|date|program|generator|sha256|digest|version|path|backend)($|_)"
-    r"|^(time|clock|renderer|ratio_to_clock)"
+    r"|^(time|clock|renderer|ratio_to_clock|minimum|maximum|default|transform|per_band|affine|hyperparameters)"
 )
-"""Names of what differs from run to run, from machine to machine, or with the version."""
+"""Names of what differs from run to run, from machine to machine, or with the version; and of settings of fits."""
 
 _FEW = 12  # numbers of a list that are kept one by one
 _MANY_FILES = 6  # of one suffix in a folder: beyond, their numbers are summed up over the files
@@ -31,10 +31,10 @@ _LONG_TEXT = 120  # characters that are kept; of the rest, a hash
 _QUANTILES = (0.0, 0.1, 0.5, 0.9, 1.0)
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
 _CHANGING = re.compile(
-    r"manifold \d+\.\d+\S*|\d{4}-\d\d-\d\dT?[\d:+.Z]*|/\S*/(?=\S)"
+    r"manifold \d+\.\d+\S*|\d{4}-\d\d-\d\dT?[\d:+.Z]*|(?<![\w.])/\S*/(?=\S)"
 )  # versions, dates, folders
 _HALVES = ("first", "radiance")  # texts of the page that are float16; the others are bytes
-_LABELS = ("name", "key", "material", "target", "sample", "method", "file", "label", "title")
+_LABELS = ("name", "key", "mode", "material", "target", "sample", "method")
 
 
 def flat(value: Any, name: str = "") -> Numbers:
@@ -100,7 +100,8 @@ def of_array(array: np.ndarray, name: str) -> Numbers:
     if finite.size == 0:
         return made
     made[f"{name}/positive"] = float(np.maximum(finite, 0.0).sum())
-    made[f"{name}/negative"] = float(np.maximum(-finite, 0.0).sum())
+    if finite.min() < 0.0:
+        made[f"{name}/negative"] = float(np.maximum(-finite, 0.0).sum())
     # Changes where values of an array change places.
     made[f"{name}/in order"] = float(np.abs(finite) @ (1.5 + np.cos(np.arange(finite.size))))
     for q, value in zip(_QUANTILES, np.quantile(finite, _QUANTILES), strict=True):
@@ -151,13 +152,13 @@ def of_text(text: str, name: str) -> Numbers:
 
 
 def of_folder(folder: Path) -> Numbers:
-    """All files in a folder that are no links and in no library."""
+    """All files in a folder that are no links, in no library, and no logs of batches."""
     groups: dict[tuple[str, str], list[Path]] = {}
     for path in sorted(folder.rglob("*")):
         inside = path.relative_to(folder)
         hidden = any(p.startswith(".") or p.endswith(".zarr") for p in inside.parts)
         linked = any((folder / p).is_symlink() for p in [inside, *inside.parents][:-1])
-        if path.is_file() and not hidden and not linked:
+        if path.is_file() and path.suffix != ".jsonl" and not hidden and not linked:
             groups.setdefault((str(inside.parent), path.suffix), []).append(path)
     made: Numbers = {}
     for (parent, suffix), paths in groups.items():

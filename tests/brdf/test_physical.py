@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.paths import real_rgl_files
 from helpers.small_library import small_library
 
 from manifold.brdf import goniometer, physical
@@ -21,6 +22,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
+from manifold.model.prediction import ClippedBRDF
 from manifold.model.settings import Settings
 from manifold.records import Bands
 from manifold.workflows.prediction import predict
@@ -255,3 +257,20 @@ def test_only_values_that_are_not_reciprocal_change():
     assert plausibility_of_file(projected).reciprocity_error <= 0.05
     assert 0.05 < is_possible.mean() < 0.95
     np.testing.assert_array_equal(projected.spectra[is_possible], plain.spectra[is_possible])
+
+
+@pytest.mark.skipif(not real_rgl_files(), reason="no real RGL files at hand")
+@pytest.mark.parametrize("name", ["paper_white", "aurora_white", "cm_toxic_green"])
+def test_no_possible_value_of_a_real_file_changes(name):
+    (path,) = (path for path in real_rgl_files() if path.name.startswith(name))
+    plain = goniometer.measure(ClippedBRDF(MeasuredBRDF(read_bsdf(path))), name)
+    file, projected = MeasuredBRDF(plain), physical_file(plain)
+    changed = projected.spectra != plain.spectra
+    if plausibility_of_file(plain).reciprocity_error <= 0.05:
+        assert not np.any(changed)
+        return
+    averaged = goniometer.remeasure(ReciprocalBRDF(file), plain).spectra
+    is_possible = averaged == goniometer.remeasure(file, plain).spectra
+    assert 0.1 < changed.mean() < 0.6
+    assert not np.any(changed & is_possible)
+    assert plausibility_of_file(projected).reciprocity_error <= 0.05

@@ -257,7 +257,7 @@ def test_a_latent_renders_like_its_prediction(folder, tmp_path, run):
     at, size = ("--latent", "0.1,-0.1"), ("--size", "24", "--samples", "16")
     for arguments in (
         ("render", *at, "-o", tmp_path / "latent.exr", *size),
-        ("predict", *at, "-o", tmp_path / "p_rgb.bsdf"),
+        ("predict", *at, "--resolution", "48", "--incidences", "24", "-o", tmp_path / "p_rgb.bsdf"),
     ):
         status, _, err = run(*arguments, cwd=folder)
         assert status == 0, err

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import re
 import shlex
 import shutil
 import sys
@@ -96,7 +97,9 @@ def _run(names: list[str], work: Path, options: argparse.Namespace) -> int:
         print(f"left out, no real files at hand: {', '.join(left_out)}")
     count = sum(len(step.get("numbers", ())) for step in found.values())
     failed = [
-        n for n, step in found.items() if "failed" in step or any(v[:5] == "error" for v in step["numbers"])
+        n
+        for n, step in found.items()
+        if "failed" in step or any(re.fullmatch(r"error\d", v) for v in step["numbers"])
     ]
     print(f"{len(found)} steps, {count} values, in {time.monotonic() - began:.0f} s")
     print(f"failed: {', '.join(failed) or 'none'}\nmoved or new: {', '.join(moved) or 'none'}")

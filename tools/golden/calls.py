@@ -77,12 +77,8 @@ def python_analytic(folder: Path) -> dict[str, Any]:
     """The materials of the corpus before they are measured, and readings of instruments."""
     wi, wo = direction_pairs()
     materials = mf.analytic.corpus.isotropic_materials()
-    made = {m.name: m.recipe(mf.Bands(None)).eval(wi, wo) for m in materials[::5]}
-    return made | {f"{m.name} in 31 bands": _spectral(m, wi, wo) for m in materials[::10]}
-
-
-def _spectral(material: Any, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    return material.recipe(mf.Bands(tuple(np.linspace(400.0, 700.0, 31).tolist()))).eval(wi, wo)
+    bands = mf.Bands(tuple(np.linspace(400.0, 700.0, 31).tolist()))
+    return {m.name: m.recipe(bands).eval(wi, wo) for m in materials[::3]}
 
 
 def python_completion(folder: Path) -> dict[str, Any]:
@@ -145,7 +141,7 @@ def python_latent_models(folder: Path) -> dict[str, Any]:
     regressor = mf.latent.GPRegressor().fit(t[:, None], Y)
     mean, std = regressor.predict(t[:, None] + 0.1, return_std=True)
     kernels = {
-        name: mf.latent.kernel_named(name)(t[:, None], t[:, None] + 0.1) for name in ("se", "matern52")
+        name: mf.latent.kernel_named(name).smooth(t[:, None], t[:, None] + 0.1) for name in ("se", "matern52")
     }
     least = mf.latent.hooke_jeeves(lambda x: float((x[0] - 1) ** 2 + 3 * (x[1] + 2) ** 2), np.zeros(2))
     weights = mf.latent.nonnegative_weights(Y.T @ Y + np.eye(4), np.abs(Y[:3]))

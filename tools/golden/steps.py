@@ -86,7 +86,7 @@ COMMANDS: dict[str, str] = {
     "predict 0.3,0.2 --reflectance reflectance.txt -M spectral.h5 -o reflectance.bsdf",
     # -- whole files on the map and in the library
     "locate": "locate real-left-out/paper_blue_rgb.bsdf -M real.h5 -o located.bsdf; locate 0.3,0.5 -M real.h5",
-    "locate several": "locate real-left-out corpus-left-out -M real.h5 -o located -j 2",
+    "locate several": "locate real-left-out -M real.h5 -o located -j 1",
     "locate spectral": "locate spectral-left-out/syn_satin_rose_spec.bsdf -M spectral.h5 -o located.bsdf",
     "locate photograph": f"locate {_PHOTO} -M corpus.h5 -o located.bsdf --picture located.png",
     "locate grey ball": f"locate {_GREY} --circle 241,245,150 -M real.h5 -o located.bsdf",
@@ -94,7 +94,7 @@ COMMANDS: dict[str, str] = {
     "reconstruct cardboard --without cardboard -L real.zarr -M real.h5 -o cardboard.bsdf",
     "reconstruct in 12 numbers": "reconstruct real-left-out/paper_blue_rgb.bsdf --numbers 12 -L real.zarr -o made.bsdf;"
     "reconstruct real-left-out/cm_toxic_green_rgb.bsdf --numbers 24 -L real.zarr -o green.bsdf",
-    "reconstruct several": "reconstruct real-left-out corpus-left-out -L real.zarr -o made -j 1",
+    "reconstruct several": "reconstruct corpus-left-out -L real.zarr -o made -j 1",
     "reconstruct spectral": "reconstruct spectral-left-out/syn_satin_rose_spec.bsdf -L spectral.zarr -o made.bsdf",
     "reconstruct physical": "reconstruct real-left-out/paper_blue_rgb.bsdf --physical -L real.zarr -o made.bsdf",
     # -- readings
@@ -113,7 +113,8 @@ COMMANDS: dict[str, str] = {
     "complete formats/zemax/smooth.bsdf -L corpus.zarr -o zemax.bsdf",
     "complete spectral": "complete ma-t12/syn_satin_rose.xlsx -L spectral.zarr -o made.bsdf;"
     "complete mini-diff/syn_satin_rose.astm -L spectral.zarr -o goniometer.bsdf",
-    "complete several": "complete ma-t12-few -L real.zarr -o made --into own.zarr -j 2; info own.zarr",
+    "complete several": "complete ma-t12/syn_felt_yellow.xlsx ma-t12/syn_chrome_mint.xlsx ma-t12/syn_satin_rose.xlsx"
+    " -L real.zarr -o made --into own.zarr -j 2; info own.zarr",
     "complete physical": "complete ma-t12/syn_satin_rose.xlsx -L real.zarr -o made.bsdf --physical --resolution 16",
     "complete photograph": f"complete {_PHOTO} -L corpus.zarr -o made.bsdf --picture",
     "complete photograph and readings": f"complete ma-t12/syn_satin_rose.xlsx {_PHOTO} --circle 24,24,18.46"
@@ -135,7 +136,7 @@ COMMANDS: dict[str, str] = {
     "fit cardboard -M real.h5 -o own.json --bsdf diffuse.json",
     "fit place and readings": "fit --latent 0.3,0.5 -M real.h5 -o place.json; fit ma-t12/syn_satin_rose.xlsx"
     " -o readings.json; fit syn_satin_gold -M spectral.h5 -o spectral.json",
-    "fit several": "fit real-left-out corpus-left-out -o fits -j 2",
+    "fit several": "fit real-left-out -o fits -j 1",
     "export fit": "fit cardboard -M real.h5 -o cardboard.json; export cardboard.json --mapped -o mapped.glb;"
     "export cardboard.json --against real/cardboard_rgb.bsdf -o direct.mtlx;"
     "render cardboard.json --size 32 --samples 8 -o fit.exr",
@@ -166,7 +167,7 @@ _TARGETS = {
     "gltf": "glb", "openpbr": "mtlx", "standard-surface": "mtlx", "usd": "usda", "usd-materialx": "usda",
     "blender": "py", "blender-json": "json", "unreal": "json", "unity": "json",
 }  # fmt: skip
-_ONE_BAND = ("fred", "speos-anisotropic")  # which make no RGL file
+_ONE_WAY = ("fred", "speos-anisotropic", "speos", "openmaterial")  # one band, or much to read again
 _FEW_READINGS = ("ma-t12", "csv", "cxf", "astm", "pab-opto")
 _SPECTRAL = ("speos", "openmaterial")
 _RGB_FILE = "real-left-out/paper_blue_rgb.bsdf"
@@ -175,7 +176,7 @@ COMMANDS |= {
     f"convert to {name}": f"convert {_SPECTRAL_FILE if name in _SPECTRAL else _RGB_FILE}"
     f" --format {name} -o made{suffix}; info made{suffix}"
     + f";convert made{suffix} -o back.bsdf"
-    * (name not in _ONE_BAND)
+    * (name not in _ONE_WAY)
     for name, suffix in _FORMATS.items()
 }
 COMMANDS |= {

@@ -19,8 +19,9 @@ Value = float | str
 Numbers = dict[str, Value]
 
 DROPPED = re.compile(
-    r"(^|_)(seconds|milliseconds|ms|date|program|generator|sha256|digest|version|path|backend)($|_)"
+    r"(^|_)(seconds|milliseconds|ms|date|program|generator|sha256|hash|digest|version|path|backend)($|_)"
     r"|^(time|clock|renderer|ratio_to_clock|minimum|maximum|default|transform|per_band|affine|hyperparameters)"
+    r"|^(fit|predict|scaled|fronts)$"  # of the chart: times, and what follows from them
 )
 """Names of what differs from run to run, from machine to machine, or with the version; and of settings of fits."""
 
@@ -75,7 +76,7 @@ def _label(item: Any) -> str:
     if not isinstance(item, Mapping):
         return ""
     found = [str(item[key]) for key in _LABELS if isinstance(item.get(key), str)]
-    return " ".join(Path(word).name for word in found[:2])
+    return " ".join(dict.fromkeys(Path(word).name for word in found[:2]))
 
 
 def _as_array(items: list[Any]) -> np.ndarray | None:

@@ -86,7 +86,7 @@ def _run(names: list[str], work: Path, options: argparse.Namespace) -> int:
             except Exception as error:  # the process died
                 found[name], seconds = {"failed": f"{type(error).__name__}: {error}"}, 0.0
             lines = compared(name, kept[name], found[name]) if name in kept else [_summary(found[name])]
-            moved += [name] * bool(lines)
+            moved += [name] * bool(lines and name in kept)
             print(
                 f"{name} ({seconds:.0f} s): {lines[0] if lines else 'as kept'}",
                 *lines[1:],
@@ -102,7 +102,7 @@ def _run(names: list[str], work: Path, options: argparse.Namespace) -> int:
         if "failed" in step or any(re.fullmatch(r"error\d", v) for v in step["numbers"])
     ]
     print(f"{len(found)} steps, {count} values, in {time.monotonic() - began:.0f} s")
-    print(f"failed: {', '.join(failed) or 'none'}\nmoved or new: {', '.join(moved) or 'none'}")
+    print(f"failed: {', '.join(failed) or 'none'}\nmoved: {', '.join(moved) or 'none'}")
     if options.keep:
         _keep({n: step for n, step in (kept | found).items() if n in (*COMMANDS, *CALLS)}, options.against)
     return int(bool(moved) and not options.keep)
@@ -110,8 +110,6 @@ def _run(names: list[str], work: Path, options: argparse.Namespace) -> int:
 
 def _possible(names: list[str], inputs: Path) -> tuple[list[str], list[str]]:
     """The steps whose inputs are at hand, and the others."""
-    from golden.steps import COMMANDS
-
     missing = [name for name in _REAL if not (inputs / name).exists()]
 
     def lacks(name: str) -> bool:

@@ -10,7 +10,7 @@ import numba as nb
 import numpy as np
 
 from manifold.brdf import warp
-from manifold.brdf.pairs import elevation, locate, phi_to_u, signs, theta_to_u
+from manifold.brdf.pairs import LEVEL, elevation, locate, phi_to_u, signs, theta_to_u
 from manifold.system.parallel import serialised
 
 
@@ -83,7 +83,7 @@ def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divid
 def eval_pairs(wi, wo, isotropic, reduction, divide, tables, out):
     """All bands of K pairs (K, 3), of f or, without `divide`, of f cos(theta_o), into out (K, B)."""
     for k in nb.prange(wi.shape[0]):
-        if wi[k, 2] <= 0.0 or wo[k, 2] <= 0.0:
+        if wi[k, 2] <= LEVEL or wo[k, 2] <= LEVEL:
             out[k] = 0.0
             continue
         theta_i, phi_i, ux, uy, _theta_m, _c = locate(wi[k], wo[k], isotropic, reduction)
@@ -108,7 +108,7 @@ def pdf_of_pairs(wi, wo, isotropic, reduction, tables, luminance, out):
     _, _, _, data, conditional, marginal, phi_nodes, theta_nodes, _ = tables
     for k in nb.prange(wi.shape[0]):
         out[k] = 0.0
-        if wi[k, 2] <= 0.0 or wo[k, 2] <= 0.0:
+        if wi[k, 2] <= LEVEL or wo[k, 2] <= LEVEL:
             continue
         theta_i, phi_i, ux, uy, theta_m, cos_im = locate(wi[k], wo[k], isotropic, reduction)
         slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)

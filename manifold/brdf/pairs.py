@@ -12,6 +12,9 @@ from manifold.directions import require_directions, rotate_z
 from manifold.errors import ShapeError
 from manifold.records import Array
 
+LEVEL = 1e-9
+"""Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""
+
 Symmetry = tuple[bool, int, float]
 """What `DirectionPairs.located` takes."""
 
@@ -68,7 +71,7 @@ def locate(wi, wo, isotropic, reduction):
 @nb.njit(cache=True, nogil=True)
 def _locate_all(wi, wo, isotropic, reduction, out):
     for k in range(wi.shape[0]):
-        if wi[k, 2] > 0.0 and wo[k, 2] > 0.0:
+        if wi[k, 2] > LEVEL and wo[k, 2] > LEVEL:
             out[k, 0], out[k, 1], out[k, 2], out[k, 3], _theta_m, _c = locate(
                 wi[k], wo[k], isotropic, reduction
             )

@@ -18,7 +18,7 @@ from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.error_context import MOST_ROWS, ErrorContext
 from manifold.formats.readings import Readings
 from manifold.formats.text import data_lines, decode, find_separator, read_lines, split_cells
-from manifold.formats.values import as_brdf, bands_of, nanometres
+from manifold.formats.values import as_brdf, bands_of, named_wavelength, nanometres
 from manifold.records import Array
 from manifold.system import atomic
 from manifold.system.names import in_one_line
@@ -64,7 +64,7 @@ def read(path: Path) -> list[Readings]:
     if re.fullmatch(r"BTDF|transmi\w*", measured, re.IGNORECASE):
         raise context.error(f"MEAS_NAME is {measured}: transmitted light, expected BRDF")
     is_mini_diff = re.search(r"mini[\s_-]*diff", " ".join(header.values()), re.IGNORECASE) is not None
-    columns = _wavelength_of_header(columns, header)
+    columns = _wavelength_of_header(columns, header, lines[:start])
     table, notes, columns = _rows(lines, start + 1, columns, context)
     announced = header.get("NUM_POINTS")
     if announced is not None:
@@ -111,9 +111,9 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
     return _Columns(names, bands, None if unit is None else unit == "degrees", kind)
 
 
-def _wavelength_of_header(columns: _Columns, header: dict[str, str]) -> _Columns:
+def _wavelength_of_header(columns: _Columns, header: dict[str, str], lines: list[str]) -> _Columns:
     """The columns, a single band with the wavelength of the header."""
-    nm = nanometres(header.get("WAVELENGTH", ""))
+    nm = nanometres(header.get("WAVELENGTH", "")) or named_wavelength(lines)
     if nm is None or len(columns.bands) != 1 or wavelength(columns.bands[0]):
         return columns
     band = f"{nm:g}nm"

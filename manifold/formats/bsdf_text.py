@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +19,9 @@ _REMEDY = "export the file again"
 _MOST_BLOCKS = 100_000
 _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
 _NUMBERS = ("aoi", "poi", "wavelength")
+# Of the larger of a TIS and its table's integral: few nodes in a highlight, or cut at the horizon, differ by less.
+_APART = 0.5
+_LEAST_TIS = 1e-3  # what is darker than this is not compared
 _XYZ = {f"{word}{letter}": k for word in ("tris", "tristimulus") for k, letter in enumerate("xyz")}
 
 
@@ -30,12 +34,14 @@ class Block:
         words: what stands behind other keys, by their plain form.
         numbers: `aoi`, `poi` and `wavelength` where they are given.
         tristimulus: 0, 1 or 2 for X, Y or Z.
+        tis: the fraction of light that it scatters, as the file says.
     """
 
     values: Array
     words: dict[str, str]
     numbers: dict[str, float]
     tristimulus: int | None
+    tis: float
 
 
 @dataclass
@@ -97,13 +103,13 @@ def read_blocks(path: Path) -> BsdfText:
         elif key == "tristimulusvalue":
             band = _XYZ.get(_plain(words.rest()))
         elif key == "tis":
-            words.number(word)
+            tis = words.number(word)
             missing = [name for name in _LISTS[2:] if name not in text.lists]
             if missing or len(text.blocks) == _MOST_BLOCKS:
                 expected = f"{missing[0]} before it" if missing else f"at most {_MOST_BLOCKS}"
                 raise text.context.error(f"a table, expected {expected}", words.line)
             values = words.table(*(text.lists[name] for name in _LISTS[2:]))
-            text.blocks.append(Block(values, dict(said), dict(numbers), band))
+            text.blocks.append(Block(values, dict(said), dict(numbers), band, tis))
         elif re.match(r"[+-]?[\d.]", word):
             raise text.context.error(f"found '{word[:24]}', expected a key: a table is too long", words.line)
         elif key not in ("databegin", "dataend"):
@@ -208,10 +214,29 @@ def _plain(word: str) -> str:
     return re.sub(r"[^a-z0-9]", "", word.lower())
 
 
-def total_scatter(values: Array, radial: Array, cosine: Array) -> float:
-    """The fraction of light in a table (azimuths, radials) about an axis, cosines of theta_o broadcast; radians."""
-    weight = np.sin(radial) * np.maximum(cosine, 0.0)
-    return float((values * weight).mean(axis=0).sum() * 2.0 * np.pi * np.gradient(radial).mean())
+def total_scatter(values: Array, azimuth: Array, radial: Array, cosine: Array) -> float:
+    """The fraction of light in a table (azimuths, radials) about an axis, by the trapezoidal rule.
+
+    Angles in radians, cosines of theta_o broadcast. Tables that hold one azimuth, or half of them, are symmetric.
+    """
+    rings = values * np.abs(np.sin(radial)) * np.maximum(cosine, 0.0)
+    turn = 2.0 * np.pi if radial[0] >= 0.0 else np.pi
+    mean = np.trapezoid(rings, azimuth, axis=0) / np.ptp(azimuth) if azimuth.size > 1 else rings[0]
+    return float(turn * np.trapezoid(mean, radial))
+
+
+def note_contradictions(text: BsdfText, tables: Iterable[tuple[Block, Array]], notes: list[str]) -> None:
+    """Add a note where a TIS is far from what its table integrates to; beside each, cosines of theta_o, broadcast."""
+    azimuth, radial = (np.deg2rad(text.lists[name]) for name in _LISTS[2:])
+    pairs = [(block.tis, total_scatter(block.values, azimuth, radial, cosine)) for block, cosine in tables]
+    apart = [abs(said - found) / max(abs(said), abs(found), _LEAST_TIS) for said, found in pairs]
+    if max(apart, default=0.0) > _APART:
+        said, found = pairs[int(np.argmax(apart))]
+        count = sum(a > _APART for a in apart)
+        notes.append(
+            f"{count} of {len(pairs)} tables contradict their TIS (one says {said:.3g}, its values integrate to "
+            f"{found:.3g}): values are taken as f in 1/sr"
+        )
 
 
 def angle_line(angles: Array) -> str:

@@ -12,9 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.bsdf_text import Block, angle_line, read_blocks, total_scatter
+from manifold.formats.bsdf_text import (
+    Block,
+    BsdfText,
+    angle_line,
+    note_contradictions,
+    read_blocks,
+    total_scatter,
+)
 from manifold.formats.dense import DenseTable
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.light_side import hidden
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
@@ -56,7 +62,9 @@ def read(path: Path) -> list[Readings]:
     notes: list[str] = []
     if left := len(text.blocks) - len(blocks):
         notes.append(f"{left} blocks of transmission or of the back are left out")
-    nm, incidences, values = _stack(blocks, notes, text.context)
+    cosine = np.cos(np.deg2rad(text.lists["scatterradial"]))
+    note_contradictions(text, ((block, cosine) for block in blocks), notes)
+    nm, incidences, values = _stack(blocks, notes, text)
     phi, theta, rows = text.directions()
     keep = np.abs(theta) <= 90.0
     values, theta, phi = values[:, rows][:, keep], theta[keep], phi[keep]
@@ -98,10 +106,10 @@ def _is_reflected(block: Block) -> bool:
 
 
 def _stack(
-    blocks: list[Block], notes: list[str], context: ErrorContext
+    blocks: list[Block], notes: list[str], text: BsdfText
 ) -> tuple[Array | None, list[tuple[float, float]], Array]:
     """Wavelengths, or None for XYZ; incidences; values (incidences, azimuths * radials, B)."""
-    is_xyz = any(b.tristimulus is not None for b in blocks)
+    context, is_xyz = text.context, any(b.tristimulus is not None for b in blocks)
     labels = [float(b.tristimulus or 0) if is_xyz else b.numbers.get("wavelength", 0.0) for b in blocks]
     angles = [(b.numbers.get("aoi", 0.0), b.numbers.get("poi", 0.0)) for b in blocks]
     bands, incidences = sorted(set(labels)), sorted(set(angles))
@@ -122,7 +130,7 @@ def _stack(
             raise context.error(f"{len(bands)} tristimulus values, expected X, Y and Z")
         return None, incidences, converted(values, notes)
     if bands == [0.0]:
-        return unnamed_band(notes), incidences, values
+        return unnamed_band(notes, text.comments), incidences, values
     nm = np.array(bands)
     if nm[0] <= 0:
         raise context.error(f"wavelength {nm[0]:g}, expected nanometres")
@@ -215,6 +223,7 @@ def write(path: Path, table: DenseTable) -> None:
                 rows = np.roll(
                     values[i, j, :, :, b].T, turn if phi_i.size == 1 else 0, axis=0
                 )  # [azimuth, radial]
-                lines.append(f"TIS {total_scatter(rows, table.axes[2], np.cos(table.axes[2])):.6g}")
-                lines += [" ".join(f"{v:.7g}" for v in row) for row in [*rows, rows[0]]]
+                rows = np.vstack([rows, rows[:1]])
+                tis = total_scatter(rows, np.deg2rad(closed), table.axes[2], np.cos(table.axes[2]))
+                lines += [f"TIS {tis:.6g}", *(" ".join(f"{v:.7g}" for v in row) for row in rows)]
     atomic.write_text(path, "\n".join([*lines, "DataEnd"]) + "\n")

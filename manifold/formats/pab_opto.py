@@ -67,7 +67,8 @@ def read(path: Path) -> list[Readings]:
         values = converted(values, notes)
     elif values.shape[1] == 1:
         named = nanometres(header.get("wavelength", ""))
-        nm = unnamed_band(notes) if named is None else np.array([named])
+        comments = (line for line in lines if line.lstrip().startswith("#"))
+        nm = unnamed_band(notes, comments) if named is None else np.array([named])
     else:
         raise context.error(f"rows of {values.shape[1]} values, expected 1, or 3 of CIE XYZ")
     wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))

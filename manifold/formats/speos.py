@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.bsdf_text import Words, unique_directions
+from manifold.formats.bsdf_text import Words, total_scatter, unique_directions
 from manifold.formats.dense import DenseTable
 from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
@@ -172,8 +172,7 @@ def _scale(table: _Table, percent: float, context: ErrorContext) -> float:
 def _reflected(theta: Array, phi: Array, f: Array) -> float:
     """The fraction of light that f (T, P) reflects, at angles in degrees, by the trapezoidal rule."""
     theta, phi = np.deg2rad(theta), np.deg2rad(phi)
-    around = np.trapezoid(f, phi, axis=1)
-    return float(np.trapezoid(around * np.sin(theta) * np.maximum(np.cos(theta), 0.0), theta))
+    return total_scatter(f.T, phi, theta, np.cos(theta))
 
 
 def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: list[str]) -> Readings:

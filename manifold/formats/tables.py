@@ -71,6 +71,7 @@ class Columns:
         bands: columns of values.
         name: the column of samples' names, if there is one.
         gloss: columns of gloss, with its angle in degrees.
+        comments: lines of the file that may name a wavelength.
     """
 
     row: int
@@ -80,6 +81,7 @@ class Columns:
     bands: list[int]
     name: int | None
     gloss: dict[int, float]
+    comments: tuple[str, ...] = ()
 
     @property
     def band_heads(self) -> list[str]:
@@ -390,7 +392,7 @@ def _readings(
     if not np.any(np.isfinite(values)):
         raise context.error(f"sample '{name[:40]}' has no values, expected reflectance or f in 1/sr")
     values = as_brdf(values, kind, wo, notes if columns.geometry is None else [], white)
-    nm, values = bands_of(columns.band_heads, values, notes, context)
+    nm, values = bands_of(columns.band_heads, values, notes, context, columns.comments)
     wi, wo, values, scatter, repeats = mean_of_repeats(wi, wo, values)
     notes += repeats
     if np.any(np.isnan(values)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -17,6 +18,15 @@ TAKEN_AS_PERCENT = (
 )
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
+
+_LENGTH = r"(?:nm|nano\w+|[u\u00b5\u03bc]m|micro\w+)"
+_WAVELENGTH_IS = re.compile(
+    rf"(?:wavelength|lambda|\u03bb)\s*[(\[]?(?:in )?{_LENGTH}?[)\]]?\s*[:=]?\s*(\d+(?:\.\d+)?)\b"
+)
+_NUMBER_OF_NM = re.compile(
+    r"(?<![-\d.])(\d{3,4}(?:\.\d+)?) ?nm\b"  # not the end of a range
+    r"|(?:^[#!\s]*|(?:laser|light|led)\b.*?(?<![-\d.]))(\d+\.\d+) ?[u\u00b5\u03bc]m\b"
+)
 
 _PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 _D65_XY = (0.3127, 0.3290)
@@ -34,6 +44,20 @@ def nanometres(text: str) -> float | None:
     if value is None or value <= 0.0:
         return None
     return value if value >= 100.0 else 1000.0 * value
+
+
+def named_wavelength(comments: Iterable[str]) -> float | None:
+    """The only wavelength that comments name in nm; None where they name none, or several.
+
+    >>> named_wavelength(["# Wavelength (nm) = 850.0"]), named_wavelength(["# 0.85 um"])
+    (850.0, 850.0)
+    """
+    lines = [line.lower() for line in comments]
+    for pattern in (_WAVELENGTH_IS, _NUMBER_OF_NM):
+        named = {nanometres(m[m.lastindex or 0]) for line in lines for m in pattern.finditer(line)} - {None}
+        if len(named) == 1:
+            return named.pop()
+    return None
 
 
 def as_brdf(values: Array, kind: Quantity, wo: Array, notes: list[str], white: float = 1.0) -> Array:
@@ -57,7 +81,7 @@ def as_brdf(values: Array, kind: Quantity, wo: Array, notes: list[str], white: f
 
 
 def bands_of(
-    heads: list[str], values: Array, notes: list[str], context: ErrorContext
+    heads: list[str], values: Array, notes: list[str], context: ErrorContext, comments: Iterable[str] = ()
 ) -> tuple[Array | None, Array]:
     """Wavelengths in nm, increasing, or None for linear sRGB, and the values (P, B) in their order.
 
@@ -71,7 +95,7 @@ def bands_of(
             return None, converted(values, notes) if space == "xyz" else values
     nm = [wavelength(head) for head in heads]
     if nm == [None]:
-        return unnamed_band(notes), values
+        return unnamed_band(notes, comments), values
     if None in nm:
         raise context.error(
             f"band '{heads[nm.index(None)][:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z"
@@ -112,7 +136,11 @@ def converted(xyz: Array, notes: list[str]) -> Array:
     return xyz_to_linear_srgb(xyz)
 
 
-def unnamed_band(notes: list[str]) -> Array:
-    """The wavelength in nm, shape (1,), that a band without one is taken to have, and a note of it."""
+def unnamed_band(notes: list[str], comments: Iterable[str] = ()) -> Array:
+    """The wavelength in nm, shape (1,), of a band without one: a comment's or a green one; and a note of it."""
+    named = named_wavelength(comments)
+    if named is not None:
+        notes.append(f"one band, its wavelength is taken from a comment: {named:g} nm")
+        return np.array([named])
     notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
     return np.array([_UNNAMED_NM])

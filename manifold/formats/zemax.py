@@ -13,7 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical, rotate_z
-from manifold.formats.bsdf_text import BsdfText, angle_line, read_blocks, total_scatter
+from manifold.formats.bsdf_text import (
+    Block,
+    BsdfText,
+    angle_line,
+    note_contradictions,
+    read_blocks,
+    total_scatter,
+)
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
@@ -54,9 +61,9 @@ def read(path: Path) -> list[Readings]:
     said = text.blocks[0].words if text.blocks else {}
     if said.get("scattertype", "BRDF").upper().startswith("BTDF"):
         raise text.context.error("a BTDF, expected reflectance (ScatterType BRDF)")
-    parts: dict[int | None, list[Array]] = {}
+    parts: dict[int | None, list[Block]] = {}
     for block in text.blocks:
-        parts.setdefault(block.tristimulus, []).append(block.values)
+        parts.setdefault(block.tristimulus, []).append(block)
     rotations = text.lists.get("samplerotation", np.zeros(1))
     incidences = [(r, t) for r in rotations for t in text.lists.get("angleofincidence", [])]
     counts = {len(part) for part in parts.values()}
@@ -67,18 +74,17 @@ def read(path: Path) -> list[Readings]:
             why = f"SpectralContent {said.get('spectralcontent', 'not said')}, expected Monochrome or XYZ"
         raise text.context.error(f"{found} tables, expected {len(incidences)}, one per incidence: {why}")
     notes = ["angles are taken about the mirror direction, azimuth 0 towards the normal"]
-    nm = _wavelength(text.comments, notes) if None in parts else None
-    values = np.stack([np.array(parts[band]) for band in sorted(parts, key=lambda k: k or 0)], axis=-1)
+    nm = unnamed_band(notes, text.comments) if None in parts else None
+    radial, azimuth = (np.deg2rad(text.lists[f"scatter{name}"]) for name in ("radial", "azimuth"))
+    cosines = [directions(np.deg2rad(t), radial, azimuth[:, None])[1][..., 2] for _, t in incidences]
+    note_contradictions(
+        text, (pair for part in parts.values() for pair in zip(part, cosines, strict=True)), notes
+    )
+    values = np.stack(
+        [np.array([block.values for block in parts[band]]) for band in sorted(parts, key=lambda k: k or 0)],
+        axis=-1,
+    )
     return [_readings(path.stem, incidences, text, values, nm, notes)]
-
-
-def _wavelength(comments: list[str], notes: list[str]) -> Array:
-    """The wavelength (1,) in nm: the only one that comments name, or a green one."""
-    named = {float(nm) for line in comments for nm in re.findall(r"\b(\d{3,4}(?:\.\d+)?) ?nm\b", line)}
-    if len(named) == 1:
-        notes.append(f"one band, its wavelength is taken from a comment: {min(named):g} nm")
-        return np.array(sorted(named))
-    return unnamed_band(notes)
 
 
 def _is_measured(wo: Array, values: Array) -> Mask:
@@ -141,7 +147,7 @@ def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, 
         lines += ["Monochrome" if values.shape[-1] == 1 else f"Tristimulus{'XYZ'[b]}", "DataBegin"]
         for theta, block in zip(theta_i, values[..., b], strict=True):
             _, wo = directions(theta, radial[None, :], azimuth[:, None])
-            lines.append(f"TIS {total_scatter(block, radial, wo[..., 2]):.6g}")
+            lines.append(f"TIS {total_scatter(block, azimuth, radial, wo[..., 2]):.6g}")
             lines += [" ".join(f"{v:.7g}" for v in row) for row in block]
         lines.append("DataEnd")
     atomic.write_text(path, "\n".join(lines) + "\n")

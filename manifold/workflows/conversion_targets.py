@@ -10,6 +10,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf import goniometer
+from manifold.brdf.pairs import LEVEL
 from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
 from manifold.formats import astm, csv_table, fred, lighttools, merl, openmaterial, speos, utia, zemax
@@ -18,12 +19,11 @@ from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Array
-from manifold.workflows.conversion_source import Source
+from manifold.workflows.conversion_source import LEAST_COSINE, Source
 
 _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
 _MOST_INCIDENCES = 40
-_LOWEST = np.sin(np.deg2rad(1.0))
 _MEASURED_WITHIN = np.deg2rad(0.5)  # of a measured incidence: half a step of MERL's
 _STEEPEST = np.deg2rad(85.0)
 _FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of elevation and azimuth
@@ -93,10 +93,10 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
     for wi, wo, above in RusinkiewiczGrid(*merl.SHAPE, squared_theta_h=True, offset=0.0).blocks(_BLOCK):
         block = np.zeros((int(above.sum()), 3))
         for turn in turns:
-            a, b = (rotate_z(_off_horizon(w[above]), turn) for w in (wi, wo))
+            a, b = (rotate_z(w[above], turn) for w in (wi, wo))
             # One node stands for both directions of the light; the one nearer to a measured incidence counts more.
             share = _share(a, b, source)[:, None]
-            block += (share * brdf.eval(a, b) + (1.0 - share) * brdf.eval(b, a)) / turns.size
+            block += (share * _eval(source, a, b) + (1.0 - share) * _eval(source, b, a)) / turns.size
         values[start : start + len(wi)][above] = block
         start += len(wi)
     negative = int(np.any(values < 0.0, axis=1).sum())
@@ -184,7 +184,7 @@ def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
     )
     values = np.zeros((theta_i.size, azimuth.size, radial.size, brdf.bands.count))
     for block, theta in zip(values, theta_i, strict=True):
-        block[:] = brdf.eval(*zemax.directions(theta, radial[None, :], azimuth[:, None]))
+        block[:] = _eval(source, *zemax.directions(theta, radial[None, :], azimuth[:, None]))
     zemax.write(path, source.nodes.name, theta_i, azimuth, radial, values)
     return _one_turn(source)
 
@@ -217,7 +217,7 @@ def _rows(source: Source) -> Readings:
     wo = np.concatenate([[[0.0, 0.0, 1.0]], grid])
     phi_i = [np.pi] if brdf.is_isotropic else np.deg2rad(np.arange(0.0, 360.0, 30.0))
     wi = np.array([from_spherical(t, p) for t in _incidences(source) for p in phi_i])
-    values = np.concatenate([brdf.eval(w, wo) for w in wi])
+    values = np.concatenate([_eval(source, w, wo) for w in wi])
     nodes = source.nodes
     return Readings(
         nodes.name, nodes.instrument, np.repeat(wi, len(wo), axis=0), np.tile(wo, (len(wi), 1)), nodes.wavelengths_nm,
@@ -232,7 +232,7 @@ def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTa
     wo = from_spherical(theta_o[:, None], phi_o[None, :])
     values = np.zeros((*(a.size for a in axes), brdf.bands.count))
     for i, j in np.ndindex(theta_i.size, phi_i.size):
-        values[i, j] = brdf.eval(from_spherical(theta_i[i], phi_i[j]), wo)
+        values[i, j] = _eval(source, from_spherical(theta_i[i], phi_i[j]), wo)
     nodes = source.nodes
     return DenseTable(nodes.name, nodes.instrument, "incident-outgoing", axes, nodes.wavelengths_nm, values)
 
@@ -243,12 +243,19 @@ def _incidences(source: Source) -> Array:
     return own if 2 <= own.size <= _MOST_INCIDENCES else _USUAL_INCIDENCES
 
 
+def _eval(source: Source, wi: Array, wo: Array) -> Array:
+    """f in 1/sr, shape (..., B). Nearer to the horizon than RGL files say it, what they hold two degrees above it."""
+    if source.file is not None:
+        wi, wo = _off_horizon(wi), _off_horizon(wo)
+    return source.brdf.eval(wi, wo)
+
+
 def _off_horizon(w: Array) -> Array:
-    """Directions (n, 3), those within a degree of the horizon, a step of MERL's, lifted to it: f cos / cos diverges."""
-    low = w[:, 2] < _LOWEST
-    lifted = np.where(low[:, None], [1.0, 1.0, 0.0] * w, w)
-    lifted[low] *= np.sqrt(1.0 - _LOWEST**2) / np.maximum(np.hypot(w[low, 0], w[low, 1]), 1e-300)[:, None]
-    lifted[low, 2] = _LOWEST
+    """Directions (..., 3), those between the horizon, within rounding, and `LEAST_COSINE` lifted to it."""
+    low = (w[..., 2] > -LEVEL) & (w[..., 2] < LEAST_COSINE)
+    lifted = w.copy()
+    lifted[low, :2] *= np.sqrt(1.0 - LEAST_COSINE**2) / np.hypot(w[low, 0], w[low, 1])[:, None]
+    lifted[low, 2] = LEAST_COSINE
     return lifted
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.instrument_files import dense, smooth, write_every_format
+from helpers.instrument_files import dense, lighttools_axes, smooth, write_every_format
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -378,6 +378,13 @@ def test_zeros_that_fill_a_zemax_table_up_to_the_horizon_are_not_data(tmp_path):
         ("# Light source: red laser (650 nm, 3.5mm spot diam.)", 650.0),
         ("# 632.8nm, again 632.8 nm", 632.8),
         ("# 450 nm and 650 nm", 550.0),
+        ("#Wavelength (nm) = 850.0", 850.0),
+        ("# wavelength 0.85 um, roughness 1.20 um", 850.0),
+        ("# 0.85 um", 850.0),
+        ("# CO2 laser, 10.6 um", 10600.0),
+        ("# lambda [\u00b5m]: 0.6328, stray light below 400 nm", 632.8),
+        ("# 350-850 nm", 550.0),
+        ("# roughness 0.40 um", 550.0),
         ("# sample 650", 550.0),
     ],
 )
@@ -387,6 +394,58 @@ def test_comments_of_zemax_files_may_name_the_wavelength(comment, nm, tmp_path):
     found = registry.read_readings(path)
     np.testing.assert_allclose(found.wavelengths_nm, [nm])
     assert any("comment" in note for note in found.notes) == (nm != 550.0)
+
+
+ONE_BAND = {
+    "lighttools": lambda path: lighttools.write(
+        path, dense(Bands((700.0,)), "incident-outgoing", lighttools_axes())
+    ),
+    "pab-opto": lambda path: path.write_text(
+        "#wavelength 700\n#incident_angle 30 180\n#format: theta phi BSDF\n0 0 0.1\n30 0 0.2\n"
+    ),
+    "astm": lambda path: path.write_text(
+        "WAVELENGTH 700\nVARS theta_i,phi_i,theta_s,phi_s,BRDF\n0.5,3.1,0.4,0,0.1\n"
+    ),
+    "csv": lambda path: path.write_text(
+        "# WAVELENGTH 700\ntheta_i,phi_i,theta_o,phi_o,BRDF\n30,180,20,0,0.1\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ONE_BAND)
+def test_a_comment_may_name_the_wavelength_in_every_text_format(name, tmp_path):
+    path = tmp_path / "laser.txt"
+    ONE_BAND[name](path)
+    said = "# Wavelength (nm) = 850.0\n"
+    path.write_text(said + re.sub(r"(?i)# ?wavelength 700\n|wavelength 700\n", "", path.read_text()))
+    assert registry.read_readings(path).bands.wavelengths_nm == (850.0,)
+
+
+@pytest.mark.parametrize(("tis", "is_said"), [("0.9", True), ("0.05", False)])
+def test_a_tis_that_the_values_of_a_zemax_table_contradict_is_said(tis, is_said, tmp_path):
+    """A constant of 0.015 is 0.047 (pi f); few nodes integrate to that within a tenth."""
+    path = tmp_path / "tis.bsdf"
+    rows = np.full((7, 19), 0.015)
+    text = zemax_text(rows, azimuths=range(0, 181, 30), radials=range(0, 181, 10))
+    path.write_text(text.replace("TIS\t0.1", f"TIS\t{tis}"))
+    notes = [note for note in registry.read_readings(path).notes if "TIS" in note]
+    assert len(notes) == is_said
+    assert all(
+        "1 of 1 tables" in note and "says 0.9" in note and "integrate to 0.04" in note for note in notes
+    )
+
+
+def test_a_tis_that_the_values_of_a_lighttools_table_contradict_is_said(files, tmp_path):
+    assert not any("TIS" in note for note in registry.read_readings(files["lighttools"]).notes)
+    path = tmp_path / "tis.bsdf"
+    path.write_text(re.sub(r"TIS \S+", "TIS 2.5", files["lighttools"].read_text(), count=1))
+    assert (
+        sum(
+            "1 of 9 tables contradict their TIS (one says 2.5" in n
+            for n in registry.read_readings(path).notes
+        )
+        == 1
+    )
 
 
 def pab_opto(directions_deg, values, quantity: str = "BSDF") -> str:

@@ -116,7 +116,11 @@ def fetch(
         timeout=timeout_s,
         headers={"User-Agent": f"brdf-manifold/{__version__}"},
     )
+    is_reachable = True
     for file, entry in entries.items():
+        if not is_reachable and not (folder / file).exists():
+            failed[entry.name] = "not tried"
+            continue
         meter.begin(entry)
         try:
             if entry.sha256 is None:
@@ -129,8 +133,7 @@ def fetch(
             failed[entry.name] = f"no checksum known, and the content is not a valid file: {error}"
         except (OSError, ValueError) as error:
             failed[entry.name] = " ".join(str(error).split())
-            if isinstance(error, requests.ConnectionError) and not downloaded:
-                break  # the server cannot be reached
+            is_reachable &= bool(downloaded) or not isinstance(error, requests.ConnectionError)
         meter.end()
     there = [path for path in (*downloaded, *present) if path.stem.removesuffix("_spec") not in failed]
     unchecked = tuple(e.name for file, e in entries.items() if e.sha256 is None and folder / file in there)

@@ -154,7 +154,19 @@ def test_a_busy_server_is_asked_again(server: Server, tmp_path: Path) -> None:
 def test_a_server_that_cannot_be_reached_ends_the_whole_fetch(tmp_path: Path) -> None:
     with pytest.raises(IncompleteFetchError) as error:
         fetch(None, tmp_path, base_url="http://127.0.0.1:9", table=table("a", "b"), **QUICK)
-    assert list(error.value.failed) == ["a"]
+    assert list(error.value.failed) == ["a", "b"]
+    assert error.value.failed["b"] == "not tried"
+    assert "2 of 2 files failed" in str(error.value)
+
+
+def test_files_that_are_there_are_counted_when_the_server_cannot_be_reached(
+    server: Server, tmp_path: Path
+) -> None:
+    server.behaviours = {"b": Behaviour()}
+    fetch(["b"], tmp_path, base_url=server.url, table=table("b"), **QUICK)
+    with pytest.raises(IncompleteFetchError, match=r"2 of 3 files failed.*; 1 are in") as error:
+        fetch(None, tmp_path, base_url="http://127.0.0.1:9", table=table("a", "b", "c"), **QUICK)
+    assert [path.name for path in error.value.result.present] == ["b_spec.bsdf"]
 
 
 def test_a_folder_that_cannot_be_made_is_one_error(server: Server, tmp_path: Path) -> None:

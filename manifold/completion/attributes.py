@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,14 +21,14 @@ from manifold.colour.conversion import luminance, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.reflectances import srgb_spectra
 from manifold.completion.gloss import GlossMeter, gloss_meter, gloss_units
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
-from manifold.formats.readings import Readings
+from manifold.formats.readings import Readings, gloss_fault
 from manifold.latent.decoder import Decoder, EncodingPairs
 from manifold.library.store import Library
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.decoding import decoder_at
-from manifold.model.latents import PlaceLike
+from manifold.model.latents import Place, PlaceLike
 from manifold.model.manifold import Manifold
 from manifold.records import Array, Bands
 from manifold.system import progress
@@ -130,14 +130,14 @@ class Adjusted:
     """A material with attributes.
 
     Attributes:
-        latent: where it is on the map, shape (Q,).
+        place: where it is on the map, turned as the given one.
         colours: its colours there, as `Manifold.predict` takes them.
         gloss: gloss units by angle in degrees, as asked and as reached.
         lch: lightness, chroma and hue in degrees, as asked and as reached, each (3,).
         difference: CIEDE2000 between these colours.
     """
 
-    latent: Array
+    place: Place
     colours: Array | None
     gloss: Mapping[float, tuple[float, float]]
     lch: tuple[Array, Array]
@@ -168,7 +168,7 @@ class Adjusted:
         """Plain values."""
         lch = [dict(zip(("lightness", "chroma", "hue_deg"), one.tolist(), strict=True)) for one in self.lch]
         return {
-            "latent": self.latent.tolist(),
+            "latent": self.place.latent.tolist(),
             "asked": lch[0] | {"gloss": {f"{angle:g}": asked for angle, (asked, _) in self.gloss.items()}},
             "reached": lch[1] | {"gloss": {f"{angle:g}": found for angle, (_, found) in self.gloss.items()}},
             "ciede2000": self.difference,
@@ -191,8 +191,8 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     """
     place = model.place(x)
     chosen = choose_colour(model, place, colour)
-    present = model.predict(place, chosen.colours)
-    search = _Search(model, tuple(attributes.gloss))
+    present = model.predict(place, chosen.colours).turned(place.rotation_rad)
+    search = _Search(model, tuple(attributes.gloss), place.rotation_rad)
     wanted = attributes.lch(_to_lch(lab_of(present)))
     factor = _factor(present)
     if attributes.lightness or attributes.chroma or attributes.hue:
@@ -201,16 +201,19 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
         angle: attributes.gloss[angle].of(now)
         for angle, now in gloss_units(present, attributes.gloss).items()
     }
-    if any(not _LEAST_GLOSS <= u <= 2000.0 for u in units.values()):
-        raise UsageError(
-            f"gloss {', '.join(f'{u:.4g}' for u in units.values())}, expected {_LEAST_GLOSS} to 2000 units"
-        )
+    for angle, asked in units.items():
+        if (fault := gloss_fault(angle, asked)) is not None:
+            raise UsageError(fault)
+        if asked < _LEAST_GLOSS:
+            raise UsageError(
+                f"gloss of {asked:.4g} units at {angle:g} degrees, expected at least {_LEAST_GLOSS}"
+            )
     latent = search.nearest(place.latent, factor, units)
     colours = search.colours(latent, factor)
-    reached = model.predict(latent, colours)
+    reached = model.predict(latent, colours).turned(place.rotation_rad)
     found = lab_of(reached)
     return Adjusted(
-        latent,
+        replace(place, latent=latent, path=None),
         colours,
         {angle: (units[angle], found) for angle, found in gloss_units(reached, units).items()},
         (wanted, _to_lch(found)),
@@ -280,7 +283,10 @@ def find(
         brdf = MeasuredBRDF(library.read(name))
         own, units = lab_of(brdf), gloss_units(brdf, gloss or (60.0,))
         difference = None if lab is None else float(delta_e_2000_lab(lab, own))
-        steps = [np.log(max(units[a], _LEAST_GLOSS) / asked) / _JUST_VISIBLE for a, asked in gloss.items()]
+        steps = [
+            np.log(max(units[a], _LEAST_GLOSS) / max(asked, _LEAST_GLOSS)) / _JUST_VISIBLE
+            for a, asked in gloss.items()
+        ]
         found.append(
             Found(name, own, units, difference, float(np.hypot(difference or 0.0, np.linalg.norm(steps))))
         )
@@ -289,24 +295,26 @@ def find(
 
 
 class _Search:
-    """Looks for places of a map by gloss, in a given colour."""
+    """Looks for places of a map by gloss, in a given colour, of a sample that lies turned."""
 
-    def __init__(self, model: Manifold, angles: tuple[float, ...]) -> None:
+    def __init__(self, model: Manifold, angles: tuple[float, ...], rotation_rad: float) -> None:
         model.colours  # noqa: B018  # raises where colours are fixed
         self._model = model
         self._angles = angles
+        self._rotation_rad = rotation_rad
 
     @cached_property
     def _reflectometer(self) -> Decoder:
-        return self._decoder(EncodingPairs(_LIGHT[None], _NORMAL[None]))
+        return self._decoder(_LIGHT[None], _NORMAL[None])
 
     @cached_property
     def _meters(self) -> dict[float, tuple[GlossMeter, Decoder]]:
         meters = {angle: gloss_meter(angle) for angle in self._angles}
-        return {a: (m, self._decoder(EncodingPairs(m.wi, m.wo))) for a, m in meters.items()}
+        return {a: (m, self._decoder(m.wi, m.wo)) for a, m in meters.items()}
 
-    def _decoder(self, pairs: EncodingPairs) -> Decoder:
-        model = self._model
+    def _decoder(self, wi: Array, wo: Array) -> Decoder:
+        model, back = self._model, -self._rotation_rad
+        pairs = EncodingPairs(rotate_z(wi, back), rotate_z(wo, back))
         return decoder_at(pairs, model.space, model.materials, model.settings)
 
     def colours(self, x: Array, factor: Array) -> Array:

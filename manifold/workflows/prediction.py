@@ -14,7 +14,7 @@ from manifold.brdf.plausibility import mirror_difference
 from manifold.completion.attributes import Attributes, adjust
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.model.diagnostics import Prediction, diagnose
-from manifold.model.latents import Place, PlaceLike
+from manifold.model.latents import PlaceLike
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.model.prediction import ClippedBRDF
@@ -59,7 +59,7 @@ def predict(
         adjusted, chosen = None, choose_colour(model, place, colour)
     else:
         adjusted = adjust(model, place, attributes, colour)
-        place, chosen = Place(adjusted.latent), ChosenColour(adjusted.colours, str(adjusted), 0.0)
+        place, chosen = adjusted.place, ChosenColour(adjusted.colours, str(adjusted), 0.0)
     brdf = model.predict(place, chosen.colours).turned(place.rotation_rad)
     start = time.perf_counter()
     clipped = ClippedBRDF(brdf)

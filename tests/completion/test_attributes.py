@@ -23,6 +23,7 @@ from manifold.completion.gloss import gloss_units
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
+from manifold.model.latents import Place
 from manifold.model.manifold import Manifold, Settings
 
 
@@ -39,7 +40,7 @@ def factor(brdf):
 def test_without_attributes_a_material_stays_where_it_is(model):
     name = model.names[0]
     found = adjust(model, name, Attributes())
-    np.testing.assert_array_equal(found.latent, model.latent(name))
+    np.testing.assert_array_equal(found.place.latent, model.latent(name))
     assert found.shortfalls == ()
     assert found.difference < 0.1
 
@@ -51,7 +52,7 @@ def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model, 
         name = str(rng.choice(model.names))
         asked = float(np.exp(rng.uniform(np.log(min(gloss)), np.log(max(gloss)))))
         found = adjust(model, name, Attributes({60.0: Wanted(asked)}, hue=Wanted(40.0, is_relative=True)))
-        brdf = model.predict(found.latent, found.colours)
+        brdf = model.predict(found.place.latent, found.colours)
         reached = gloss_units(brdf, [60.0])[60.0]
         assert found.gloss[60.0] == pytest.approx((asked, reached))
         is_off = abs(reached - asked) > GLOSS_TOLERANCE * asked or found.difference > COLOUR_TOLERANCE
@@ -65,7 +66,7 @@ def test_gloss_alone_keeps_the_colour(model):
     found = adjust(model, name, Attributes({60.0: Wanted(20.0)}))
     assert found.gloss[60.0][1] == pytest.approx(20.0, rel=GLOSS_TOLERANCE)
     np.testing.assert_allclose(
-        factor(model.predict(found.latent, found.colours)), factor(model.material(name)), atol=0.01
+        factor(model.predict(found.place.latent, found.colours)), factor(model.material(name)), atol=0.01
     )
 
 
@@ -81,7 +82,10 @@ def test_values_are_absolute_or_relative():
     [
         (Attributes(lightness=Wanted(120.0)), "lightness 120"),
         (Attributes(chroma=Wanted(-500.0, is_relative=True)), "chroma -"),
-        (Attributes({60.0: Wanted(-3.0)}), "gloss -3"),
+        (Attributes({60.0: Wanted(-3.0)}), "gloss of -3 units"),
+        (Attributes({60.0: Wanted(0.0)}), "at least 0.01"),
+        (Attributes({85.0: Wanted(2000.0)}), "2000 units at 85 degrees, expected 0 to 16"),
+        (Attributes({20.0: Wanted(2100.0)}), "2100 units at 20 degrees"),
         (Attributes({45.0: Wanted(3.0)}), "gloss at 45 degrees, expected 20, 60 or 85"),
     ],
 )
@@ -92,7 +96,7 @@ def test_impossible_attributes_are_refused(model, attributes, message):
 
 def test_what_was_not_reached_is_said():
     lch = np.array([50.0, 20.0, 30.0])
-    found = Adjusted(np.zeros(2), None, {60.0: (90.0, 40.0)}, (lch, lch + 5.0), 4.2)
+    found = Adjusted(Place(np.zeros(2)), None, {60.0: (90.0, 40.0)}, (lch, lch + 5.0), 4.2)
     assert [text.split(":")[0] for text in found.shortfalls] == ["gloss at 60 degrees", "colour"]
     assert found.to_json()["reached"]["gloss"] == {"60": 40.0}
 
@@ -125,7 +129,8 @@ def test_materials_are_found_by_colour_and_gloss(run, model, tmp_path):
     code, out, _ = run("find", "--gloss", "60=1", "-L", library.path, "--json", "-", cwd=tmp_path)
     gloss = [one["gloss"]["60"] for one in json.loads(out)["found"]]
     assert np.all(np.diff(np.abs(np.log(gloss))) >= 0)
-    for wrong in ([], ["--lab", "50,1"], ["--gloss", "45=3"]):
+    assert run("find", "--gloss", "60=0", "-L", library.path, cwd=tmp_path)[0] == 0
+    for wrong in ([], ["--lab", "50,1"], ["--gloss", "45=3"], ["--gloss", "85=2000"]):
         code, _, err = run("find", *wrong, "-L", library.path, cwd=tmp_path)
         assert code == 2
         assert "expected" in err

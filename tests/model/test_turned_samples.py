@@ -10,7 +10,10 @@ import pytest
 from manifold.brdf import goniometer
 from manifold.brdf.analytic.ggx import GGX
 from manifold.brdf.analytic.microfacet import RoughConductor
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
+from manifold.completion.attributes import Attributes, Wanted
+from manifold.completion.gloss import gloss_units
 from manifold.directions import rotate_z
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
@@ -82,6 +85,21 @@ def test_the_prediction_of_a_turned_file_is_written_turned(model, tmp_path, angl
     assert found is not None
     assert any("turned by" in note for note in made.diagnostics) == (angle_deg != 0.0)
     assert abs(np.rad2deg(found)) == pytest.approx(angle_deg, abs=1.0)
+
+
+def test_a_turned_sample_with_other_attributes_stays_turned(model, tmp_path):
+    write_bsdf(tmp_path / "new_rgb.bsdf", brushed("new", 90.0, resolution=8))
+    options = OutputOptions(resolution=8, incidences=6)
+    made = predict(
+        model, FileSource(tmp_path / "new_rgb.bsdf"), tmp_path / "written_rgb.bsdf", options=options,
+        attributes=Attributes({60.0: Wanted(-1.0, is_relative=True)}),
+    )  # fmt: skip
+    written = read_bsdf(tmp_path / "written_rgb.bsdf")
+    assert abs(np.rad2deg(rotation_of(written))) == pytest.approx(90.0, abs=1.0)
+    assert any("turned by" in note for note in made.diagnostics)
+    # Gloss is that of the sample as it lies: 20 % more than across it.
+    reached = made.attributes["reached"]["gloss"]["60"]
+    assert gloss_units(MeasuredBRDF(written), [60.0])[60.0] == pytest.approx(reached, rel=0.1)
 
 
 def test_samples_that_lie_turned_against_each_other_are_found_while_they_are_read(tmp_path):

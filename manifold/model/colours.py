@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
 from manifold.errors import UsageError
+from manifold.library.identity import file_sha256
 from manifold.model.latent_space import fixed_colours
 from manifold.model.latents import PlaceLike
 from manifold.records import Array
@@ -37,6 +38,24 @@ class ColourChoice:
         given = [name for name, value in vars(self).items() if value is not None]
         if len(given) > 1:
             raise UsageError(f"found {' and '.join(given)}, expected one of them; a material has one colour")
+
+    def made_of(self) -> dict[str, Any]:
+        """What the colour depends on, plain values: of a file its content.
+
+        Raises:
+            UsageError: the file cannot be read.
+        """
+        spectrum = self.reflectance
+        if isinstance(spectrum, Path):
+            try:
+                known: Any = file_sha256(spectrum)
+            except OSError as error:
+                raise UsageError(f"{spectrum}: {error.strerror}, expected a file of a reflectance") from error
+        elif spectrum is not None:
+            known = [list(map(float, numbers)) for numbers in (spectrum.wavelengths_nm, spectrum.values)]
+        else:
+            known = None
+        return {"like": self.like, "reflectance": known, "srgb": self.srgb}
 
 
 NEAREST = ColourChoice()

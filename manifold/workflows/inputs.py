@@ -47,7 +47,7 @@ class Input:
         if isinstance(source, LibrarySource):
             return {"material": Library(source.library).attributes(source.name).content_sha256}
         loaded = load_model(source.model, source.library)
-        place, colour = loaded.place(source.place), {k: str(v) for k, v in vars(source.colour).items()}
+        place, colour = loaded.place(source.place), source.colour.made_of()
         hashes = {"model": file_sha256(source.model), "library": loaded.library.content_hash}
         return hashes | {"latent": place.latent.tolist(), "path": place.path, "colour": colour}
 

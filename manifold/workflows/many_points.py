@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from manifold.errors import MissingFileError
 from manifold.library.identity import file_sha256
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
@@ -89,14 +88,12 @@ def _made_of(model: Path, loaded: Manifold, how: dict[str, Any]) -> Callable[[Po
     hashes = {"model_sha256": file_sha256(model), "library_hash": loaded.library.content_hash}
 
     def made_of(point: Point) -> dict[str, Any]:
-        x = loaded.place(point.place).latent
-        colour: dict[str, Any] = asdict(point.colour)
-        file = point.colour.reflectance
-        if isinstance(file, Path):
-            if not file.is_file():
-                raise MissingFileError(f"{file}: no such file, expected a reflectance")
-            colour["reflectance"] = file_sha256(file)
-        return hashes | how | {"latent": x.tolist(), "colour": colour}
+        place = loaded.place(point.place)
+        return (
+            hashes
+            | how
+            | {"latent": place.latent.tolist(), "path": place.path, "colour": point.colour.made_of()}
+        )
 
     return made_of
 

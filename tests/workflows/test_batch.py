@@ -7,15 +7,17 @@ import json
 
 import numpy as np
 import pytest
+from helpers.small_library import small_model
 
 from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
-from manifold.errors import ManifoldError
+from manifold.errors import ManifoldError, UsageError
+from manifold.model.colours import ColourChoice
 from manifold.system.workers import Finished
 from manifold.workflows.batch import Batch, Task
 from manifold.workflows.completions import calibrate_instrument
-from manifold.workflows.inputs import find_inputs, find_samples
-from manifold.workflows.sources import FileSource
+from manifold.workflows.inputs import Input, find_inputs, find_samples
+from manifold.workflows.sources import FileSource, PlaceSource
 
 COLUMNS = {"letters": lambda content: content["letters"]}
 
@@ -94,6 +96,21 @@ def test_two_files_of_one_name_and_instrument_stay_apart_and_say_so(tmp_path, rn
     samples = find_samples([tmp_path])
     assert [s.name for s in samples] == ["first", "second"]
     assert all("by one instrument" in s.note for s in samples)
+
+
+def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_path(tmp_path):
+    model, spectrum = small_model(tmp_path), tmp_path / "green.txt"
+
+    def made_of(values) -> dict:
+        spectrum.write_text(
+            "".join(f"{nm} {value}\n" for nm, value in zip((400, 500, 700), values, strict=True))
+        )
+        return Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
+
+    assert made_of((0.1, 0.2, 0.3)) == made_of((0.1, 0.2, 0.3)) != made_of((0.1, 0.2, 0.4))
+    spectrum.rename(tmp_path / "moved.txt")
+    with pytest.raises(UsageError, match="expected a file of a reflectance"):
+        Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
 
 
 def test_every_file_of_a_folder_is_a_material(tmp_path, rng):

@@ -197,7 +197,7 @@ def complete(
             "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
             f"linear {100 * expected['linear']:.0f} %",
             "residual of readings": f"{100 * made.residual:.1f} % in cube roots, "
-            f"at most {100 * found.misfits.max():.1f} %",
+            f"at most {100 * max(found.misfits.max(), made.residual):.1f} %",
             **(
                 {
                     "gloss": [

@@ -37,6 +37,7 @@ _COAT_BASE = 0.9  # largest reflectance of what is below a coat
 _LEAST_COAT = 0.05  # mean prior weight from which a coat is fitted to the readings
 LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
 """The only analytic lobe among the atoms."""
+_MOST_SHOWN, _LEAST_SHOWN = 6, 0.005  # materials of a mixture, and share of all of one
 _BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
 
@@ -52,6 +53,13 @@ def grid_coordinates() -> Array:
     """Coordinates of the encoding grid, whatever the azimuths of its half vectors, see `residual.coordinates`."""
     grid = EncodingPairs.default()
     return coordinates(grid.wi, grid.wo)
+
+
+def shown_shares(names: Sequence[str], weights: Array) -> tuple[tuple[str, float], ...]:
+    """The materials of a mixture that are shown, with their weights (N,), largest first; one without any is black."""
+    order = np.argsort(-weights, kind="stable")[:_MOST_SHOWN]
+    shown = tuple((names[m], float(weights[m])) for m in order if weights[m] > _LEAST_SHOWN * weights.sum())
+    return shown or (("black", 1.0),)
 
 
 @dataclass(frozen=True, eq=False)

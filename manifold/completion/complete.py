@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.measured import BRDF
-from manifold.completion.atoms import LibraryAtoms, ball_coordinates, grid_coordinates
+from manifold.completion.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.completion.band_mixtures import Hypotheses, band_mixtures
 from manifold.completion.gloss import GlossReadings, gloss_differences, gloss_units
 from manifold.completion.mixtures import ReadingRoots, posterior
@@ -22,8 +22,6 @@ from manifold.metrics import cosine_weight
 from manifold.records import Array, Indices
 
 _SHOWN_ALTERNATIVES = 5
-_SHOWN_MATERIALS = 6
-_LEAST_SHARE = 0.005  # of a material that is shown
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction: readings this near measure all but the sharpest highlights
 _DARK = 0.1  # of the mean over readings: errors of darker ones are relative to this
 _GLOSS_MISSED = 0.1  # relative, in cube roots
@@ -42,7 +40,8 @@ class Alternative:
     Attributes:
         like: names of its materials, and their weights.
         probability: of it and of mixtures that look alike.
-        misfit: relative error of its mean over bands at the readings, before it is adjusted to them.
+        misfit: relative error of the mean over bands at the readings, before they are adjusted to these, of it and of
+            those that look alike: root mean square.
         difference: relative difference from the completion, in cube roots on the ball.
     """
 
@@ -147,7 +146,8 @@ class Completion:
         if self.residual_of_mixtures > _UNEXPLAINED:
             notes.append(
                 f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
-                "%): the combination follows them, and says little of other directions"
+                f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % after): "
+                "it follows them, and says little of other directions"
             )
         return tuple(notes)
 
@@ -184,9 +184,14 @@ class Completion:
     @cached_property
     def residual_of_mixtures(self) -> float:
         """Relative error of the mean over bands at the readings, of mixtures before they are adjusted to them."""
+        return float(np.sqrt(self.hypotheses.probability @ self._squared_misfits))
+
+    @cached_property
+    def _squared_misfits(self) -> Array:
+        """Squared relative errors of the mean over bands at the readings, of every hypothesis, (H,)."""
         read = _mean_roots(self.readings)
         wrong = np.sum((self.hypotheses.weights @ self.at_readings - read) ** 2, axis=1)
-        return float(np.sqrt(self.hypotheses.probability @ wrong) / np.linalg.norm(read))
+        return np.asarray(wrong / (read @ read))
 
     @cached_property
     def spread(self) -> float:
@@ -214,22 +219,25 @@ class Completion:
         importance = self.atoms.weights[on_ball]
         mean = probability @ curves
         norm = max(float(mean**2 @ importance), np.finfo(float).tiny)
+        squares = self._squared_misfits
         heads: list[int] = []
         totals: list[float] = []
+        wrong: list[float] = []
         for h, curve in enumerate(curves):
             apart = [float((curve - curves[k]) ** 2 @ importance) / norm for k in heads]
-            if apart and min(apart) < _ALIKE**2:
-                totals[int(np.argmin(apart))] += float(probability[h])
-            else:
+            if not apart or min(apart) >= _ALIKE**2:
                 heads.append(h)
-                totals.append(float(probability[h]))
+                totals.append(0.0)
+                wrong.append(0.0)
+            like = int(np.argmin(apart)) if len(apart) == len(heads) else -1
+            totals[like] += float(probability[h])
+            wrong[like] += float(probability[h] * squares[h])
         order = np.argsort(totals)[::-1][:_SHOWN_ALTERNATIVES]
-        read = _mean_roots(self.readings)
         return tuple(
             Alternative(
                 self._materials(weights[heads[k]]),
                 totals[k],
-                float(np.linalg.norm(weights[heads[k]] @ self.at_readings - read) / np.linalg.norm(read)),
+                float(np.sqrt(wrong[k] / max(totals[k], np.finfo(float).tiny))),
                 float(np.sqrt((curves[heads[k]] - mean) ** 2 @ importance / norm)),
             )
             for k in order
@@ -242,9 +250,8 @@ class Completion:
 
     def _materials(self, weights: Array) -> tuple[tuple[str, float], ...]:
         names = (*self.atoms.names, *self.atoms.coats, "Lambertian")
-        totals = np.bincount(self.atoms.material_of, weights, len(names))
-        order = np.argsort(-totals, kind="stable")[:_SHOWN_MATERIALS]
-        return tuple((names[m], float(totals[m])) for m in order if totals[m] > _LEAST_SHARE)
+        totals: Array = np.bincount(self.atoms.material_of, weights, len(names)).astype(np.float64)
+        return shown_shares(names, totals)
 
 
 def complete(atoms: LibraryAtoms, readings: Readings) -> Completion:

@@ -15,6 +15,7 @@ from manifold.completion.next_readings import Deviations, next_readings
 from manifold.completion.residual import NOISE, coordinates, covariance
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
+from manifold.formats.light_side import LEAST_HIDDEN
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.records import Array, Indices, Mask
 
@@ -224,13 +225,15 @@ DIRECTIONS = {"ma-t12": geometry_ma_t12, "mini-diff": _mini_diff}
 
 
 def _product(incidences_deg: Indices, elevations_deg: Indices, azimuths_deg: Indices) -> tuple[Array, Array]:
-    """Pairs of these angles; where a direction is the normal, one azimuth. wi has azimuth 180 degrees."""
+    """Pairs of these angles that a receiver does not hide; where one is the normal, one azimuth. wi has 180 degrees."""
     theta_i, theta_o, phi = (
         a.ravel() for a in np.meshgrid(incidences_deg, elevations_deg, azimuths_deg, indexing="ij")
     )
     is_one = (phi == azimuths_deg[0]) | ((theta_i != 0) & (theta_o != 0))
     theta_i, theta_o, phi = (np.deg2rad(a[is_one].astype(float)) for a in (theta_i, theta_o, phi))
-    return from_spherical(theta_i, np.pi), from_spherical(theta_o, phi)
+    wi, wo = from_spherical(theta_i, np.pi), from_spherical(theta_o, phi)
+    is_seen = np.einsum("di,di->d", wi, wo) < LEAST_HIDDEN
+    return wi[is_seen], wo[is_seen]
 
 
 def _are_read(wi: Array, wo: Array, read_wi: Array, read_wo: Array) -> Mask:

@@ -14,9 +14,8 @@ _LEAST_PAIRS = 50  # fewer are a spectrophotometer's, whose geometries have name
 _NEAR = np.cos(np.deg2rad(12.0))
 _OBLIQUE = np.cos(np.deg2rad([75.0, 20.0]))
 _BRIGHTER = 3.0  # rough paints and papers are 1.4 times as bright towards the light at most
-_LEAST_HIDDEN = np.cos(
-    np.deg2rad(14.0)
-)  # spectrophotometers, whose blacks are 0.00, look 15 degrees away or more
+LEAST_HIDDEN = np.cos(np.deg2rad(14.0))
+"""Cosine of the angle between light and receiver from which instruments look: most of 15 degrees or more."""
 _MOST_HIDDEN, _BESIDE = np.cos(np.deg2rad([25.0, 45.0]))
 
 
@@ -30,7 +29,7 @@ def hidden(wi: Array, wo: Array, values: Array) -> Mask:
     near = np.flatnonzero(towards_light > _BESIDE)
     is_zero = np.all(values[near] == 0.0, axis=1)
     found = np.zeros(len(wi), dtype=bool)
-    if not np.any(is_zero & (towards_light[near] > _LEAST_HIDDEN)):
+    if not np.any(is_zero & (towards_light[near] > LEAST_HIDDEN)):
         return found
     _, incidence = np.unique(np.round(wi[near], 6), axis=0, return_inverse=True)
     incidence = incidence.reshape(-1)
@@ -40,7 +39,7 @@ def hidden(wi: Array, wo: Array, values: Array) -> Mask:
         nearest = np.argmax(cosine)
         is_beside = cosine <= _MOST_HIDDEN
         is_dark = not np.any(is_beside) or np.mean(zero[is_beside]) > 0.5
-        if zero[nearest] and cosine[nearest] > _LEAST_HIDDEN and not is_dark:
+        if zero[nearest] and cosine[nearest] > LEAST_HIDDEN and not is_dark:
             found[near[own][zero & ~is_beside]] = True
     return found
 

@@ -15,6 +15,7 @@ from scipy.special import logsumexp
 from manifold import __version__
 from manifold.colour.ball_colours import delta_e
 from manifold.colour.conversion import srgb_to_xyz
+from manifold.completion.atoms import shown_shares
 from manifold.completion.expected import KINDS, Calibration, cached
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -141,10 +142,7 @@ class PhotoMaterial:
         names = (*self.atoms.library.names, *self.atoms.library.coats, "analytic lobes")
         light = self.weights.mean(axis=0) * self.atoms.on_ball.sum(axis=1)
         totals = np.bincount(self.atoms.material_of, light, len(names))
-        order = np.argsort(-totals, kind="stable")[:6]
-        return tuple(
-            (names[m], float(totals[m] / totals.sum())) for m in order if totals[m] > 0.005 * totals.sum()
-        )
+        return shown_shares(names, totals / max(totals.sum(), np.finfo(float).tiny))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

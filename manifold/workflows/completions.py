@@ -69,8 +69,8 @@ class Completed:
 
     @property
     def residual(self) -> float:
-        """Of the readings, in cube roots: root mean square."""
-        return float((self.completion.misfits**2).mean() ** 0.5)
+        """Of the readings, in cube roots: root mean square, or that of gloss if it is larger."""
+        return self.completion.residual_of_readings
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

@@ -35,6 +35,7 @@ from manifold.completion.mixtures import (
 from manifold.completion.next_readings import Deviations, next_readings
 from manifold.completion.reading_bands import for_library, in_all_bands
 from manifold.completion.residual import coordinates, covariance, residual_factors
+from manifold.completion.suggest import DIRECTIONS as INSTRUMENTS
 from manifold.completion.suggest import _residual
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, LibraryError, UsageError
@@ -555,6 +556,32 @@ def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(atoms):
     assert len(suggest(atoms, 3, made).wi) == 3
     with pytest.raises(UsageError, match="no instrument"):
         suggest(atoms, 1, instrument="gonio")
+
+
+def test_no_reading_is_suggested_where_the_receiver_hides_the_light(atoms):
+    for instrument in (None, *INSTRUMENTS):
+        count = 12 if instrument == "ma-t12" else 30
+        found = suggest(atoms, count, instrument=instrument)
+        assert np.all(np.sum(found.wi * found.wo, axis=1) < np.cos(np.deg2rad(14.0)))
+
+
+def test_alternatives_have_names_and_the_residual_that_the_note_has(atoms):
+    """A hypothesis without light was a row without a name; of others that look alike, one's residual was shown."""
+    made = complete(atoms, readings(np.full((12, 3), 0.1)))
+    weights = np.zeros_like(made.hypotheses.weights[:3])
+    weights[1] = made.hypotheses.weights[0]
+    weights[2] = 1.01 * weights[1]  # looks like the second
+    hypotheses = replace(made.hypotheses, probability=np.array([0.7, 0.2, 0.1]), weights=weights)
+    black = replace(made, hypotheses=hypotheses)
+    first, second = black.alternatives
+    assert first.like == (("black", 1.0),)
+    assert (first.probability, second.probability) == pytest.approx((0.7, 0.3))
+    assert first.misfit == pytest.approx(1.0)
+    total = np.sqrt(sum(a.probability * a.misfit**2 for a in black.alternatives))
+    assert black.residual_of_mixtures == pytest.approx(total)
+    note = next(note for note in black.notes if note.startswith("no mixture of two"))
+    assert f"{100 * total:.0f} % before" in note
+    assert f"{100 * black.residual_of_readings:.1f} % after" in note
 
 
 def test_libraries_of_thousands_are_refused(library, monkeypatch):

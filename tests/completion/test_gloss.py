@@ -22,7 +22,7 @@ from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import GLOSS_ANGLES_DEG, MOST_GLOSS
 from manifold.library.store import Library
 from manifold.records import Bands
-from manifold.workflows.completions import parse_gloss
+from manifold.workflows.completions import Completed, parse_gloss
 
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}
 
@@ -243,6 +243,14 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
     found = json.loads((tmp_path / "red.json").read_text())["gloss"]
     assert found["60"]["completed"] == pytest.approx(found["60"]["read"], rel=0.15)
     assert found["20"]["read"] == pytest.approx(units[20], abs=1e-3)
+
+
+def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, tmp_path):
+    made = complete(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 20.0}))
+    missed = replace(made, gloss_misfits={60.0: 0.9})
+    document = Completed(tmp_path, None, missed, None, {}, SimpleNamespace(), None, (), 0.0).to_json()
+    assert np.sqrt(np.mean(np.square(document["misfits"]))) < 0.5
+    assert document["residual"] == 0.9
 
 
 def test_a_fit_of_readings_has_their_notes_and_says_that_it_uses_no_gloss(run, tmp_path):

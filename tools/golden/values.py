@@ -19,7 +19,7 @@ Value = float | str
 Numbers = dict[str, Value]
 
 DROPPED = re.compile(
-    r"(^|_)(seconds|milliseconds|ms|date|program|generator|sha256|hash|digest|version|path|backend)($|_)"
+    r"(^|_)(seconds|milliseconds|ms|date|program|generator|sha256|hash|uuid|digest|version|path|backend)($|_)"
     r"|^(time|clock|renderer|ratio_to_clock|minimum|maximum|default|transform|per_band|affine|hyperparameters)"
     r"|^(fit|predict|scaled|fronts)$"  # of the chart: times, and what follows from them
 )

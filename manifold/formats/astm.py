@@ -13,7 +13,7 @@ import numpy as np
 
 from manifold.errors import ShapeError
 from manifold.formats.angles import directions, exceed_radians
-from manifold.formats.column_heads import Quantity, angle_name, angle_unit, quantity, wavelength
+from manifold.formats.column_heads import Quantity, angle_name, angle_unit, quantity, value_head, wavelength
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.error_context import MOST_ROWS, ErrorContext
 from manifold.formats.readings import Readings
@@ -104,6 +104,10 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
         raise context.error(
             f"columns {', '.join(heads[:8])}, expected theta_i, phi_i, theta_s, phi_s and bands such as 465nm",
             where,
+        )
+    if len(bands) == 1 and value_head(re.sub(r"_\d$", "", bands[0])) is None:  # BRDF_1 is no wavelength
+        raise context.error(
+            f"column {bands[0][:24]}, expected values with a head such as 465nm or BRDF", where
         )
     unit = angle_unit([head for head in heads if head not in bands], context, where)
     said = "" if measured.lower().startswith("refl") else measured  # of BRDFs that are called reflectance

@@ -40,8 +40,9 @@ _BAND_UNIT = re.compile(r"[(\[]\s*(nm|um|µm|μm|microns?)\s*[)\]]")
 _NUMBER_LAST = re.compile(r"(?P<words>.*?)(?P<number>\d+([.,]\d+)?)\s*(?P<unit>nm|um|µm|μm|microns?)?")
 _LEAST_NM, _MOST_NM = 150.0, 20_000.0
 _LARGEST_BARE_NM = 5000.0  # larger numbers without a unit are counts or values
+_BAND_WORDS = ("nm", "spectral", "spec", "spectral nm", "lambda", "wavelength", "wl")  # a number follows them
 _QUANTITIES: dict[str, Quantity | None] = {
-    **dict.fromkeys(("", "nm", "spectral", "spec", "spectral nm", "lambda", "wavelength", "wl", "value", "values")),
+    **dict.fromkeys(("", *_BAND_WORDS, "value", "values")),
     **dict.fromkeys(("brdf", "bsdf", "f", "fr", "f r"), "f"),
     **dict.fromkeys(
         ("r", "refl", "reflectance", "spectral reflectance", "reflectance factor", "radiance factor", "brf", "brrf"),
@@ -103,7 +104,7 @@ def value_head(head: str) -> ValueHead | None:
     if words not in _QUANTITIES and words.removeprefix("brdf ").removeprefix("bsdf ") not in _CHANNELS:
         return None
     if found is None:
-        return ValueHead(words, None)
+        return None if words in _BAND_WORDS else ValueHead(words, None)
     value = float(found["number"].replace(",", "."))
     nm = value if (found["unit"] or "nm") == "nm" else 1000.0 * value
     is_nm = _LEAST_NM <= nm <= (_MOST_NM if found["unit"] else _LARGEST_BARE_NM)

@@ -88,6 +88,11 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
             "geometries 25, 45 and 75 alone: aspecular angles with light at 45 degrees, or incidences with a detector "
             "along the normal; write 45as25 ... or 25/0 ..."
         )
+    if alone and angles:
+        raise context.error(
+            f"geometries '{next(iter(alone))}' and '{next(iter(angles))}' in one column, expected aspecular angles "
+            "alone, or names such as 45as15 alone"
+        )
     if alone:
         angles |= {name: (45.0, angle, 0.0) for name, angle in alone.items()}
         notes.append("aspecular angles alone: the light is taken at 45 degrees")

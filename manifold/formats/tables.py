@@ -32,7 +32,6 @@ HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (d
 """The headers of tables that are read, for errors."""
 
 _HEADER_ROWS = 60  # a header stands at the top, below titles
-_NO_VALUE = ("", "-", "n/a", "---")  # in lower case: nothing was measured
 _BLACK_LAB = {"src_z", "src_a", "view_z", "view_a"}  # a program's heads; its values are reflectance factors
 
 
@@ -311,7 +310,7 @@ def _value(table: Table, index: int, column: int, columns: Columns, context: Err
     if abs(value) < 1e300:
         return value
     text = text_of(cell).removesuffix("%").rstrip()
-    return float("nan") if text.lower() in _NO_VALUE else context.number(text, table.where(index, column))
+    return float("nan") if not text else context.number(text, table.where(index, column))
 
 
 def _is_degrees(table: Table, columns: Columns, samples: dict[str, _Sample], context: ErrorContext) -> bool:

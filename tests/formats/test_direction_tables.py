@@ -90,6 +90,14 @@ def test_azimuths_beyond_a_turn_make_small_angles_degrees(tmp_path):
     np.testing.assert_allclose(assert_true(path).wi[-1, 0], -np.sin(np.deg2rad(1.2)))
 
 
+@pytest.mark.parametrize("head", ["wavelength", "sigma", "log_BRDF"])
+def test_an_astm_table_without_a_column_of_values_is_refused(head, tmp_path):
+    path = tmp_path / "scan.astm"
+    path.write_text(f"VARS theta_i,phi_i,theta_s,phi_s,{head}\n0.5,3.14,0.4,0,450\n")
+    with pytest.raises(FileFormatError, match=f"line 1: column {head}, expected values"):
+        registry.read_all(path)
+
+
 def test_a_btdf_is_refused(tmp_path):
     path = tmp_path / "glass.astm"
     path.write_text(
@@ -228,6 +236,8 @@ def test_what_a_column_of_values_is_taken_for_is_said(head, expected, tmp_path):
         ("theta_i,phi_i,theta_o,dphi,465\n10,20,30,40,5\n", "dphi beside phi_i"),
         ("theta_i,phi_i,theta_o,465\n10,20,30,5\n", "phi_i without phi_o"),
         ("wavelength,theta_i,phi_i,theta_o,phi_o,BRDF\n465,10,20,30,40,5\n", "a row per pair of directions"),
+        ("theta_i,phi_i,theta_o,phi_o,lambda\n10,20,30,40,450\n", "columns lambda: expected values"),
+        ("theta_i,phi_i,theta_o,phi_o,Wavelength (nm)\n1,2,30,4,450\n", "Wavelength .nm.: expected values"),
         ("theta_i,phi_i,theta_o,phi_o,465,sigma\n10,20,30,40,5,6\n", "columns sigma: expected values"),
         (
             "10,20,30,40,5\ntheta_i,phi_i,theta_o,phi_o,465\n10,20,30,40,5\n",

@@ -84,7 +84,23 @@ def test_tables_of_a_spectrophotometer_are_read_however_they_are_spelt(name, tmp
 
 @pytest.mark.parametrize(
     "cell",
-    ["NaN", "inf", "-inf", "#N/A", "1e999", "O.3", "0.1.2", "0,1,2", "1_0", "1.234,5", "1 234,5", "1'234.5"],
+    [
+        "NaN",
+        "inf",
+        "-inf",
+        "#N/A",
+        "n/a",
+        "-",
+        "---",
+        "1e999",
+        "O.3",
+        "0.1.2",
+        "0,1,2",
+        "1_0",
+        "1.234,5",
+        "1 234,5",
+        "1'234.5",
+    ],
 )
 def test_a_cell_that_is_no_number_is_named(cell, tmp_path):
     path = tmp_path / "table.csv"
@@ -236,6 +252,11 @@ TURNED = "\n".join(["nm,45as15,45as25,45as45", *(f"{w},1,2,3" for w in range(400
         ("Geometry,400,410\n45as15,1,2\n45as15,1,3\n", "row 3: geometry '45as15' stands in row 2, too"),
         ("Name,Geometry,400,410\nA,45as15,1,2\nA,195as25,1,3\n", "row 3: found geometry '195as25'"),
         ('Name,Geometry,400,410\nA,45as15,"1,2\nA,45as25,1,3\n', "row 2: not cells of a table"),
+        ("Geometry,400,500\n45,1,2\n55as15,1,3\n", "geometries '45' and '55as15' in one column"),
+        (
+            "Angle,400,500,600\n45as15,1,2,3\n25\u00b0,1,3,4\n",
+            "geometries '25\u00b0' and '45as15' in one column",
+        ),
         ("Geometry,400,410\n45as15,1\n", "row 2, column 3: the row ends after 2"),
         ("Geometry,400,410\n45as15,0,1,0,2\n", "decimal commas need quotes"),
         ("Geometry,400,410\n", "a header but no rows"),

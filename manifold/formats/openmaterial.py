@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.formats.angles import directions
+from manifold.formats.angles import directions, exceed_radians
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.dense import DenseTable
 from manifold.formats.error_context import ErrorContext
@@ -28,6 +28,7 @@ from manifold.system.names import in_one_line
 
 _REMEDY = "export the look-up table again"
 _LARGEST = 60_000_000  # bytes: more than a million rows as this module writes them
+_LONGEST_M = 1e-4  # what is above is in nanometres or micrometres
 _COLUMNS = ("wavelength", "theta_i", "theta_o", "phi_o", "BRDF")
 _SCHEMA = "https://raw.githubusercontent.com/asam-ev/OpenMATERIAL-3D/refs/tags/v1.0.0/schemas/material_brdf_schema.json"
 
@@ -67,6 +68,8 @@ def read(path: Path) -> list[Readings]:
         raise context.error("two rows of the same wavelength and directions, expected one")
     notes: list[str] = []
     angles = dict(zip(("theta_i", "theta_o", RELATIVE), pairs.T, strict=True))
+    if exceed_radians(angles):
+        raise context.error("angles beyond a full turn, as in degrees, expected radians")
     kept, wi, wo = directions(angles, context, notes)
     return [Readings(str(name), "OpenMATERIAL 3D", wi, wo, nm, values[kept], notes=tuple(notes))]
 
@@ -85,8 +88,9 @@ def _table(rows: Any, context: ErrorContext) -> Array:
                     f"{column} is {str(cell)[:24]}, expected a number of at least 0", f"row {k}"
                 )
     table = np.array(rows, dtype=np.float64)
-    if np.any(table[:, 0] <= 0.0):
-        raise context.error("a wavelength of 0, expected metres")
+    outside = table[(table[:, 0] <= 0.0) | (table[:, 0] > _LONGEST_M), 0]
+    if outside.size:
+        raise context.error(f"a wavelength of {outside[0]:g}, expected metres, such as 5.5e-07")
     return table
 
 

@@ -40,6 +40,7 @@ from manifold.system.names import first_few, names_like, printable
 Record = Readings | DenseTable
 _SNIFFED = 16384
 _SHOWN = 8  # names of samples in a message
+_SHORTEST_NM, _LONGEST_NM = 100.0, 1e5
 _LARGEST_VALUE = 1e9  # in 1/sr; measured mirror directions reach 1e5
 
 
@@ -123,6 +124,12 @@ def read_all(path: Path | str) -> list[Record]:
             raise FileFormatError(
                 f"{printable(path.name, 255)}: a value of {largest:.3g}, expected f in 1/sr or reflectance factors; "
                 "the file is damaged, or of other units"
+            )
+        nm = record.wavelengths_nm
+        if nm is not None and not _SHORTEST_NM <= nm[0] <= nm[-1] <= _LONGEST_NM:
+            raise FileFormatError(
+                f"{printable(path.name, 255)}: bands of {nm[0]:g} to {nm[-1]:g} nm, expected {_SHORTEST_NM:g} to "
+                f"{_LONGEST_NM:g}; give wavelengths in nanometres"
             )
     found = map(without_hidden, records)
     return [with_light_side_note(r) if isinstance(r, Readings) else r for r in found]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -230,6 +231,9 @@ def test_values_that_are_null_or_absent_are_not_measured(files, tmp_path):
         (lambda rows: rows[1].__setitem__(2, None), "row 2: theta_o is None, expected a number"),
         (lambda rows: rows[1].__setitem__(4, -0.1), "row 2: BRDF is -0.1"),
         (lambda rows: rows[1].__setitem__(0, "red"), "row 2: wavelength is red"),
+        (lambda rows: rows[1].__setitem__(0, 450), "a wavelength of 450, expected metres"),
+        (lambda rows: rows[1].__setitem__(3, 30), "as in degrees, expected radians"),
+        (lambda rows: rows[1].__setitem__(1, 30), "as in degrees, expected radians"),
         (lambda rows: rows.clear(), "an empty brdf.lookupTable"),
     ],
 )
@@ -239,6 +243,16 @@ def test_rows_that_are_not_what_their_columns_hold_are_named(files, change, word
     path = tmp_path / "wrong.xompt"
     path.write_text(json.dumps(content))
     assert words in refusal(path)
+
+
+def test_wavelengths_in_other_units_are_refused_in_every_format(files, tmp_path):
+    path = tmp_path / "micrometres.brdf"
+    text, count = re.subn(
+        r"\b465\b(.*)\b525\b(.*)\b630\b", r"0.465\1 0.525\2 0.630", files["speos"].read_text()
+    )
+    assert count
+    path.write_text(text)
+    assert "bands of 0.465 to 0.63 nm, expected 100" in refusal(path)
 
 
 def test_the_same_table_is_written_as_the_same_file(files, tmp_path):

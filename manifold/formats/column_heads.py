@@ -19,7 +19,8 @@ _LONGEST = 80  # letters; longer cells are no heads
 _LIGHT = r"(i|in|inc|incident|incidence|incoming|light|lighting|illumination|source|sun|solar)"
 _SEEN = (
     r"(o|out|outgoing|s|sc|scat|scatter|scattered|scattering|r|refl|reflected|reflection|v|view|viewing|observer|"
-    r"observation|det|detector|detection|receiver|e|exit|emission|emergence|emergent)"
+    r"observation|measure|measured|measuring|measurement|det|detector|detection|receiver|e|exit|emission|emergence|"
+    r"emergent)"
 )
 _POLAR = r"((theta|zenith|zen|polar|th)(angle)?|angle)"
 _POLAR_FIRST = r"((theta|zenith|zen|polar|th)(angle)?|angleof)"
@@ -53,6 +54,10 @@ _QUANTITIES: dict[str, Quantity | None] = {
         "f_cos",
     ),
 }  # fmt: skip
+_WAVELENGTHS = {
+    "nm",
+    *(f"{word}{unit}" for word in ("wavelength", "lambda", "wl") for unit in ("", " nm", " um")),
+}
 _CHANNELS = {"red": "r", "green": "g", "blue": "b"} | {letter: letter for letter in "rgbxyz"}
 _NAMES = (
     "sample name", "sample", "name", "data name", "measurement name", "sample id", "sample no", "trial name", "trial",
@@ -115,6 +120,11 @@ def wavelength(head: str) -> float | None:
     """The wavelength in nm that a column's head names, or None."""
     found = value_head(head)
     return found.nm if found is not None else None
+
+
+def is_wavelength(head: str) -> bool:
+    """Whether a column's head says that its cells are wavelengths."""
+    return plain_head(head).removesuffix("s") in _WAVELENGTHS and not any(map(str.isdigit, head))
 
 
 def channel(head: str) -> str | None:

@@ -95,11 +95,11 @@ def _table(lines: list[str], context: ErrorContext) -> tuple[Table, Columns]:
     refusal = context.error("no header of a table of readings found")
     for separator in _SEPARATORS:
         head = Table([_cells(line, separator) for line in lines[:70]])
-        columns = find_columns(head, context)
-        if columns is not None and (separator is not None or columns.geometry is None):
+        found = find_columns(head, context)
+        if found is not None and (separator is not None or found[1].geometry is None):
             table = Table([_row(line, separator, k, context) for k, line in enumerate(lines, start=1)])
-            _require_width(table, columns, separator, context)
-            return table, columns
+            _require_width(table, found[1].row, separator, context)
+            return find_columns(table, context) or found
     raise refusal
 
 
@@ -123,10 +123,10 @@ def _row(line: str, separator: str | None, number_of_line: int, context: ErrorCo
     return [cell.strip() for cell in row]
 
 
-def _require_width(table: Table, columns: Columns, separator: str | None, context: ErrorContext) -> None:
+def _require_width(table: Table, header: int, separator: str | None, context: ErrorContext) -> None:
     """Raise FileFormatError where a row has numbers beyond the header: decimal commas that are taken as separators."""
-    width = len(columns.heads)
-    for k, row in enumerate(table.rows[columns.row + 1 :], start=columns.row + 1):
+    width = len(table.rows[header])
+    for k, row in enumerate(table.rows[header + 1 :], start=header + 1):
         if any(number(str(cell)) is not None for cell in row[width:]):
             remedy = ": decimal commas need quotes, or another separator" if separator == "," else ""
             raise context.error(f"{len(row)} cells below a header of {width}{remedy}", table.where(k))

@@ -75,7 +75,7 @@ def _tables(sheets: Mapping[str, list[list[Cell]]], context: ErrorContext) -> li
     """
     titles = [title for title in sheets if "spectral" in title.lower()] or list(sheets)
     tables = [Table(sheets[title], title) for title in titles]
-    found = [(table, columns) for table in tables if (columns := find_columns(table, context)) is not None]
+    found = [one for table in tables if (one := find_columns(table, context)) is not None]
     if not found:
         raise context.error(
             f"found a workbook with sheets {', '.join(list(sheets)[:6])}, expected one called 'Spectral Data' with a "

@@ -2,18 +2,19 @@
 
 Two layouts are read: a row per pair of directions (columns theta_i, phi_i, theta_o, phi_o), as goniometers have it; and
 a row per geometry (a column of names such as 45as15), as multi-angle spectrophotometers have it. Bands are columns.
+Tables with a row per value beside its wavelength, or a row per wavelength below names of geometries, are rearranged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from manifold.formats import column_heads
 from manifold.formats.angles import directions, exceed_radians
-from manifold.formats.column_heads import Quantity, angle_name, gloss_angle, wavelength
+from manifold.formats.column_heads import Quantity, angle_name, channel, gloss_angle, wavelength
 from manifold.formats.error_context import ErrorContext
 from manifold.formats.geometry_names import (
     directions_of,
@@ -24,7 +25,14 @@ from manifold.formats.geometry_names import (
 )
 from manifold.formats.readings import Readings, gloss_fault, mean_of_repeats
 from manifold.formats.text import number, plain_float
-from manifold.formats.values import TAKEN_AS_FACTORS, TAKEN_AS_PERCENT, as_brdf, bands_of, looks_like_percent
+from manifold.formats.values import (
+    TAKEN_AS_FACTORS,
+    TAKEN_AS_PERCENT,
+    as_brdf,
+    bands_of,
+    looks_like_percent,
+    nanometres,
+)
 from manifold.records import Array
 
 Cell = str | float | int | None
@@ -42,13 +50,17 @@ class Table:
     Attributes:
         rows: the cells.
         sheet: title of the workbook's sheet; its rows end at their last cell that is not empty. None for CSV files.
+        place: where a row and column stood before they were rearranged; None where they were not.
     """
 
     rows: Sequence[Sequence[Cell]]
     sheet: str | None = None
+    place: Callable[[int, int | None], tuple[int, int | None]] | None = None
 
     def where(self, row: int, column: int | None = None) -> str:
         """A row and column, counted from 0, in words for errors."""
+        if self.place is not None:
+            row, column = self.place(row, column)
         sheet = f"sheet '{self.sheet}', " if self.sheet is not None else ""
         return f"{sheet}row {row + 1}" + ("" if column is None else f", column {column + 1}")
 
@@ -121,25 +133,133 @@ def resembles_header(heads: Sequence[str]) -> bool:
     """Whether cells look like the header of a table of readings, complete or not."""
     return (
         any(column_heads.plain_head(head).startswith("geometr") for head in heads)
+        or (any(map(column_heads.is_wavelength, heads)) and any(map(is_geometry, heads)))
         or sum(angle_name(head) is not None for head in heads) >= 2
         or sum(wavelength(head) is not None for head in heads) >= 3
     )
 
 
-def find_columns(table: Table, context: ErrorContext) -> Columns | None:
-    """The columns of the first row that is a header, or None where there is none.
+def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] | None:
+    """The columns of the first row that is a header, and the table whose bands are columns; None without a header.
 
     Raises:
-        FileFormatError: the header names a column twice, or one that is not understood stands among its values.
+        FileFormatError: the header names a column twice, or one that is not understood stands among its values; a
+            wavelength below it is none.
     """
     for index, row in enumerate(table.rows[:_HEADER_ROWS]):
         heads = [text_of(cell) for cell in row]
-        if names_directions(heads):
-            return _direction_columns(table, index, heads, context)
         geometry = _geometry_column(table, index, heads)
+        wide = _wide(table, index, heads, geometry, context)
+        if wide is not table:
+            table, heads = wide, [text_of(cell) for cell in wide.rows[index]]
+            geometry = _geometry_column(table, index, heads)
+        if names_directions(heads):
+            return table, _direction_columns(table, index, heads, context)
         if geometry is not None and any(wavelength(head) for k, head in enumerate(heads) if k != geometry):
-            return _geometry_columns(table, index, heads, geometry, context)
+            return table, _geometry_columns(table, index, heads, geometry, context)
     return None
+
+
+def _wide(table: Table, index: int, heads: list[str], geometry: int | None, context: ErrorContext) -> Table:
+    """The table with a column per wavelength, where a header at `index` has a column of wavelengths; else as it is."""
+    of_nm = [k for k, head in enumerate(heads) if column_heads.is_wavelength(head)]
+    others = [k for k, head in enumerate(heads) if head and k not in of_nm]
+    if len(of_nm) != 1 or not others:
+        return table
+    if all(is_geometry(heads[k]) for k in others):
+        return _from_spectra_down(table, index, of_nm[0], others, context)
+    values = [
+        k
+        for k in others
+        if (said := column_heads.value_head(heads[k])) and said.nm is None and not channel(heads[k])
+    ]
+    name = column_heads.name_column([heads[k] if k in others else "" for k in range(len(heads))])
+    keys = [k for k in others if angle_name(heads[k]) or k in (geometry, name)]
+    is_known = geometry is not None or (names_directions(heads) and len(keys) + 1 == len(others))
+    if len(values) != 1 or values[0] in keys or not is_known:
+        return table
+    return _from_rows_of_bands(table, index, of_nm[0], values[0], keys, name, context)
+
+
+def _from_spectra_down(
+    table: Table, index: int, of_nm: int, geometries: list[int], context: ErrorContext
+) -> Table:
+    """A row per geometry of a table that has a column per geometry and a row per wavelength."""
+    below = [row for row in range(index + 1, len(table.rows)) if any(table.text(row, k) for k in geometries)]
+    heads = [_band(table, row, of_nm, context) for row in below]
+    spectra = [
+        [table.rows[index][k], *(table.rows[row][k] if k < len(table.rows[row]) else None for row in below)]
+        for k in geometries
+    ]
+
+    def place(row: int, column: int | None) -> tuple[int, int | None]:
+        if row <= index:
+            return (index if not column else below[column - 1]), of_nm
+        return (below[column - 1] if column else index), geometries[row - index - 1]
+
+    return Table([*table.rows[:index], ["Geometry", *heads], *spectra], table.sheet, place)
+
+
+def _from_rows_of_bands(
+    table: Table,
+    index: int,
+    of_nm: int,
+    of_value: int,
+    keys: list[int],
+    name: int | None,
+    context: ErrorContext,
+) -> Table:
+    """A row per spectrum of a table that has a row per value, beside its wavelength."""
+    heads = [text_of(cell) for cell in table.rows[index]]
+    found: dict[
+        tuple[str, ...], list[dict[str, int]]
+    ] = {}  # rows of the bands of spectra, by directions and sample
+    sample = ""
+    for row in range(index + 1, len(table.rows)):
+        texts = {k: table.text(row, k) for k in keys}
+        if not table.text(row, of_value) or texts == {k: heads[k] for k in keys}:
+            continue  # a footnote, or the header again
+        if name is not None:
+            sample = texts[name] = texts[name] or sample
+        band = _band(table, row, of_nm, context)
+        spectra = found.setdefault(tuple(texts.values()), [{}])
+        if band in spectra[-1]:
+            spectra.append({})
+        spectra[-1][band] = row
+    spectra_of = [(key, rows) for key, spectra in found.items() for rows in spectra]
+    bands = sorted(
+        {band for _, rows in spectra_of for band in rows}, key=lambda band: wavelength(band) or 0.0
+    )
+    if len(bands) * len(spectra_of) > 10 * len(table.rows) + 1000:
+        raise context.error(
+            f"{len(bands)} wavelengths at {len(spectra_of)} pairs of directions in {len(table.rows)} rows: few have a "
+            "value, expected the same wavelengths at all",
+            table.where(index),
+        )
+    wide: list[Sequence[Cell]] = [
+        [*key, *(table.rows[rows[band]][of_value] if band in rows else None for band in bands)]
+        for key, rows in spectra_of
+    ]
+
+    def place(row: int, column: int | None) -> tuple[int, int | None]:
+        own = spectra_of[row - index - 1][1] if row > index else {}
+        first = next(iter(own.values()), row)
+        if column is None or column < len(keys):
+            return first, None if column is None else keys[column]
+        return own.get(bands[column - len(keys)], first), of_value
+
+    head = [*(heads[k] for k in keys), *(f"{heads[of_value]} {band}" for band in bands)]
+    return Table([*table.rows[:index], head, *wide], table.sheet, place)
+
+
+def _band(table: Table, row: int, column: int, context: ErrorContext) -> str:
+    """The wavelength in a cell as the head of a band."""
+    text = table.text(row, column)
+    nm = nanometres(text) if number(text) is not None else None
+    head = "" if nm is None else f"{nm:.9g}nm"
+    if wavelength(head) is None:
+        raise context.error(f"found '{text[:24]}', expected a wavelength in nm", table.where(row, column))
+    return head
 
 
 def _direction_columns(table: Table, index: int, heads: list[str], context: ErrorContext) -> Columns:
@@ -155,9 +275,7 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
     bands = [k for k in free if k != name and k not in gloss]
     said = [column_heads.value_head(heads[k]) for k in bands]
     unknown = [heads[k] for k, head in zip(bands, said, strict=True) if head is None]
-    is_one_kind = (
-        len(bands) == 1 or all(column_heads.channel(heads[k]) for k in bands) or all(h and h.nm for h in said)
-    )
+    is_one_kind = len(bands) == 1 or all(channel(heads[k]) for k in bands) or all(h and h.nm for h in said)
     if not bands or unknown or not is_one_kind:
         raise context.error(
             f"columns {', '.join(unknown or [head for head in heads if head])[:80]}: expected values beside the "
@@ -366,8 +484,8 @@ def _geometry_pairs(
         first = sample.rows[sample.keys.index([text])]
         if columns.name is None and first != row:
             raise context.error(
-                f"geometry '{text[:24]}' stands in row {first + 1}, too; expected a column Name that tells samples "
-                "apart",
+                f"geometry '{text[:24]}' stands in {table.where(first)}, too; expected a column Name that "
+                "tells samples apart",
                 table.where(row),
             )
     wi, wo = (np.array(w) for w in zip(*pairs, strict=True))

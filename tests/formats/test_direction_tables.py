@@ -157,6 +157,21 @@ TABLES = {
     "percent": HEAD.replace("465", "465 (%)") + "\n" + lines(DIRECTIONS, 100.0 * np.pi * VALUES),
     "BRF": HEAD.replace(",465", ",BRF 465") + "\n" + lines(DIRECTIONS, np.pi * VALUES),
     "times the cosine": HEAD.replace(",465", ",BRDF*cos 465") + "\n" + lines(DIRECTIONS, COSINE * VALUES),
+    "a row per wavelength": "theta_i,phi_i,wavelength,theta_o,phi_o,brdf\n"
+    + lines(
+        *np.split(np.repeat(DIRECTIONS, 3, axis=0), [2], axis=1)[:1],
+        np.tile([[630.0], [465.0], [525.0]], (len(DIRECTIONS), 1)),
+        *np.split(np.repeat(DIRECTIONS, 3, axis=0), [2], axis=1)[1:],
+        VALUES[:, [2, 0, 1]].reshape(-1, 1),
+    ),
+    "a table per wavelength": "Wavelength (um);theta_i;phi_i;theta_o;phi_o;BRF\n"
+    + "".join(
+        lines(np.full((len(DIRECTIONS), 1), nm), DIRECTIONS, np.pi * VALUES[:, k : k + 1], separator=";")
+        for k, nm in enumerate((0.465, 0.525, 0.63))
+    ),
+    "measured angles": HEAD.replace("theta_i", "Incident_angle").replace("theta_o", "Measure_angle")
+    + "\n"
+    + lines(DIRECTIONS, VALUES),
     "differences of azimuths": "theta_i,theta_o,dphi,465,525,630\n"
     + lines(DIRECTIONS[:, [0, 2]], DIRECTIONS[:, 3:] - 180.0, VALUES),
 }
@@ -235,7 +250,15 @@ def test_what_a_column_of_values_is_taken_for_is_said(head, expected, tmp_path):
         ("theta_i (deg),phi_i (rad),theta_o,phi_o,465\n1,2,1.5,3,5\n", "expected one unit"),
         ("theta_i,phi_i,theta_o,dphi,465\n10,20,30,40,5\n", "dphi beside phi_i"),
         ("theta_i,phi_i,theta_o,465\n10,20,30,5\n", "phi_i without phi_o"),
-        ("wavelength,theta_i,phi_i,theta_o,phi_o,BRDF\n465,10,20,30,40,5\n", "a row per pair of directions"),
+        ("wl,theta_i,phi_i,theta_o,phi_o,BRDF,BRF\n465,1,2,30,4,5,6\n", "columns wl: expected values"),
+        ("wl,theta_i,phi_i,theta_o,phi_o,f,sigma\n465,1,2,30,4,5,6\n", "columns wl, sigma: expected values"),
+        (
+            "wl,theta_i,phi_i,theta_o,phi_o,f\n465,1,2,30,4,5\nred,1,2,30,4,5\n",
+            "row 3, column 1: found 'red'",
+        ),
+        ("wl,theta_i,phi_i,theta_o,phi_o,f\n465,1,2,30,4,5\n525,1,2,30,4,x\n", "row 3, column 6: found 'x'"),
+        ("theta_i,phi_i,theta_o,phi_o,wl,f\n1,2,30,4,465,5\n1,2,O,4,465,5\n", "row 3, theta_o: found 'O'"),
+        ("theta_i,phi_i,theta_o,phi_o,wl,f\n1,2,30,4,465,5,6\n", "row 2: 7 cells below a header of 6"),
         ("theta_i,phi_i,theta_o,phi_o,lambda\n10,20,30,40,450\n", "columns lambda: expected values"),
         ("theta_i,phi_i,theta_o,phi_o,Wavelength (nm)\n1,2,30,4,450\n", "Wavelength .nm.: expected values"),
         ("theta_i,phi_i,theta_o,phi_o,465,sigma\n10,20,30,40,5,6\n", "columns sigma: expected values"),
@@ -251,6 +274,22 @@ def test_tables_of_directions_that_cannot_be_read_say_why(table, words, tmp_path
     path = tmp_path / "bad.csv"
     path.write_text(table)
     with pytest.raises(FileFormatError, match=words):
+        registry.read_all(path)
+
+
+def test_a_wavelength_that_a_pair_lacks_is_not_measured(tmp_path):
+    path = tmp_path / "tidy.csv"
+    path.write_text("theta_i,theta_o,nm,BRDF\n10,30,450,0.1\n10,30,550,0.2\n10,40,550,0.3\n10,40,450,\n")
+    np.testing.assert_array_equal(registry.read_readings(path).values, [[0.1, 0.2], [np.nan, 0.3]])
+
+
+def test_rows_of_which_each_has_a_wavelength_of_its_own_are_refused(tmp_path):
+    path = tmp_path / "time.csv"
+    rows = "".join(f"{k},30,{400 + 0.1 * k:.1f},0.1\n" for k in range(60))
+    path.write_text("theta_i,theta_o,wavelength,BRDF\n" + rows)
+    with pytest.raises(
+        FileFormatError, match="60 wavelengths at 60 pairs of directions in 62 rows: few have a value"
+    ):
         registry.read_all(path)
 
 

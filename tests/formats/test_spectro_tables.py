@@ -231,6 +231,33 @@ def test_samples_are_told_apart_whatever_their_column_is_called(heads, tmp_path)
 TURNED = "\n".join(["nm,45as15,45as25,45as45", *(f"{w},1,2,3" for w in range(400, 701, 10))])
 
 
+def test_spectra_may_stand_below_their_geometries(tmp_path):
+    (tmp_path / "down.csv").write_text(TURNED)
+    rows = [[f"{w:g}", *values] for w, values in zip(MA_T12_BANDS.wavelengths_nm, FACTORS.T, strict=True)]
+    workbook(tmp_path / "down.xlsx", {"red": [["paint"], ["Wavelength [nm]", *MA_T12_NAMES], *rows]})
+    np.testing.assert_allclose(
+        100.0 * np.pi * registry.read_readings(tmp_path / "down.csv").values,
+        np.tile([[1.0], [2.0], [3.0]], 31),
+    )
+    found = registry.read_readings(tmp_path / "down.xlsx")
+    np.testing.assert_allclose(found.values, SPECTRO.values)
+    np.testing.assert_allclose(found.wo, SPECTRO.wo, atol=1e-12)
+
+
+def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
+    rows = [
+        f"{sample},{geometry},{nm:g},{scale * value:.7f}"
+        for sample, scale in (("red", 1.0), ("dark", 0.1))
+        for geometry, spectrum in zip(MA_T12_NAMES, FACTORS, strict=True)
+        for nm, value in zip(MA_T12_BANDS.wavelengths_nm, spectrum, strict=True)
+    ]
+    (tmp_path / "tidy.csv").write_text("\n".join(["Sample,Geometry,Wavelength,Reflectance", *rows]))
+    red, dark = registry.read_all(tmp_path / "tidy.csv")
+    assert (red.name, dark.name) == ("red", "dark")
+    np.testing.assert_allclose(red.values, SPECTRO.values, rtol=1e-5)
+    np.testing.assert_allclose(dark.values, 0.1 * SPECTRO.values, rtol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [
@@ -239,7 +266,12 @@ TURNED = "\n".join(["nm,45as15,45as25,45as45", *(f"{w},1,2,3" for w in range(400
         ("Name,400,500,600\nA,1,2,3\n", "no header .* such as 'Name, Geometry, 400, 410'"),
         ("Name,Angle,400,500,600\nA,25,1,2,3\nA,45,1,2,3\nA,75,1,2,3\n", "45as25 ... or 25/0"),
         ("Geometry,400,500\n45/25,1,2\n45/75,1,2\n", "found geometry '45/25', expected one such as 45as15"),
-        (TURNED, "text file, expected .* CSV table, which has a header such as 'Name, Geometry, 400, 410'"),
+        (TURNED.replace("500,", "5OO,"), "row 12, column 1: found '5OO', expected a wavelength in nm"),
+        (TURNED.replace("500,1,2,", "500,1,two,"), "row 12, column 3: found 'two'"),
+        (
+            TURNED.replace("45as25", "45as15"),
+            "row 1, column 3: geometry '45as15' stands in row 1, column 2, too",
+        ),
         ("Name,45as15 400,45as15 500,45as25 400\nA,1,2,3\n", "has a header such as 'Name, Geometry, 400"),
         (
             "| Geometry | 400 | 500 |\n| 45as15 | 1 | 2 |\n",

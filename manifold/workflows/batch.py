@@ -1,7 +1,7 @@
 """Many files of one command: what is missing is made, in several processes, then a table and a sheet of balls.
 
 The folder of the files holds an index, which says what each was made of: a later run makes only what is missing or has
-changed. A file is noted there as soon as it is whole.
+changed. A file is noted there as soon as it is whole. One run at a time writes to a folder (`.manifold.lock`).
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ import csv
 import io
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from filelock import FileLock, Timeout
 
 from manifold import __version__
 from manifold.brdf.measured import BRDF, MeasuredBRDF
@@ -122,35 +124,37 @@ class Batch:
         Returns:
             An outcome per task, in their order.
         Raises:
-            UsageError: the folder cannot be made, or is a file.
+            UsageError: the folder cannot be made, is a file, or another run writes to it.
             FileFormatError: there is another file of the index's name.
             ManifoldError: a process was killed.
         """
-        index = OutputIndex(self.folder, self.what)
-        outcomes, keys = self._known(index, todo, made_of)
-        missing = list(keys)
-        if missing and prepare is not None and workers == HERE:
-            with progress.shown("Reading materials"):
-                prepare()
-        with ExitStack() as at_end, progress.shown("Writing files"):
+        with ExitStack() as at_end:
+            at_end.enter_context(_only_run_in(self.folder, self.what))
+            index = OutputIndex(self.folder, self.what)
+            outcomes, keys = self._known(index, todo, made_of)
+            missing = list(keys)
+            if missing and prepare is not None and workers == HERE:
+                with progress.shown("Reading materials"):
+                    prepare()
             at_end.callback(self._conclude, outcomes)  # also when it is interrupted
+            at_end.enter_context(progress.shown("Writing files"))
             begin = _begin if self.has_balls else None
-            made = workers.run(partial(_make, make), [todo[k] for k in missing], begin)
-            for done, (i, content, failure) in enumerate(made, start=1):
+            finished = workers.run(partial(_make, make), [todo[k] for k in missing], begin)
+            for done, (i, made, failure) in enumerate(finished, start=1):
                 k = missing[i]
                 name, path, source = todo[k].name, todo[k].path, todo[k].source
-                if content is None:
+                if made is None:
                     outcomes[k] = Outcome(printable(name), path, source, failure=failure)
-                elif content.get("refusal") is not None:
-                    outcomes[k] = Outcome(name, path, source, content, failure=content["refusal"])
+                elif made.sha256 is None:
+                    outcomes[k] = Outcome(name, path, source, made.content, failure=made.content["refusal"])
                 elif not _is_there(path):
                     unseen = (
                         f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
                     )
                     outcomes[k] = Outcome(name, path, source, failure=unseen)
                 else:
-                    index.add(path, keys[k], content)
-                    outcomes[k] = Outcome(name, path, source, content)
+                    index.add(path, keys[k], made.content, made.sha256)
+                    outcomes[k] = Outcome(name, path, source, made.content)
                 progress.report(done, len(missing), name)
         return [outcomes[k] for k in range(len(todo))]
 
@@ -164,9 +168,13 @@ class Batch:
         for k, task in enumerate(todo):
             try:
                 require_material_name(task.name)
+                if self.what in (alike(task.name), alike(task.path.stem)):
+                    raise UsageError("has the name of the table of all; rename it")
                 first = taken.setdefault(alike(task.path.name), task)
                 if first is not task:
-                    raise UsageError(f"{task.source} and {first.source} have the same name; use two folders")
+                    raise UsageError(
+                        f"{task.source} and {first.source} have the same name, {task.path.name}; use two folders"
+                    )
                 key = made_of(task.source)
                 content = index.result(task.path, key)
                 if content is not None and (not self.has_balls or _has_ball(task.path)):
@@ -281,8 +289,16 @@ APPEARANCE: dict[str, Callable[[dict[str, Any]], Any]] = {
 """Columns of a table: CIELAB in the geometry 45/0 under D65, and gloss units at 60 degrees."""
 
 
-def _make(make: Callable[[S, Path], dict[str, Any]], task: Task[S]) -> dict[str, Any]:
-    return make(task.source, task.path)
+class _Made(NamedTuple):
+    """What is known of a file that was written, and its hash then; None where it was refused."""
+
+    content: dict[str, Any]
+    sha256: str | None
+
+
+def _make(make: Callable[[S, Path], dict[str, Any]], task: Task[S]) -> _Made:
+    content = make(task.source, task.path)
+    return _Made(content, file_sha256(task.path) if content.get("refusal") is None else None)
 
 
 def _begin() -> None:
@@ -304,19 +320,40 @@ def make_folder(folder: Path, what: str) -> None:
         raise UsageError(f"{folder}: {reason}, expected a folder for {what}; name another") from error
 
 
+@contextmanager
+def _only_run_in(folder: Path, what: str) -> Iterator[None]:
+    """Make a folder, and hold its lock: results of two runs would be mixed.
+
+    Raises:
+        UsageError: another run holds it, or the folder cannot be written to.
+    """
+    make_folder(folder, what)
+    lock = FileLock(folder / ".manifold.lock")
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise UsageError(
+            f"{folder}: another run writes to it; wait until it is done, or name another"
+        ) from None
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}); name another folder") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
 class OutputIndex:
     """What the files of a folder were made of: a line of JSON per file, appended when it is whole; the last one counts.
 
     Args:
-        folder: of the outputs; made if missing.
+        folder: of the outputs.
         what: they are, in the plural; `exports` makes `exports.jsonl`.
     Raises:
-        UsageError: the folder cannot be made, or is a file.
         FileFormatError: there is another file of the index's name.
     """
 
     def __init__(self, folder: Path, what: str) -> None:
-        make_folder(folder, what)
         self._path = folder / f"{what}.jsonl"
         self._entries: dict[str, Any] = {}
         if not self._path.is_file():
@@ -347,8 +384,8 @@ class OutputIndex:
         result = entry.get("result")
         return result if isinstance(result, dict) else None
 
-    def add(self, path: Path, made_of: dict[str, Any], result: dict[str, Any]) -> None:
-        """Note a file that was written, and what is known of it: all plain values of JSON.
+    def add(self, path: Path, made_of: dict[str, Any], result: dict[str, Any], sha256: str) -> None:
+        """Note a file that was written, what is known of it, and its hash: all plain values of JSON.
 
         Raises:
             UsageError: the index cannot be written.
@@ -356,7 +393,7 @@ class OutputIndex:
         entry = {
             "file": path.name,
             "made_of": _stamped(made_of),
-            "file_sha256": file_sha256(path),
+            "file_sha256": sha256,
             "result": result,
         }
         self._entries[path.name] = entry

@@ -28,6 +28,9 @@ class _Source(NamedTuple):
     identity: str
     read: Callable[[], Subject]
 
+    def __str__(self) -> str:
+        return self.name
+
 
 def export_all(
     source: Path,

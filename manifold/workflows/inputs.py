@@ -193,7 +193,8 @@ def _in_samples(parts: list[_Part]) -> list[Sample]:
 
 
 def require_apart(sources: Iterable[Path], folder: Path) -> None:
-    """Raise UsageError where a folder to be written to is one that is searched."""
+    """Raise UsageError where a folder to be written to is one that is searched, or that a file is read from."""
     for source in sources:
-        if source.is_dir() and folder.exists() and source.samefile(folder):
+        read = source if source.is_dir() else source.parent
+        if read.exists() and folder.exists() and read.samefile(folder):
             raise UsageError(f"{folder}: is the folder of what is read; name another one for what is written")

@@ -39,6 +39,9 @@ class Point:
     place: tuple[float, ...] | str
     colour: ColourChoice
 
+    def __str__(self) -> str:
+        return f"line {self.line}"
+
 
 @dataclass(frozen=True)
 class PointTable:

@@ -14,7 +14,7 @@ from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.errors import ManifoldError, UsageError
 from manifold.model.colours import ColourChoice
 from manifold.system.workers import Finished
-from manifold.workflows.batch import Batch, Task
+from manifold.workflows.batch import Batch, Task, _Made
 from manifold.workflows.completions import calibrate_instrument
 from manifold.workflows.inputs import Input, find_inputs, find_samples
 from manifold.workflows.sources import FileSource, PlaceSource
@@ -54,7 +54,7 @@ def test_what_was_made_before_an_interruption_is_not_made_again(tmp_path, moment
 def test_a_file_that_a_worker_wrote_elsewhere_is_one_failure(tmp_path):
     class Elsewhere:
         def run(self, function, tasks, begin=None):
-            yield Finished(0, {"letters": 4})
+            yield Finished(0, _Made({"letters": 4}, "0" * 64))
 
     batch = Batch(tmp_path, "words", COLUMNS)
     todo = [Task("word", tmp_path / "word.txt", "word")]
@@ -77,6 +77,49 @@ def test_a_failure_stops_nothing_and_stands_in_the_tables(tmp_path):
     assert len(json.loads((tmp_path / "words.json").read_text())["failed"]) == 2
     outcomes = run(tmp_path, ["a", "refused"], written)
     assert [o.was_there for o in outcomes] == [True, False]
+
+
+def test_no_file_takes_the_place_of_the_table(tmp_path):
+    batch = Batch(tmp_path, "words", COLUMNS)
+    todo = [Task(name, tmp_path / f"{name}.csv", name) for name in ("words", "Words", "word")]
+    outcomes = batch.run(todo, written, lambda name: {"name": name})
+    assert [o.failure for o in outcomes] == [
+        "has the name of the table of all; rename it",
+        "has the name of the table of all; rename it",
+        None,
+    ]
+    with (tmp_path / "words.csv").open(newline="") as file:
+        assert [row["name"] for row in csv.DictReader(file)] == ["words", "Words", "word"]
+
+
+def test_a_folder_is_one_runs_at_a_time(tmp_path):
+    def make(name, path):
+        with pytest.raises(UsageError, match="another run writes to it; wait until it is done"):
+            run(tmp_path, ["b"], written)
+        with pytest.raises(UsageError, match="another run writes to it"):  # whatever it writes
+            Batch(tmp_path, "letters").run([], written, lambda name: {})
+        return written(name, path)
+
+    (outcome,) = run(tmp_path, ["a"], make)
+    assert outcome.failure is None
+    assert [o.was_there for o in run(tmp_path, ["a", "b"], written)] == [True, False]
+
+
+def test_a_file_that_another_program_replaces_at_once_is_made_again(tmp_path):
+    """The index holds the hash of what a run wrote, not of what is there when it notes it."""
+
+    class Slow:
+        def run(self, function, tasks, begin=None):
+            for k, task in enumerate(tasks):
+                made = function(task)
+                task.path.write_text("of another program")
+                yield Finished(k, made)
+
+    todo = [Task("word", tmp_path / "word.txt", "word")]
+    Batch(tmp_path, "words", COLUMNS).run(todo, written, lambda name: {"name": name}, workers=Slow())
+    (outcome,) = run(tmp_path, ["word"], written)
+    assert not outcome.was_there
+    assert (tmp_path / "word.txt").read_text() == "word"
 
 
 def workbook(path, name, rng):

@@ -147,7 +147,7 @@ def test_a_library_is_exported(tmp_path, monkeypatch, folder):
     monkeypatch.setattr(exports.fit_json, "document", lambda result, source: content)
     result = run("export", library, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == sorted(
         [*(f"{name}.glb" for name in NAMES), "exports.csv", "exports.json", "exports.jsonl"]
     )
     report = json.loads((tmp_path / "r.json").read_text())

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
+from manifold.library.identity import file_sha256
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
@@ -89,6 +90,7 @@ def test_bad_rows_are_named_by_their_lines_and_the_others_are_made(model, tmp_pa
         "latent,name,like,srgb\n"
         '"0,0",good,,\n"0,0,0",three,,\n"0,nan",number,,\n,none,,\nnobody,stranger,,\n"0,0",../out,,\n'
         f'"0,0",good,,\n"0,0",both,{NAMES[0]},#112233\n"0,0",like,nobody,\n"0,0",srgb,,red\n"9,0,",Good2,,,,extra\n'
+        '"0,0",good_rgb.bsdf,,\n"0,0",predictions,,\n'
     )
     words = ["predict", "--from", table(tmp_path, text), "-M", model, "-o", tmp_path / "out"]
     result = run(*words, "--json", tmp_path / "r.json")
@@ -96,7 +98,11 @@ def test_bad_rows_are_named_by_their_lines_and_the_others_are_made(model, tmp_pa
     made = json.loads((tmp_path / "r.json").read_text())
     assert [row["name"] for row in made["predictions"]] == ["good"]
     lines = [int(words.split(":")[0].removeprefix("line ")) for words in made["failed"]]
-    assert lines == list(range(3, 13))
+    assert lines == list(range(3, 15))
+    assert made["failed"][-2:] == [
+        "line 13: line 13 and line 2 have the same name, good_rgb.bsdf; use two folders",
+        "line 14: has the name of the table of all; rename it",
+    ]
     assert sorted(path.name for path in tmp_path.rglob("*.bsdf")) == ["good_rgb.bsdf"]
 
 
@@ -161,7 +167,7 @@ def test_pictures_are_rendered_and_kept(model, tmp_path):
         ("felt.exr", False, 16),
         ("point-0002", False, 16),
     ]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == [
         "felt.exr",
         "point-0002.png",
         "renders.csv",
@@ -214,7 +220,7 @@ def test_an_interrupted_run_keeps_what_it_made(model, tmp_path):
 def test_an_index_knows_what_unchanged_files_were_made_of(tmp_path):
     path = tmp_path / "a.glb"
     path.write_bytes(b"made")
-    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5})
+    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5}, file_sha256(path))
     index = OutputIndex(tmp_path, "exports")
     assert index.result(path, {"of": 1}) == {"lost": 0.5}
     assert index.result(path, {"of": 2}) is None
@@ -225,10 +231,10 @@ def test_an_index_knows_what_unchanged_files_were_made_of(tmp_path):
 def test_a_line_that_a_killed_run_left_half_is_dropped(tmp_path):
     path = tmp_path / "a.glb"
     path.write_bytes(b"made")
-    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5})
+    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5}, file_sha256(path))
     with (tmp_path / "exports.jsonl").open("a") as file:
         file.write('{"file": "b.glb", "made')
     index = OutputIndex(tmp_path, "exports")
     assert index.result(path, {"of": 1}) == {"lost": 0.5}
-    index.add(path, {"of": 2}, {})
+    index.add(path, {"of": 2}, {}, file_sha256(path))
     assert OutputIndex(tmp_path, "exports").result(path, {"of": 2}) == {}

@@ -72,11 +72,30 @@ def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, *
 
 def state(page: Any) -> Any:
     """What a page of the map shows."""
-    return page.evaluate("window.explorer.state")
+    return shown(page, "window.explorer.state")
+
+
+def shown(page: Any, script: str, *arguments: Any) -> Any:
+    """The value of a script once what was asked for is shown."""
+    settle(page)
+    return page.evaluate(script, *arguments)
+
+
+def follow(page: Any, fragment: str) -> None:
+    """Follow a link within the page, until what it links to is shown."""
+    script = """(fragment) => new Promise((done) => {
+      const before = location.hash;
+      addEventListener("hashchange", done, { once: true }); // after the page's own listener
+      location.hash = fragment;
+      if (location.hash === before) done();
+    })"""
+    page.evaluate(script, fragment)
+    settle(page)
 
 
 def control(page: Any, selector: str, **options: Any) -> Any:
-    """The locator of a control, whose tab is shown first."""
+    """The locator of a control, whose tab is shown first, beside what was asked for before."""
+    settle(page)
     page.evaluate(
         "(selector) => explorer.showTab(document.querySelector(selector).closest('[role=tabpanel]').id)",
         selector,
@@ -85,8 +104,13 @@ def control(page: Any, selector: str, **options: Any) -> Any:
 
 
 def settle(page: Any) -> None:
-    """Wait until what was asked for is shown."""
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    """Wait until what was asked for is shown: no event is waiting, and no frame is to be drawn."""
+    page.evaluate("""async () => {
+      do {
+        await new Promise((done) => setTimeout(done));
+        await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+      } while (window.explorer?.requested);
+    }""")
 
 
 def _leaves(address: str, own: str) -> bool:

@@ -3,7 +3,13 @@
 
 const puppeteer = require("puppeteer-core");
 
-const settled = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+/** No event is waiting, and no frame is to be drawn. */
+const settled = (page) => page.evaluate(async () => {
+  do {
+    await new Promise((done) => setTimeout(done));
+    await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+  } while (window.explorer.requested);
+});
 const stateOf = (page) => page.evaluate(() => structuredClone(window.explorer.state));
 
 async function openPage(browser, address, errors) {

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+from urllib.parse import quote
 
 import numpy as np
 import pytest
-from helpers.browser import control, settle, state, visit
+from helpers.browser import control, follow, settle, shown, state, visit
 from helpers.paths import REPOSITORY
 from helpers.small_library import NAMES, small_library
 
@@ -38,6 +39,7 @@ def opened(browser, address):
 def visited(opened):
     """The one open page as it was at the start; no test leaves an error or a request behind."""
     opened.page.evaluate("window.explorer.reset()")
+    settle(opened.page)
     yield opened
     assert opened.errors == []
     assert opened.requests == []
@@ -165,8 +167,8 @@ def test_a_path_has_the_colours_between_its_ends(visited, model, studio_ball):
     path = {"from": start, "to": end, "t": 0.4}
     page.evaluate("([x, path]) => window.explorer.change({ x, path, colour: 'blend' })", [x, path])
     brdf = model.interpolate(start, end, 0.4)
-    shown = refined_ball(page, ball.places)
-    found = ball_colours.delta_e(shown, ball.xyz(brdf.eval(ball.wi, ball.wo), model.bands))
+    drawn = refined_ball(page, ball.places)
+    found = ball_colours.delta_e(drawn, ball.xyz(brdf.eval(ball.wi, ball.wo), model.bands))
     assert found < 1.0  # what the page may differ by anywhere
     expected = brdf.albedo(from_spherical(np.deg2rad(8.0), 0.0))
     found = page.evaluate("window.explorer.reflectance")
@@ -177,16 +179,10 @@ def test_a_path_has_the_colours_between_its_ends(visited, model, studio_ball):
     settle(page)
     link = page.evaluate("location.hash")
     page.evaluate("window.explorer.reset()")
-    page.evaluate("(link) => { location.hash = link; }", link)
-    settle(page)
-    page.evaluate(
-        "([a, b]) => { location.hash = '#path=' + encodeURIComponent(JSON.stringify([a, b, 0.4])); }",
-        NAMES[:2],
-    )
-    settle(page)
+    follow(page, link)
+    follow(page, "#path=" + quote(json.dumps([*NAMES[:2], 0.4])))
     assert np.allclose(state(page)["x"], x)  # a path says where it is
-    page.evaluate("(link) => { location.hash = link; }", link)
-    settle(page)
+    follow(page, link)
     pinned = page.evaluate("window.explorer.pinned.prediction.reflectance()")
     assert np.allclose(pinned, expected, atol=0.01)
     control(page, "#unpin").click()
@@ -208,8 +204,7 @@ def test_a_chosen_colour_gives_the_reflectance_that_python_gives(visited, model,
     expected = model.colours.reached(x, colours)
     mode = {"colour": "like" if "like" in choice else "picked", **choice}
     visited.page.evaluate("([x, mode]) => window.explorer.change({ x, ...mode })", [x.tolist(), mode])
-    settle(visited.page)
-    found = visited.page.evaluate("window.explorer.reflectance")
+    found = shown(visited.page, "window.explorer.reflectance")
     assert np.allclose(found, expected, atol=0.01)  # spheres of 200 and of 1024 nodes
 
 
@@ -304,17 +299,14 @@ def test_the_page_says_what_it_shows_of_anisotropic_materials(visited, document)
 
 
 def test_a_link_restores_what_was_shown(visited):
-    def follow(fragment):
-        visited.page.evaluate("(fragment) => (location.hash = fragment)", fragment)
-        settle(visited.page)
-        return state(visited.page)
-
-    now = follow("#x=0.5,-0.25&srgb=%23336699&lamp=0.2,0.3&exposure=1&pin=syn_metal_copper")
+    follow(visited.page, "#x=0.5,-0.25&srgb=%23336699&lamp=0.2,0.3&exposure=1&pin=syn_metal_copper")
+    now = state(visited.page)
     assert now["x"] == [0.5, -0.25]
     assert (now["colour"], now["srgb"]) == ("picked", "#336699")
     assert (now["light"], now["exposure"]) == ("lamp", 1)
     assert now["pin"]["at"] == "syn_metal_copper"
-    now = follow("#x=nan,1&like=%3Cimg%3E&pin=1&path=%5B1&exposure=1e9")
+    follow(visited.page, "#x=nan,1&like=%3Cimg%3E&pin=1&path=%5B1&exposure=1e9")
+    now = state(visited.page)
     assert now["pin"] is None
     assert (now["colour"], now["exposure"]) == ("blend", 3)
 
@@ -322,6 +314,7 @@ def test_a_link_restores_what_was_shown(visited):
 def test_downloads_hold_the_latent_and_the_colours(visited):
     page = visited.page
     control(page, "#like").select_option("syn_felt_green")
+    settle(page)
     documents = {}
     for name in ("latent", "colours"):
         with page.expect_download() as download:
@@ -345,6 +338,7 @@ def test_hostile_names_are_text(browser, document, tmp_path):
     made.page.keyboard.press("Enter")
     control(made.page, "#pin").click()
     made.page.locator("#map").hover()
+    settle(made.page)
     assert HOSTILE in made.page.locator("#library").text_content()
     assert made.page.locator("img").count() == 0
     assert dialogs == []
@@ -417,8 +411,7 @@ def test_environments_and_shapes_are_chosen_turned_and_restored(visited):
             assert np.abs(one - other).max() > 0.02
     now, link = state(page), page.evaluate("location.hash")
     page.evaluate("window.explorer.reset()")
-    page.evaluate("(link) => { location.hash = link; }", link)
-    settle(page)
+    follow(page, link)
     restored = state(page)
     assert [restored[k] for k in ("light", "turn", "shape", "turnShape")] == [
         now[k] for k in ("light", "turn", "shape", "turnShape")
@@ -455,27 +448,25 @@ def test_a_tinted_place_is_that_of_the_package(visited, model):
     expected = model.predict(adjusted.latent, adjusted.colours).albedo(from_spherical(np.deg2rad(8.0), 0.0))
     change = "(x) => window.explorer.change({ x, colour: 'lch', lch: [55, 30, 250] })"
     visited.page.evaluate(change, x.tolist())
-    settle(visited.page)
-    assert np.allclose(visited.page.evaluate("window.explorer.reflectance"), expected, atol=0.01)
+    assert np.allclose(shown(visited.page, "window.explorer.reflectance"), expected, atol=0.01)
 
 
 def test_attributes_are_set_by_sliders_and_said_where_they_are_out_of_reach(visited):
     page = visited.page
     page.evaluate("window.explorer.goTo(3)")
-    before = page.evaluate("window.explorer.prediction.gloss()")
+    before = shown(page, "window.explorer.prediction.gloss()")
     control(page, "#lightness").press("ArrowLeft")
     settle(page)
     now = state(page)
     assert now["colour"] == "lch"
     assert "lch=" in page.evaluate("location.hash")
     control(page, "#hue").fill("200")
-    page.locator("#gloss").fill("0.7")
-    settle(page)
-    assert page.evaluate("window.explorer.prediction.gloss()") == pytest.approx(10**0.7, rel=0.05)
+    control(page, "#gloss").fill("0.7")
+    assert shown(page, "window.explorer.prediction.gloss()") == pytest.approx(10**0.7, rel=0.05)
     assert before > 20
     assert state(page)["lch"][2] == 200
     assert page.locator("#gloss").get_attribute("aria-valuetext").endswith("GU")
-    page.locator("#chroma").fill("120")
+    control(page, "#chroma").fill("120")
     settle(page)
     assert "reached" in page.locator("#attributes-missed").inner_text()
     page.keyboard.press("Control+z")
@@ -483,18 +474,16 @@ def test_attributes_are_set_by_sliders_and_said_where_they_are_out_of_reach(visi
     link = page.evaluate("location.hash")
     lch = state(page)["lch"]
     page.evaluate("window.explorer.reset()")
-    page.evaluate("(link) => { location.hash = link; }", link)
-    settle(page)
+    follow(page, link)
     assert np.allclose(state(page)["lch"], lch, atol=1e-3)
     assert page.evaluate("window.explorer.plainColour(explorer.state).srgb").startswith("#")
 
 
 def test_a_picture_at_rest_is_drawn_finely(visited):
     page = visited.page
-    page.evaluate("explorer.rest = 10")
     page.evaluate("window.explorer.goTo(2)")
-    settle(page)
-    coarse = page.evaluate("explorer.balls.gl.canvas.height")
+    coarse = shown(page, "explorer.balls.gl.canvas.height")
+    page.evaluate("explorer.rest = 10; explorer.refineLater()")
     page.locator("[data-refined=true]").wait_for(state="attached")
     page.evaluate("explorer.rest = 1e6")
     assert coarse < page.evaluate("explorer.balls.gl.canvas.height")

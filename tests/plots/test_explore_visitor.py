@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import control, settle, state, visit
+from helpers.browser import control, follow, settle, shown, state, visit
 from helpers.small_library import NAMES
 from PIL import Image
 
@@ -190,7 +190,7 @@ def test_balls_come_back_after_the_graphics_were_lost(page):
 
 def test_a_search_without_a_result_says_so(page):
     page.locator("#search").fill("zzz")
-    assert page.locator("#found").inner_text() == "no material has such a name"
+    page.locator("#found", has_text="no material has such a name").wait_for()
     page.keyboard.press("ArrowDown")
     page.keyboard.press("Enter")
     settle(page)
@@ -207,7 +207,7 @@ def test_a_message_is_seen_wherever_the_page_is_and_can_be_closed(page):
     box = page.locator("#problem").bounding_box()
     assert 0 <= box["y"] < 844 - box["height"]
     page.locator("#problem-close").press("Enter")
-    assert page.locator("#problem").is_hidden()
+    page.locator("#problem").wait_for(state="hidden")
 
 
 def test_a_map_without_a_field_of_errors_goes_to_a_material_too(elsewhere, document, tmp_path):
@@ -237,7 +237,7 @@ def test_only_one_place_of_the_page_speaks_by_itself(page):
     script = """[...document.querySelectorAll("output, [role=status], [aria-live]")]
       .filter((e) => e.getAttribute("aria-live") !== "off").map((e) => e.id)"""
     assert page.evaluate(script) == ["live"]
-    control(page, "#exposure").press("ArrowRight")
+    control(page, "#exposure").press("ArrowRight")  # a control settles what was asked for before
     assert control(page, "#exposure").get_attribute("aria-valuetext") == "+0.25 EV"
 
 
@@ -251,6 +251,7 @@ def test_a_move_is_said_once(page):
     assert place in page.locator("#live").text_content()
     assert page.locator("#map").get_attribute("aria-label") == name
     page.keyboard.press("Tab")
+    settle(page)
     assert place in page.locator("#map").get_attribute("aria-label")
     page.evaluate("document.getElementById('live').textContent = ''")
     control(page, "#exposure").press("ArrowRight")
@@ -336,7 +337,7 @@ def test_dropped_files_are_located_completed_or_a_colour_by_what_they_hold(serve
         dropped,
     )
     page.locator("#caption", has_text="red.txt").wait_for()
-    assert page.locator("#tab-export").get_attribute("aria-selected") == "true"
+    page.locator("#tab-export[aria-selected=true]").wait_for()
     for title in ("locate b-", "complete my-sheet_rgb.bsdf"):
         page.locator("#jobs li[data-state=done]", has_text=title).wait_for()
     control(page, "#do-export").press("Enter")
@@ -378,6 +379,7 @@ def test_the_circle_of_a_dropped_photograph_is_dragged_and_its_light_chosen(serv
     drag((90, 40), (90, 80))  # an outline from its middle
     drag((90, 40), (100, 50))  # it is moved
     drag((140, 50), (130, 50))  # its radius becomes smaller
+    settle(page)
     circle = [float(v) for v in page.locator("#photo-circle").input_value().split(",")]
     assert circle == pytest.approx([100, 50, 30], abs=1)
     page.locator("#photo-light").select_option("sky")
@@ -469,7 +471,7 @@ def test_balls_and_names_on_the_map_do_not_cover_each_other(page):
     assert min(page.evaluate(overlaps)) > -2
     assert page.evaluate("window.explorer.map.lines.flat().join(' ')").count("felt") == 2
     page.evaluate("window.explorer.zoom(4)")
-    assert page.evaluate("window.explorer.map.places.flat().every(Number.isFinite)")
+    assert shown(page, "window.explorer.map.places.flat().every(Number.isFinite)")
     page.evaluate("window.explorer.zoom(1)")
 
 
@@ -532,8 +534,7 @@ def test_kept_looks_come_back_by_a_click_undo_and_a_link(page):
     page.evaluate("window.explorer.reset()")
     settle(page)
     assert page.locator("#strip").is_hidden()
-    page.evaluate("(link) => { location.hash = link; }", link)
-    settle(page)
+    follow(page, link)
     kept = state(page)["variants"]
     assert [look.get("at") for look in kept] == [NAMES[1], NAMES[1], None]
     assert [look["colour"] for look in kept] == ["blend", "like", "blend"]
@@ -654,13 +655,14 @@ def test_a_located_file_is_shown_and_a_finished_job_collapses(browser, served, s
         page.locator("#caption", has_text="mine").wait_for()
     finally:
         queue._command = command
-    job = page.locator("#jobs li", has_text="locate mine")
+    job = page.locator("#jobs li[data-state=done]", has_text="locate mine")
+    job.wait_for()
     assert job.locator("details").get_attribute("open") is None
     assert page.evaluate("window.explorer.guests.length") == 1
     control(page, "#do-predict").click()
     page.locator("#problem", has_text="the colours of a dropped file").wait_for()
     job.locator("summary").click()
-    assert job.locator("button", has_text="Show at").is_visible()
+    job.locator("button", has_text="Show at").wait_for()
     page.evaluate("explorer.removeGuest(0); explorer.reset(); explorer.problem('')")
 
 

@@ -125,9 +125,10 @@ def test_the_prediction_is_that_of_the_model_in_the_chosen_colour(widget):
 
 def test_a_path_on_the_page_is_one_in_python(page):
     page.evaluate("([a, b]) => model.set('link', `path=${JSON.stringify([a, b, 0.5])}`)", NAMES[:2])
+    page.locator("#a #caption", has_text="50 % of the way").wait_for()
     page.locator("#a #tab-compare").click()
     page.locator("#a #path-t").press("ArrowRight")
-    page.locator("#a #caption", has_text="of the way").wait_for()
+    page.wait_for_function("model.get('colour').between?.[2] > 0.5")
     start, end, t = page.evaluate("model.get('colour').between")
     assert (start, end) == tuple(NAMES[:2])
     assert 0.5 < t < 0.6

@@ -164,11 +164,12 @@ def photograph(
     path.rename(picture)
     inputs = [picture]
     if "light_bytes" in request:
-        inputs.append(path.with_name(f"light{request['light_suffix']}"))
+        inputs.append(path.with_name(f"{path.name}-light{request['light_suffix']}"))
+        size = int(request["light_bytes"])  # 100.0 is an integer in JSON
         with picture.open("r+b") as stream:
-            stream.seek(-request["light_bytes"], os.SEEK_END)
+            stream.seek(-size, os.SEEK_END)
             inputs[1].write_bytes(stream.read())
-            stream.truncate(picture.stat().st_size - request["light_bytes"])
+            stream.truncate(picture.stat().st_size - size)
     light = request.get("light", str(inputs[-1]))
     given = [f"--{key}={request[key]}" for key in _PHOTO_OPTIONS if key in request]
     output = _output(path.name, "_photo.png", context, request.get("replace", False), is_taken)

@@ -23,7 +23,7 @@ PARAMETERS = {
     "Roughness": Parameter(0.5, is_free=True, low=0.02),
     "IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "Specular IOR Level": Parameter(0.5),
-    "Specular Tint": Parameter([1.0, 1.0, 1.0]),
+    "Specular Tint": Parameter([1.0, 1.0, 1.0], is_free=True),
     "Anisotropic": Parameter(0.0),
     "Anisotropic Rotation": Parameter(0.0),
     "Coat Weight": Parameter(0.0, is_free=True),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ _RIDGE = 1e-3  # towards the mapped values, which undetermined parameters keep
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
-_FILM_GAIN = 0.8  # a film that is kept lowers the squared residual and the ball's difference below this share
+_GAIN = 0.8  # a film, or colour of a sheen, that is kept lowers squared residual and ball's difference below this share
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
 _FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
 _FILM_STARTS = 3  # that are refined
@@ -30,7 +31,8 @@ _FILM_STARTS = 3  # that are refined
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
     """Parameters of a target whose model is nearest to a material, all of the target's.
 
-    A thin film is tried where the ball differs noticeably without.
+    A thin film is tried where the ball differs noticeably without. A sheen keeps the hue of its start, where there is
+    none grey; its colour is free where that is nearer to all samples as well, of which the fit sees a part.
 
     Args:
         target: whose model.
@@ -39,38 +41,61 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
     """
     few = samples.as_rgb().subsample(_PAIRS)
     free = [name for name, parameter in target.entries.items() if parameter.is_free]
-    problem = _Problem(target, start, free, few)
+    hued = [name for name in target.sheen if name in free and np.ndim(start[name])]
+    problem = _Problem(target, start, free, few, hued)
     with threadpool_limits(1):
         x, cost = problem.nearest(problem.starts())
+        if any(np.any(problem.rounded(x)[name]) for name in hued):
+            coloured, unseen = _Problem(target, start, free, few), replace(samples.as_rgb(), pixels=None)
+            y, with_colour = coloured.nearest([coloured.vector(problem.rounded(x))])
+            gains = (
+                coloured.ball_difference(y) / problem.ball_difference(x),
+                (coloured.relative(y, unseen) / problem.relative(x, unseen)) ** 2,
+            )
+            if max(gains) < _GAIN:
+                problem, x, cost, hued = coloured, y, with_colour, []
         found = problem.rounded(x)
         difference = problem.ball_difference(x)
         if target.film and difference > NOTICEABLE:
-            filmed = _Problem(target, start, [*free, *target.film], few)
+            filmed = _Problem(target, start, [*free, *target.film], few, hued)
             x, with_film = filmed.nearest(filmed.film_starts(found))
-            if with_film < _FILM_GAIN * cost and filmed.ball_difference(x) < _FILM_GAIN * difference:
+            if with_film < _GAIN * cost and filmed.ball_difference(x) < _GAIN * difference:
                 return filmed.rounded(x)
     return found
+
+
+def _hue(colour: Any) -> Array:
+    """A colour over its largest channel, (3,); white for black."""
+    most = np.max(colour)
+    return np.asarray(colour) / most if most > 0.0 else np.ones(3)
 
 
 class _Problem:
     """Residuals of a target's free parameters, laid out in one vector."""
 
     def __init__(
-        self, target: Target, start: Mapping[str, Any], free: Sequence[str], samples: FitSamples
-    ) -> None:
+        self, target: Target, start: Mapping[str, Any], free: Sequence[str], samples: FitSamples,
+        hued: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        """Of `hued` colours the largest channel is free alone, in the hue of the start."""
         self._start, self._target, self._free = dict(start), target, free
         self._criterion = Criterion(samples, "appearance")
-        self._names = [name for name in free for _ in range(np.size(self._start[name]))]  # of each number
+        self._hues = {name: _hue(start[name]) for name in hued}
+        sizes = {name: 1 if name in hued else np.size(self._start[name]) for name in free}
+        self._names = [name for name, size in sizes.items() for _ in range(size)]  # of each number
         entries = [target.entries[name] for name in self._names]
         self._lower, self._upper = np.array([e.low for e in entries]), np.array([e.high for e in entries])
         self._span = self._upper - self._lower
-        self._mapped = self._vector(start)
+        self._mapped = np.clip(self._numbers(start), self._lower, self._upper)
 
-    def _vector(self, values: Mapping[str, Any]) -> Array:
+    def vector(self, values: Mapping[str, Any]) -> Array:
         """The vector of parameters, a little inside the bounds."""
-        x: Array = np.concatenate([np.atleast_1d(values[name]) for name in self._free]).astype(float)
         margin = 1e-3 * self._span
-        return np.clip(x, self._lower + margin, self._upper - margin)
+        return np.clip(self._numbers(values), self._lower + margin, self._upper - margin)
+
+    def _numbers(self, values: Mapping[str, Any]) -> Array:
+        numbers = (np.max(values[name]) if name in self._hues else values[name] for name in self._free)
+        return np.concatenate([np.atleast_1d(each) for each in numbers]).astype(float)
 
     def nearest(self, starts: Sequence[Array]) -> tuple[Array, float]:
         """The best minimum from several starts, and half of its squared residual."""
@@ -86,13 +111,14 @@ class _Problem:
 
     def starts(self) -> list[Array]:
         """The mapped values, and those with a rough coat."""
-        coated = self._mapped.copy()
+        mapped = self.vector(self._start)
+        coated = mapped.copy()
         for i, name in enumerate(self._names):
             if name in self._target.coat[:1]:
                 coated[i] = max(coated[i], _COAT)
             elif name in self._target.coat:
                 coated[i] = _COAT_ROUGHNESS
-        return [self._mapped, coated]
+        return [mapped, coated]
 
     def film_starts(self, values: Mapping[str, Any]) -> list[Array]:
         """Parameters with the thin films that lower their residual most, of all that are tried."""
@@ -103,13 +129,17 @@ class _Problem:
             for share in _FILM_THICKNESSES
             for n in _FILM_IORS
         ]
-        starts = [self._vector(dict(values) | film) for film in films]
+        starts = [self.vector(dict(values) | film) for film in films]
         return sorted(starts, key=lambda x: float(np.sum(self.residuals(x) ** 2)))[:_FILM_STARTS]
 
     def _model(self, x: Array) -> TargetBRDF:
         """The target's model with the parameters of a vector."""
         made, at = dict(self._start), 0
         for name in self._free:
+            if name in self._hues:
+                made[name] = (x[at] * self._hues[name]).tolist()
+                at += 1
+                continue
             size = np.size(made[name])
             made[name] = x[at : at + size].tolist() if isinstance(made[name], list) else float(x[at])
             at += size
@@ -123,6 +153,11 @@ class _Problem:
     def ball_difference(self, x: Array) -> float:
         """Mean CIEDE2000 of the ball, in the light of the fit."""
         return self._criterion.ball_difference(self._f_cos(x))
+
+    def relative(self, x: Array, samples: FitSamples) -> float:
+        """The relative residual of other samples."""
+        f_cos = self._model(x).eval(samples.wi, samples.wo) * samples.wo[:, 2:]
+        return Criterion(samples, "appearance").relative(f_cos)
 
     def _f_cos(self, x: Array) -> Array:
         at = self._criterion

@@ -24,7 +24,7 @@ PARAMETERS = {
     "roughnessFactor": Parameter(1.0, is_free=True, low=0.02),
     "ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specularFactor": Parameter(1.0),
-    "specularColorFactor": Parameter([1.0, 1.0, 1.0]),
+    "specularColorFactor": Parameter([1.0, 1.0, 1.0], is_free=True),
     "clearcoatFactor": Parameter(0.0, is_free=True),
     "clearcoatRoughnessFactor": Parameter(0.0, is_free=True, low=0.02),
     "sheenColorFactor": Parameter([0.0, 0.0, 0.0], is_free=True),

@@ -23,7 +23,7 @@ PARAMETERS = {
     "base_color": Parameter([0.8, 0.8, 0.8], is_free=True),
     "base_metalness": Parameter(0.0, is_free=True),
     "specular_weight": Parameter(1.0, is_free=True),
-    "specular_color": Parameter([1.0, 1.0, 1.0]),
+    "specular_color": Parameter([1.0, 1.0, 1.0], is_free=True),
     "specular_roughness": Parameter(0.3, is_free=True, low=0.02),
     "specular_ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specular_roughness_anisotropy": Parameter(0.0, low=0.02),

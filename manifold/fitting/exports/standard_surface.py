@@ -23,7 +23,7 @@ PARAMETERS = {
     "base_color": Parameter([0.8, 0.8, 0.8], is_free=True),
     "metalness": Parameter(0.0, is_free=True),
     "specular": Parameter(1.0, is_free=True),
-    "specular_color": Parameter([1.0, 1.0, 1.0]),
+    "specular_color": Parameter([1.0, 1.0, 1.0], is_free=True),
     "specular_roughness": Parameter(0.2, is_free=True, low=0.02),
     "specular_IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specular_anisotropy": Parameter(0.0),

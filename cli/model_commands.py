@@ -26,8 +26,8 @@ AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # that is worth a word
 
 
-Kind = Literal["blend", "monochrome", "material"]
-Optimizer = Literal["dls", "l-bfgs", "multistart"]
+Kind = Literal["blend", "material"]
+Optimizer = Literal["dls", "l-bfgs"]
 Criterion = Literal["decoded", "cube-root", "mapped", "likelihood"]
 MaterialsArgument = Annotated[
     list[str],
@@ -66,8 +66,8 @@ def embed(
     kind: Annotated[
         Kind,
         typer.Option(
-            help="blend: non-negative combinations of the surrounding materials. monochrome: a GPLVM of single "
-            "bands, with separate colour coordinates. material: a GPLVM of whole materials (Hikichi & Iwasaki)."
+            help="blend: non-negative combinations of the surrounding materials. material: a GPLVM of whole materials "
+            "(Hikichi & Iwasaki)."
         ),
     ] = "blend",
     latent_dim: Annotated[
@@ -82,42 +82,34 @@ def embed(
     mapping: Annotated[
         str,
         typer.Option(
-            help="Mapping of BRDF values: identity, cube-root, log, log-relative, or auto.", metavar="NAME"
+            help="Mapping of BRDF values, of kind material: identity, cube-root, log, log-relative, or auto. Blends "
+            "have cube-root only.",
+            metavar="NAME",
         ),
     ] = "cube-root",
     optimizer: Annotated[
         Optimizer | None,
         typer.Option(
             help="Optimiser of the latents, started from principal components. dls: direct local search without "
-            "gradients (Hikichi & Iwasaki, section 3.4). l-bfgs: quasi-Newton. multistart: the best of several "
-            "runs of both. [default: dls for kind material; the others support l-bfgs only]"
+            "gradients (Hikichi & Iwasaki, section 3.4). l-bfgs: quasi-Newton. [default: dls for kind material; "
+            "blends support l-bfgs only]"
         ),
     ] = None,
     mu: Annotated[
         float | None,
         typer.Option(
-            help="Observation noise: height of the kernel's delta term, from 1e-10 to 1e6. "
-            "[default: 0.0001; monochrome 0.001]",
+            help="Observation noise: height of the kernel's delta term, from 1e-10 to 1e6. [default: 0.0001]",
             metavar="MU",
         ),
     ] = None,
     kernel: Annotated[
         str,
         typer.Option(
-            help="Covariance function: se (squared exponential, as published), matern52, matern32, rq (rational "
-            "quadratic); each also with +linear, a linear term. For blends it determines the posterior variance "
-            "only, not the weights.",
+            help="Covariance function: se (squared exponential, as published), matern52 or matern32. For blends it "
+            "determines the posterior variance only, not the weights.",
             metavar="NAME",
         ),
     ] = "se",
-    criterion: Annotated[
-        Criterion,
-        typer.Option(
-            help="Objective that locates new materials: the linear error of the prediction, its cube-root error "
-            "(most accurate in colour), the residual of mapped values, or the negative log likelihood. Blends "
-            "support cube-root only."
-        ),
-    ] = "cube-root",
     landmarks: Annotated[
         int | None,
         typer.Option(
@@ -144,7 +136,6 @@ def embed(
         "optimizer": optimizer,
         "mu": mu,
         "kernel": kernel,
-        "criterion": criterion,
         "landmarks": landmarks,
     }
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
-from sklearn.utils import check_array, check_random_state
+from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import UsageError
-from manifold.latent.criteria import Products
 from manifold.latent.encoder import Encoder
 from manifold.latent.gp_weights import GPWeights
 from manifold.latent.kernels import Kernel, kernel_named, require_mu
@@ -46,8 +45,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     >>> bool(abs(np.corrcoef(model.embedding_[:, 0], t)[0, 1]) > 0.98)
     True
 
-    Starts from principal components and refines the latents. They are centred, unless the kernel has an origin, and
-    each axis has its longer tail positive. No optimiser ends above the start.
+    Starts from principal components and refines the latents. They are centred, and each axis has its
+    longer tail positive. No optimiser ends above the start.
 
     Args:
         n_components: Q, the number of latent dimensions.
@@ -55,15 +54,13 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
         kernel: its name, or a class of your own, see `kernel_named`.
         optimizer: `dls`, the direct local search of Hooke & Jeeves from the start, without gradients, as Hikichi &
-            Iwasaki publish it (section 3.4); `l-bfgs`, descent along the gradient from the start; `multistart`, the
-            best of several searches and descents, then of random relocations of groups of latents.
+            Iwasaki publish it (section 3.4); `l-bfgs`, descent along the gradient from the start.
         prior: weight of the Gaussian prior on the latents *per output*; 0 is none, 1 / D is eq. 19 of
             Hikichi & Iwasaki as they state it.
         start_scale: standard deviation of the start along every axis.
         max_iter: limit on rounds of a search and on iterations of L-BFGS; 0 keeps the start.
         tol: L-BFGS ends where an iteration gains less than a hundredth of this, times |F|, or no entry of the
             gradient is larger than this; direct local search where its steps are a hundred of these, in length scales.
-        random_state: of the relocations, as scikit-learn takes it; 0 makes fits repeatable.
 
     Attributes:
         embedding_: latents X, shape (N, Q).
@@ -92,7 +89,6 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         start_scale: float = 1.0,
         max_iter: int = 3000,
         tol: float = 1e-6,
-        random_state: Any = 0,
     ) -> None:
         self.n_components = n_components
         self.mu = mu
@@ -103,7 +99,6 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self.start_scale = start_scale
         self.max_iter = max_iter
         self.tol = tol
-        self.random_state = random_state
 
     # -- fitting -------------------------------------------------------------------------------------------
 
@@ -154,14 +149,12 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         # Where a search along coordinates ends depends on their order: farthest first, in whatever order samples come.
         order = np.argsort(-np.sum(start**2, axis=1), kind="stable")
         objective = LatentObjective(S[np.ix_(order, order)], n_outputs, kernel, float(self.prior))
-        run = Run(
-            objective, start[order], self.max_iter, self.tol, check_random_state(self.random_state), callback
-        )
+        run = Run(objective, start[order], self.max_iter, self.tol, callback)
         objective_start = run.best
         if self.max_iter > 0:
             with blas_threads(N):
                 run.refine(self.optimizer)
-        found = fix_gauge(run.best_X, centre=not kernel.has_origin)
+        found = fix_gauge(run.best_X)
         objective_end = objective(found)[0]
         if objective_end > objective_start:  # by rounding only: the start was optimal
             found, objective_end = start[order], objective_start
@@ -195,14 +188,15 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         Y_fit = self._require_data()
         mean = Y_fit.mean(axis=0)
         Y_c = validate_data(self, Y, reset=False, dtype=np.float64) - mean
-        products = Products(self.gram_, Y_c @ (Y_fit - mean).T, np.einsum("md,md->m", Y_c, Y_c))
-        squared, Q, prior = products.distances, self.embedding_.shape[1], float(self.prior)
-        encoder = Encoder(self.gp_, self.gram_, self.n_outputs_, Q, prior=prior, criterion="likelihood")
+        cross, norm = Y_c @ (Y_fit - mean).T, np.einsum("md,md->m", Y_c, Y_c)
+        of_fit = np.diag(self.gram_)
+        squared = norm[:, None] + of_fit - 2.0 * cross
+        encoder = Encoder(self.gp_, self.gram_, self.n_outputs_, float(self.prior))
         nearest = squared.argmin(axis=1)
-        same = squared.min(axis=1) <= _SAME * (products.norm + np.diag(self.gram_)[nearest])
+        same = squared.min(axis=1) <= _SAME * (norm + of_fit[nearest])
         latents = self.embedding_[nearest]
         for m in np.flatnonzero(~same):
-            latents[m] = encoder.encode_products(products.cross[[m]], products.norm[[m]])[0]
+            latents[m] = encoder.by_likelihood(cross[m], float(norm[m]))
         return latents
 
     def inverse_transform(self, X: Array) -> Array:

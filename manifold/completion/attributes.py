@@ -26,6 +26,7 @@ from manifold.errors import UsageError
 from manifold.formats.readings import Readings, gloss_fault
 from manifold.latent.decoder import Decoder, EncodingPairs
 from manifold.library.store import Library
+from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.decoding import decoder_at
 from manifold.model.latents import Place, PlaceLike
@@ -180,7 +181,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     """The place and colours nearest to a material that have some attributes.
 
     Args:
-        model: a map of blends, or a monochrome one.
+        model: a map of blends.
         x: the material to begin with.
         attributes: what it should become.
         colour: its colour at present, as `choose_colour` takes it.
@@ -298,8 +299,7 @@ class _Search:
     """Looks for places of a map by gloss, in a given colour, of a sample that lies turned."""
 
     def __init__(self, model: Manifold, angles: tuple[float, ...], rotation_rad: float) -> None:
-        model.colours  # noqa: B018  # raises where colours are fixed
-        self._model = model
+        self._model, self._space = model, require_blends(model.space)
         self._angles = angles
         self._rotation_rad = rotation_rad
 
@@ -319,7 +319,7 @@ class _Search:
 
     def colours(self, x: Array, factor: Array) -> Array:
         """Colours (B,) at which a place x (Q,) has a reflectance factor (B,) in the geometry 45/0."""
-        return self._model.space.colours_of(x, factor, self._reflectometer, np.array([np.pi]))[0]
+        return self._space.colours_of(x, factor, self._reflectometer, np.array([np.pi]))[0]
 
     def nearest(self, start: Array, factor: Array, units: Mapping[float, float]) -> Array:
         """The place nearest to a start (Q,) with gloss units by angle in degrees, in the colour of a factor (B,)."""
@@ -330,12 +330,12 @@ class _Search:
         lab = _lab_of_factor(factor, bands)
 
         def cost(x: Array) -> float:
-            colours, reached = self._model.space.colours_of(x, factor, self._reflectometer, spot)
+            colours, reached = self._space.colours_of(x, factor, self._reflectometer, spot)
             off = _lab_of_factor(reached, bands) - lab
             penalty = _COLOUR_WEIGHT * float(off @ off)
             for angle, asked in units.items():
                 meter, decoder = self._meters[angle]
-                collected = self._model.space.reflectance_of(x, colours, decoder, meter.weights)
+                collected = self._space.reflectance_of(x, colours, decoder, meter.weights)
                 gloss = 100.0 * float(luminance(collected, self._model.bands)) / meter.full_scale
                 penalty += _GLOSS_WEIGHT * np.log(max(gloss, _LEAST_GLOSS) / asked) ** 2
             return float(np.sum((x - start) ** 2)) + penalty

@@ -17,7 +17,6 @@ _HOMES = {
     "Kernel": "manifold.latent.kernels",
     "kernel_named": "manifold.latent.kernels",
     "Lobes": "manifold.latent.lobes",
-    "MonochromeGPLVM": "manifold.latent.per_band",
     "nonnegative_weights": "manifold.latent.nonnegative",
 }
 __all__ = list(_HOMES)

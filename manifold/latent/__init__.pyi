@@ -6,7 +6,6 @@ from .encoder import Encoder
 from .kernels import Kernel, kernel_named
 from .lobes import Lobes
 from .nonnegative import nonnegative_weights
-from .per_band import MonochromeGPLVM
 
 __all__ = [
     "GPLVM",
@@ -16,7 +15,6 @@ __all__ = [
     "GPWeights",
     "Kernel",
     "Lobes",
-    "MonochromeGPLVM",
     "direct_local_search",
     "hooke_jeeves",
     "kernel_named",

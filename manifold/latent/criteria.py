@@ -1,9 +1,8 @@
-"""Criteria that locate a new material, as functions of weights and variances.
+"""Criteria that locate a new material, as functions of weights and variance.
 
-A material has R rows, of one latent each: a whole material one of all its bands, single bands a row per band. A
-criterion maps weights V (R, n) of the training samples and posterior variances v (R,), in units of the output
-variance s^2, to a value and its derivatives. Values are of the size of a negative log likelihood per output, so
-that the prior on latents weighs alike beside all of them.
+A criterion maps weights V (n,) of the training materials and the posterior variance v, in units of the output
+variance s^2, to a value and its derivatives. Values are of the size of a negative log likelihood per output, so that
+the prior on latents weighs alike beside all of them.
 """
 
 from __future__ import annotations
@@ -16,14 +15,8 @@ import numpy as np
 from manifold.latent.decoder import Decoder
 from manifold.records import Array
 
-CRITERIA = ("decoded", "cube-root", "mapped", "likelihood")
-"""Linear error of decoded values, error of their cube roots, residual in the mapped domain, and likelihood."""
-
-OF_VALUES = ("decoded", "cube-root")
-"""Those that need decoded values; the others need inner products only."""
-
-Criterion = Callable[[Array, Array], tuple[float, Array, Array]]
-"""From V (R, n) and v (R,) to the value and its derivatives by V (R, n) and by v (R,)."""
+Criterion = Callable[[Array, float], tuple[float, Array, float]]
+"""From V (n,) and v to the value and its derivatives by V (n,) and by v."""
 
 # Relative to a material's root mean square: the slope of smaller cube roots is that of this one.
 _SMALLEST_ROOT = 1e-3
@@ -32,93 +25,84 @@ _ROUNDING = 1e-14  # relative rounding error of squared distances, which are dif
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Inner products of new rows and training samples in the mapped domain, all less the mean of the samples.
+    """Inner products of a new material and training materials in the mapped domain, all less the mean of the latter.
 
     Attributes:
-        S: among the n samples, shape (n, n).
-        cross: of R rows with the samples, shape (R, n).
-        norm: squared norms of the rows, shape (R,).
+        S: among the n materials, shape (n, n).
+        cross: of the new one with them, shape (n,).
+        norm: its squared norm.
     """
 
     S: Array
     cross: Array
-    norm: Array
+    norm: float
 
     @classmethod
-    def centred(cls, S: Array, cross: Array, norm: Array) -> Products:
-        """Of products about any origin: S (n, n), cross (R, n), norm (R,)."""
-        row_mean, mean, mean_cross = S.mean(axis=1), S.mean(), cross.mean(axis=1)
+    def centred(cls, S: Array, cross: Array, norm: float) -> Products:
+        """Of products about any origin: S (n, n), cross (n,), norm."""
+        row_mean, mean, mean_cross = S.mean(axis=1), S.mean(), float(cross.mean())
         return cls(
             S - row_mean[:, None] - row_mean[None] + mean,
-            cross - mean_cross[:, None] - row_mean[None] + mean,
-            np.maximum(norm - 2.0 * mean_cross + mean, 0.0),
+            cross - mean_cross - row_mean + mean,
+            max(float(norm - 2.0 * mean_cross + mean), 0.0),
         )
 
     @property
     def distances(self) -> Array:
-        """Squared distances of rows from samples, shape (R, n)."""
-        return self.norm[:, None] + np.diag(self.S)[None] - 2.0 * self.cross
+        """Squared distances from the training materials, shape (n,)."""
+        return self.norm + np.diag(self.S) - 2.0 * self.cross
 
-    def residual(self, V: Array) -> tuple[Array, Array]:
-        """Squared distances `||y_r - V_r Y||^2` of rows from their predictions, (R,), and derivatives by V (R, n)."""
+    def residual(self, V: Array) -> tuple[float, Array]:
+        """Squared distance `||y - V Y||^2` from the prediction, and its derivative by V (n,)."""
         VS = V @ self.S
-        squared = self.norm - 2.0 * np.sum(V * self.cross, axis=1) + np.sum(VS * V, axis=1)
+        squared = self.norm - 2.0 * float(V @ self.cross) + float(VS @ V)
         floor = _ROUNDING * (self.norm + np.trace(self.S) / len(self.S))
-        return np.maximum(squared, floor), 2.0 * (VS - self.cross)
+        return max(squared, floor), 2.0 * (VS - self.cross)
 
 
 def mapped_residual(products: Products) -> Criterion:
-    """`R/2 log sum_r ||T(f_r) - V_r T(F)||^2`."""
-    rows = len(products.norm)
+    """`1/2 log ||T(f) - V T(F)||^2`."""
 
-    def criterion(V: Array, v: Array) -> tuple[float, Array, Array]:
+    def criterion(V: Array, v: float) -> tuple[float, Array, float]:
         squared, slope = products.residual(V)
-        total = float(squared.sum())
-        return 0.5 * rows * float(np.log(total)), 0.5 * rows / total * slope, np.zeros_like(v)
+        return 0.5 * float(np.log(squared)), 0.5 / squared * slope, 0.0
 
     return criterion
 
 
 def likelihood(products: Products, scale: float) -> Criterion:
-    """`sum_r ( 1/2 log v_r + ||T(f_r) - V_r T(F)||^2 / (2 D s^2 v_r) )`.
+    """`1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`.
 
-    Residuals are relative to the posterior variance, which is then calibrated at the latents found.
+    The residual is relative to the posterior variance, which is then calibrated at the latent found.
 
     Args:
-        products: of the rows.
+        products: of the material.
         scale: D s^2, outputs times output variance.
     Source: Lawrence 2005, section 3.1; Rasmussen & Williams 2006, eq. 5.8.
     """
 
-    def criterion(V: Array, v: Array) -> tuple[float, Array, Array]:
+    def criterion(V: Array, v: float) -> tuple[float, Array, float]:
         squared, slope = products.residual(V)
         misfit = 0.5 * squared / (scale * v)
-        value = float(np.sum(0.5 * np.log(v) + misfit))
-        return value, 0.5 * slope / (scale * v)[:, None], (0.5 - misfit) / v
+        return float(0.5 * np.log(v) + misfit), 0.5 * slope / (scale * v), (0.5 - misfit) / v
 
     return criterion
 
 
-def decoded_error(decoder: Decoder, f: Array, *, cube_root: bool = False) -> Criterion:
-    """`R/2 log sum_r ||g(w f*_r) - g(w f_r)||^2` of values f (R, P), `w` the cosines; g the identity or the cube root.
-
-    Highlights dominate the linear error; that of cube roots is closer to perceived differences.
-    """
-    w, rows = decoder.cosines, len(f)
-    target = np.cbrt(w * f) if cube_root else w * f
-    floor = _ROUNDING * float(np.sum(target * target)) + np.finfo(float).tiny
+def decoded_error(decoder: Decoder, f: Array) -> Criterion:
+    """`1/2 log ||(w f*)^(1/3) - (w f)^(1/3)||^2` of values f (P,), `w` the cosines."""
+    w = decoder.cosines
+    target = np.cbrt(w * f)
+    floor = _ROUNDING * float(target @ target) + np.finfo(float).tiny
     # The slope of a cube root is unbounded at 0, where the search would diverge.
     steepest = 3.0 * _SMALLEST_ROOT**2 * float(np.mean(target * target)) + np.finfo(float).tiny
 
-    def criterion(V: Array, v: Array) -> tuple[float, Array, Array]:
-        values, slope = decoder.combine(V)
-        found, slope = w * values, w * slope
-        if cube_root:
-            found = np.cbrt(found)
-            slope = slope / np.maximum(3.0 * found * found, steepest)
+    def criterion(V: Array, v: float) -> tuple[float, Array, float]:
+        values, slope = (one[0] for one in decoder.combine(V[None]))
+        found = np.cbrt(w * values)
         difference = found - target
-        squared = max(float(np.sum(difference * difference)), floor)
-        dV = (rows / squared) * (difference * slope) @ decoder.mapped.T
-        return 0.5 * rows * float(np.log(squared)), dV, np.zeros_like(v)
+        squared = max(float(difference @ difference), floor)
+        slope = w * slope / np.maximum(3.0 * found * found, steepest)
+        return 0.5 * float(np.log(squared)), decoder.mapped @ (difference * slope) / squared, 0.0
 
     return criterion

@@ -132,17 +132,13 @@ class GPWeights:
         Exactly 0 at a training latent, at most the prior's.
         """
         A = solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
-        variance = np.maximum(self.kernel.prior_variance(X_new) - np.einsum("nm,nm->m", A, A), 0.0)
+        variance = np.maximum(self.kernel.prior_variance - np.einsum("nm,nm->m", A, A), 0.0)
         variance[first_equal_row(X_new, self.X) >= 0] = 0.0
         return variance
 
     def variance_fraction(self, X_new: Array) -> Array:
-        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates.
-
-        The prior's variance is taken without its linear term, which grows with the distance from the origin: far
-        latents, predicted by a line, count as extrapolated. At most 1.
-        """
-        return np.minimum(self.variance(X_new) / (1.0 + self.kernel.mu), 1.0)
+        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates."""
+        return self.variance(X_new) / self.kernel.prior_variance
 
     def output_variance(self, S: Array, n_outputs: int) -> float:
         """Profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
@@ -210,7 +206,7 @@ class GPWeights:
                 FlatModelWarning,
                 stacklevel=3,
             )
-        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * (1.0 + self.kernel.mu))
+        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * self.kernel.prior_variance)
         if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
             warnings.warn(
                 f"{alone} of {self.n_samples} latents are far from all others (length scale "
@@ -271,7 +267,7 @@ class GPWeights:
         rows = np.arange(X_new.shape[0])
         V[rows, nearest] -= 1.0  # y* - y_i as weights of the samples
         squared = np.einsum("mi,ij,mj->m", V, S, V, optimize=True)
-        factor = self.kernel.steepest_at(self.X) * np.sqrt(2.0 * self.n_samples)
+        factor = self.kernel.steepest / self.kernel.length_scale * np.sqrt(2.0 * self.n_samples)
         norm_Y = np.sqrt(max(float(np.trace(S)), 0.0))
         distance = distances[rows, nearest]
         return LengthScaleBound(

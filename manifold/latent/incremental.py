@@ -18,8 +18,8 @@ _LOG_DET, _TRACE, _SQUARED_NORM, _VALUE, _MOVES = range(5)
 class IncrementalObjective:
     """F as a `MoveObjective`: a move of one coordinate of one latent costs O(N^2).
 
-    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T`; `d_i` is half of what a linear term
-    changes the diagonal by, else 0. With `P = K^-1`, `p = P e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q`
+    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with
+    `d_i = 0`. With `P = K^-1`, `p = P e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q`
     and `t = (1 + b)^2 - a c`,
 
         |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
@@ -138,18 +138,17 @@ def _try_move(X, K, P, S, work, state, numbers, i, q, delta, cached):
     Leaves d, P d and S P d in `work`, and S P e_i, which moves of the same latent share (`cached`).
     """
     N, Q = X.shape
-    family, inverse_l2, slope, n_outputs, prior = numbers
+    family, inverse_l2, n_outputs, prior = numbers
     d, Pd, SPd, Sp = work[0], work[1], work[2], work[3]
     for j in range(N):
-        squared, product = 0.0, 0.0
+        squared = 0.0
         for k in range(Q):
             moved = X[i, k] + delta if k == q else X[i, k]
             squared += (moved - X[j, k]) ** 2
-            product += moved * X[j, k]
-        d[j] = radial_of_pair(family, squared * inverse_l2) + slope * product - K[i, j]
+        d[j] = radial_of_pair(family, squared * inverse_l2) - K[i, j]
         Pd[j] = 0.0
         SPd[j] = 0.0
-    d[i] = slope * delta * (X[i, q] + 0.5 * delta)
+    d[i] = 0.0
     for j in range(N):  # symmetric: rows serve as columns, and the inner loop runs along memory
         w = d[j]
         for k in range(N):
@@ -200,7 +199,7 @@ def _make_move(X, K, P, work, state, i, q, target, moved):
         along_q = (a * Pd[j] - (1.0 + b) * p[j]) / t
         for k in range(N):
             P[j, k] += along_p * p[k] + along_q * Pd[k]
-        K[i, j] += d[j] if j != i else 2.0 * d[i]
+        K[i, j] += d[j]
         K[j, i] = K[i, j]
     drift = 0.0
     for row in (i, int(state[_MOVES]) % N):

@@ -23,19 +23,15 @@ from manifold.records import Array, Indices, Mask
 
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 LARGEST_MU = 1e6  # above, everything is noise
-_LINEAR = "+linear"
 
 
 @dataclass(frozen=True)
 class Kernel(ABC):
-    """A radial covariance g(r^2) of unit variance, a linear term, and a delta.
-
-    `c(x, x') = g(||x - x'||^2 / l^2) + linear * x.x' / l^2 + mu * delta(x, x')`.
+    """A radial covariance g(r^2) of unit variance, and a delta: `c(x, x') = g(||x - x'||^2 / l^2) + mu delta(x, x')`.
 
     Attributes:
         mu: noise filter, the height of the delta, >= 0, in units of the signal variance.
         length_scale: l, > 0, in units of the latent coordinates.
-        linear: weight of the linear term, >= 0.
         family: what `kernel_named` calls the radial part.
         steepest: largest |dg/dr|.
 
@@ -44,7 +40,6 @@ class Kernel(ABC):
 
     mu: float = 1e-4
     length_scale: float = 1.0
-    linear: float = 0.0
     family: ClassVar[str]
     steepest: ClassVar[float]
 
@@ -53,22 +48,15 @@ class Kernel(ABC):
             raise UsageError(f"mu = {self.mu}, expected a finite number >= 0")
         if not (np.isfinite(self.length_scale) and self.length_scale > 0):
             raise UsageError(f"length_scale = {self.length_scale}, expected a finite number > 0")
-        if not (np.isfinite(self.linear) and self.linear >= 0):
-            raise UsageError(f"weight of the linear term = {self.linear}, expected a finite number >= 0")
 
     @property
     def name(self) -> str:
         """Its name as `kernel_named` takes it."""
-        return self.family + _LINEAR * self.has_origin
+        return self.family
 
     @property
-    def has_origin(self) -> bool:
-        """Whether it changes when all latents are shifted: the linear term does."""
-        return self.linear > 0
-
-    @property
-    def numbers(self) -> tuple[int, float, float]:
-        """Parameters for compiled loops: index of the family, `1 / l^2`, `linear / l^2`.
+    def numbers(self) -> tuple[int, float]:
+        """Parameters for compiled loops: index of the family, `1 / l^2`.
 
         Raises:
             UsageError: it is none of this package's.
@@ -78,12 +66,7 @@ class Kernel(ABC):
                 f"kernel '{self.family}' is your own, expected one of {', '.join(_FAMILIES)} for direct local search; "
                 "use the optimizer l-bfgs"
             )
-        return list(_FAMILIES).index(self.family), 1.0 / self.length_scale**2, self.slope_of_linear
-
-    @property
-    def slope_of_linear(self) -> float:
-        """`linear / l^2`."""
-        return self.linear / self.length_scale**2
+        return list(_FAMILIES).index(self.family), 1.0 / self.length_scale**2
 
     @abstractmethod
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
@@ -96,14 +79,12 @@ class Kernel(ABC):
     def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
         """`smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
         # Differences, not the expanded square: equal coordinates give exactly 0.
-        K, slope = self.radial(cdist(A, B, "sqeuclidean") / self.length_scale**2)
-        if self.linear:
-            K += self.slope_of_linear * (A @ B.T)
-        return K, slope
+        return self.radial(cdist(A, B, "sqeuclidean") / self.length_scale**2)
 
-    def prior_variance(self, X: Array) -> Array:
-        """Variance of the prior at X (M, Q), the delta included, shape (M,)."""
-        return 1.0 + self.mu + self.slope_of_linear * np.einsum("mq,mq->m", X, X)
+    @property
+    def prior_variance(self) -> float:
+        """Variance of the prior, the delta included."""
+        return 1.0 + self.mu
 
     def training(self, X: Array) -> Array:
         """Covariance K of the training latents X (N, Q), shape (N, N)."""
@@ -112,7 +93,7 @@ class Kernel(ABC):
     def training_and_slope(self, X: Array) -> tuple[Array, Array]:
         """`training(X)`, and its slope as `gradient` takes it, shape (N, N) both."""
         K, slope = self.smooth_and_slope(X, X)
-        K.flat[:: len(K) + 1] = self.prior_variance(X)
+        K.flat[:: len(K) + 1] = self.prior_variance
         return K, slope
 
     def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:
@@ -125,12 +106,7 @@ class Kernel(ABC):
         """
         slope = self.smooth_and_slope(A, B)[1] if slope is None else slope
         G = (2.0 / self.length_scale**2) * dK * slope
-        gradient = G.sum(axis=1)[:, None] * A - G @ B
-        return gradient + self.slope_of_linear * (dK @ B) if self.linear else gradient
-
-    def pull_back_variance(self, X: Array, d: Array | float) -> Array:
-        """Gradient with respect to X (M, Q) of `sum(d * prior_variance(X))`, d (M,) or a number, shape (M, Q)."""
-        return 2.0 * self.slope_of_linear * np.reshape(d, (-1, 1)) * X
+        return np.asarray(G.sum(axis=1)[:, None] * A - G @ B)
 
     def gradient(self, X: Array, dK: Array, slope: Array | None = None) -> Array:
         """Gradient with respect to X (N, Q) of a function of K = `training(X)`, shape (N, Q).
@@ -141,11 +117,6 @@ class Kernel(ABC):
             slope: from `training_and_slope(X)`, shape (N, N); computed if None.
         """
         return 2.0 * self.pull_back(X, X, dK, slope)
-
-    def steepest_at(self, X: Array) -> float:
-        """Largest change of the covariance with any row of X (N, Q), per unit of distance."""
-        norms = np.sqrt(np.einsum("nq,nq->n", X, X))
-        return self.steepest / self.length_scale + self.slope_of_linear * float(norms.max())
 
 
 class SquaredExponential(Kernel):
@@ -185,27 +156,16 @@ class Matern52(Kernel):
         return (1.0 + a + a * a / 3.0) * decay, (-5.0 / 6.0) * (1.0 + a) * decay
 
 
-class RationalQuadratic(Kernel):
-    """`g = 1 / (1 + r^2 / 2)`, the rational quadratic of alpha = 1. Source: Rasmussen & Williams 2006, eq. 4.19."""
-
-    family, steepest = "rq", math.sqrt(27.0 / 128.0)
-
-    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
-        """g and dg / d r^2 at squared distances."""
-        g = 1.0 / (1.0 + 0.5 * squared)
-        return g, -0.5 * g * g
-
-
 _FAMILIES: dict[str, type[Kernel]] = {
-    kernel.family: kernel for kernel in (SquaredExponential, Matern32, Matern52, RationalQuadratic)
+    kernel.family: kernel for kernel in (SquaredExponential, Matern32, Matern52)
 }
 
-KERNELS = tuple(family + suffix for suffix in ("", _LINEAR) for family in _FAMILIES)
+KERNELS = tuple(_FAMILIES)
 """Names that `kernel_named` takes."""
 
 
 def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
-    """A kernel by its name, such as `se` or `matern32+linear`, where the linear term has weight 1; or one of your own.
+    """A kernel by its name, such as `se` or `matern32`, or one of your own.
 
     Args:
         name: of the kernel, or a class derived from `Kernel` that has `family`, `steepest` and `radial`.
@@ -221,8 +181,7 @@ def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float
         return name(mu, length_scale)
     if name not in KERNELS:
         raise UsageError(f"no kernel is called '{name}', expected one of {', '.join(KERNELS)}")
-    family = name.removesuffix(_LINEAR)
-    return _FAMILIES[family](mu, length_scale, linear=float(name != family))
+    return _FAMILIES[name](mu, length_scale)
 
 
 @nb.njit(cache=True)
@@ -230,8 +189,6 @@ def radial_of_pair(family: int, squared: float) -> float:
     """g of one squared distance in length scales, for compiled loops: `Kernel.radial` by `Kernel.numbers`."""
     if family == 0:
         return math.exp(-0.5 * squared)
-    if family == 3:
-        return 1.0 / (1.0 + 0.5 * squared)
     a = math.sqrt((3.0 if family == 1 else 5.0) * squared)
     return (1.0 + a if family == 1 else 1.0 + a + a * a / 3.0) * math.exp(-a)
 

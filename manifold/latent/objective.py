@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -36,10 +35,6 @@ class LatentObjective:
         self.n_outputs = n_outputs
         self.kernel = kernel
         self.prior = prior
-
-    def with_mu(self, mu: float) -> LatentObjective:
-        """The same objective under another noise filter."""
-        return LatentObjective(self.S, self.n_outputs, replace(self.kernel, mu=mu), self.prior)
 
     def __call__(self, X: Array) -> tuple[float, Array]:
         """F at X (N, Q) and its gradient (N, Q).
@@ -95,14 +90,13 @@ def pca_start(S: Array, n_components: int) -> Array:
     return fix_gauge(X)
 
 
-def fix_gauge(X: Array, *, centre: bool = True) -> Array:
-    """Latents (N, Q) centred, if asked for, each axis with its longer tail positive.
+def fix_gauge(X: Array) -> Array:
+    """Latents (N, Q) centred, each axis with its longer tail positive.
 
-    The likelihood does not depend on either, unless the kernel has an origin: then latents must not be shifted. The
-    longer tail is that with the larger sum of cubes, whose sign is robust against rounding; on a symmetric axis it is
-    that of the latent of largest magnitude.
+    The likelihood does not depend on either. The longer tail is that with the larger sum of cubes, whose sign is robust
+    against rounding; on a symmetric axis it is that of the latent of largest magnitude.
     """
-    X = X - X.mean(axis=0) if centre else X
+    X = X - X.mean(axis=0)
     tail = np.sum(X**3, axis=0)
     largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
     is_symmetric = np.abs(tail) <= _SYMMETRIC * np.sum(np.abs(X) ** 3, axis=0)

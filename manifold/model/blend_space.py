@@ -58,10 +58,8 @@ class BlendSpace(LatentSpace):
     kernel: Kernel
     landmarks: Indices | None = None
     signatures: Array | None = None
-    sample_bands: None = None
     kind: ClassVar[str] = "blend"
     takes_colours: ClassVar[bool] = True
-    takes_gains: ClassVar[bool] = True
     is_nonnegative: ClassVar[bool] = True
 
     @property

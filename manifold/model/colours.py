@@ -59,7 +59,7 @@ class ColourChoice:
 
 
 NEAREST = ColourChoice()
-"""No choice: the colour blended from the surrounding materials or, on a monochrome manifold, the nearest material's."""
+"""No choice: the colour blended from the surrounding materials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,14 +96,14 @@ def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> Chosen
     x = place.latent
     if choice == NEAREST and place.path is not None:
         return ChosenColour(None, "between {} and {}, of these two alone".format(*place.path), 0.0)
-    if choice == NEAREST and not model.space.needs_colours:
+    if choice == NEAREST:
         return ChosenColour(None, "blended from the surrounding materials", 0.0)
     if choice.reflectance is None and choice.srgb is None:
-        name = choice.like if choice.like is not None else model.nearest(x)[0][0]
+        name = str(choice.like)
         colours = model.colours.like(x, name)
-        words = f"like {name}" + ", the nearest" * (choice.like is None)
         reached = model.colours.reached(x, colours)
-        return ChosenColour(colours, words, float(np.abs(reached - model.colours.reflectance(name)).max()))
+        off = float(np.abs(reached - model.colours.reflectance(name)).max())
+        return ChosenColour(colours, f"like {name}", off)
     if choice.reflectance is not None:
         given = choice.reflectance
         asked = (

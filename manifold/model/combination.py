@@ -88,7 +88,7 @@ class Combination:
 
     Attributes:
         mapping: T.
-        weights: of the materials, alike in all bands, shape (N,); or of monochrome samples, band by band, shape
+        weights: of the materials, alike in all bands, shape (N,); or of single bands, band by band, shape
             (B, N * B_s), where sample n * B_s + s is band `sample_bands[s]` of material n; or of the atoms that a
             dictionary makes of these samples, (B, n').
         sample_bands: which bands are samples, shape (B_s,); None where whole materials are.

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.latent.decoder import EncodingPairs
-from manifold.latent.per_band import MonochromeGPLVM
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
-from manifold.model.curve_space import CurveSpace
-from manifold.model.decoding import decoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import MOST_LAID_OUT, Settings
-from manifold.records import Indices, evenly_spaced
-from manifold.system import progress
+from manifold.records import evenly_spaced
 from manifold.system.names import counted
 
 _LIT_DEG = np.array([0.0, 45.0])
@@ -86,7 +80,7 @@ def _warn_if_bright(material: MeasuredBRDF) -> MeasuredBRDF:
 def _fit_materials(materials: MaterialCache, s: Settings) -> Fitted:
     from manifold.gplvm import GPLVM  # imports scikit-learn, most of a second that predictions need not spend
 
-    matrix = _gram(materials, s, None)
+    matrix = _gram(materials, s)
     fitted = GPLVM(
         s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior
     ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
@@ -96,29 +90,6 @@ def _fit_materials(materials: MaterialCache, s: Settings) -> Fitted:
         {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)},
         None,
     )
-
-
-def _fit_curves(materials: MaterialCache, s: Settings) -> Fitted:
-    n_bands = materials.library.bands.count
-    bands = evenly_spaced(n_bands, s.sample_bands)
-    matrix = _gram(materials, s, bands)
-    fitted = MonochromeGPLVM(
-        s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior
-    ).fit_gram(matrix.S, len(materials.names), matrix.n_outputs)  # fmt: skip
-    unknown = np.zeros((len(materials.names), 0))  # decoding needs the samples' colours alone
-    space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
-    # The colours of all bands, those of the samples too, by the decoded error, which is that of predictions.
-    pairs = EncodingPairs.default(materials.is_isotropic)
-    encoder = space.encoder(decoder_at(pairs, space, materials, s), replace(s, criterion="decoded"))
-    sphere, measure = integrating_sphere()
-    colours = np.empty((len(materials.names), n_bands))
-    reflectances = np.empty_like(colours)
-    for n, material in progress.each(enumerate(materials.filled()), "colours"):
-        f = material.eval(pairs.wi, pairs.wo).T
-        colours[n] = encoder.encode_colours(space.X[n], f)[:, 0]
-        reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
-    statistics = {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)}
-    return replace(space, own_colours=colours, reflectances=reflectances), statistics, None
 
 
 def _fit_blends(materials: MaterialCache, s: Settings) -> Fitted:
@@ -134,22 +105,17 @@ def _fit_blends(materials: MaterialCache, s: Settings) -> Fitted:
     return space, {"objective_start": layout.objective_start, "objective": layout.objective}, samples
 
 
-_FITS = {"blend": _fit_blends, "material": _fit_materials, "monochrome": _fit_curves}
+_FITS = {"blend": _fit_blends, "material": _fit_materials}
 
 
-def _gram(materials: MaterialCache, s: Settings, bands: Indices | None) -> gram.Gram:
-    """The Gram matrix of whole materials, or of the given bands as samples, from the library's cache."""
+def _gram(materials: MaterialCache, s: Settings) -> gram.Gram:
+    """The Gram matrix of the materials, from the library's cache."""
     library, mapping = materials.library, mapping_named(s.mapping)
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
-    chosen = None if bands is None else bands.tolist()
-    key = gram.cache_key(library.content_hash, materials.names, mapping, grid, chosen)
+    key = gram.cache_key(library.content_hash, materials.names, mapping, grid)
     cached = library.cache_get(key)
-    size = len(materials.names) * (1 if bands is None else len(bands))
-    if cached is not None and cached["S"].shape == (size, size):
+    if cached is not None and cached["S"].shape == (len(materials.names),) * 2:
         return gram.Gram(cached["S"], int(cached["n_outputs"][0]))
-    brdfs = materials.filled()
-    if chosen is not None:
-        brdfs = [brdf.select_bands(chosen) for brdf in brdfs]
-    matrix = gram.gram_matrix(brdfs, mapping, grid, per_band=chosen is not None)
+    matrix = gram.gram_matrix(materials.filled(), mapping, grid)
     library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
     return matrix

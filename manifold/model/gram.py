@@ -48,24 +48,18 @@ def gram_matrix(
     materials: Sequence[BRDF],
     mapping: Mapping,
     grid: RusinkiewiczGrid,
-    *,
-    per_band: bool = False,
 ) -> Gram:
     """Accumulate the Gram matrix of N materials of the same bands over a grid of direction pairs.
 
-    Every pair counts by cos(theta_i) cos(theta_o), the weight it has in an image. With `per_band` every band of
-    every material is a sample of its own.
+    Every pair counts by cos(theta_i) cos(theta_o), the weight it has in an image.
     """
-    n_samples = len(materials) * (materials[0].bands.count if per_band else 1)
-    S = np.zeros((n_samples, n_samples))
+    S = np.zeros((len(materials), len(materials)))
     n_outputs = 0
     total = -(-grid.n_pairs // BLOCK_PAIRS)
     for done, (wi, wo, f) in enumerate(value_blocks(materials, grid), start=1):
         cosines = cosine_weight(wi, wo)
         mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2])) * np.sqrt(cosines)[:, None]
-        if per_band:
-            mapped = np.moveaxis(mapped, 2, 1)
-        flat = mapped.reshape(n_samples, -1)
+        flat = mapped.reshape(len(materials), -1)
         S += flat @ flat.T
         n_outputs += flat.shape[1]
         progress.report(done, total, "direction pairs")
@@ -77,13 +71,7 @@ def cache_key(
     names: Sequence[str],
     mapping: Mapping,
     grid: RusinkiewiczGrid,
-    sample_bands: Sequence[int] | None = None,
 ) -> str:
-    """Name under which a library caches a Gram matrix of some materials: a hash of all that it depends on.
-
-    `sample_bands` are the bands that are samples of their own; None where whole materials are.
-    """
+    """Name under which a library caches a Gram matrix of some materials: a hash of all that it depends on."""
     text = f"gram-3 {content_hash} {list(names)} {mapping!r} {grid!r}"
-    if sample_bands is not None:
-        text += f" bands {list(sample_bands)}"
     return hashlib.sha256(text.encode()).hexdigest()

@@ -57,7 +57,7 @@ class LatentMap:
 
     @property
     def X(self) -> Array:
-        """Latents of the materials, read-only, shape (N, Q); of a monochrome manifold their structure coordinates."""
+        """Latents of the materials, read-only, shape (N, Q)."""
         return self.space.X
 
     @property
@@ -72,23 +72,15 @@ class LatentMap:
 
     @property
     def gp(self) -> GPWeights:
-        """The Gaussian process on the latents of the materials, or of the monochrome samples."""
+        """The Gaussian process on the latents of the materials."""
         return self.space.gp
 
     def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Weights of the materials at a place (Q,) or latents x (M, Q), shape (M, N) or (N,); they sum to 1.
-
-        Of a monochrome manifold: summed over the samples of a material, averaged over bands, at the colours (B,)
-        given, or in the colours of the surrounding materials.
-        """
+        """Weights of the materials at a place (Q,) or latents x (M, Q), shape (M, N) or (N,); they sum to 1."""
         return self._at(x, colours, self.space.material_weights)
 
     def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1].
-
-        Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
-        over the sample bands in the colours of the surrounding materials.
-        """
+        """Posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1]."""
         return np.sqrt(self._at(x, colours, self.space.variance_fraction))
 
     def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:

@@ -12,7 +12,6 @@ from typing import ClassVar
 import numpy as np
 
 from manifold.errors import ShapeError, UsageError
-from manifold.latent.colour_table import ColourTable
 from manifold.latent.decoder import Decoder, EncodingPairs
 from manifold.latent.gp_weights import GPWeights
 from manifold.latent.kernels import Kernel, first_equal_row
@@ -59,27 +58,21 @@ class LatentSpace(ABC):
     Colours that arguments take are checked already, by `require_colours`.
 
     Attributes:
-        X: latents of the materials, shape (N, Q); where bands have latents of their own, the coordinates they share.
+        X: latents of the materials, shape (N, Q).
         kernel: covariance function on the latents.
-        sample_bands: bands of the materials that predictions combine, shape (B_s,); None is all of them.
         own_colours: colour coordinates of the materials in all bands, shape (N, B), if colours can be chosen.
         reflectances: of the materials at 8 degrees, specular included, shape (N, B), if colours can be chosen.
         landmarks: materials on whose map all others were located, shape (M,); None where all were laid out.
         kind: its name.
         takes_colours: whether colours can be chosen.
-        takes_gains: whether colours can have a gain per band.
-        needs_colours: whether a prediction needs them.
         is_nonnegative: whether negative measured values are taken for 0 where materials are combined.
     """
 
     kind: ClassVar[str]
     takes_colours: ClassVar[bool] = False
-    takes_gains: ClassVar[bool] = False
-    needs_colours: ClassVar[bool] = False
     is_nonnegative: ClassVar[bool] = False
     X: Array
     kernel: Kernel
-    sample_bands: Indices | None
     landmarks: Indices | None = None
     own_colours: Array
     reflectances: Array
@@ -91,7 +84,7 @@ class LatentSpace(ABC):
     @cached_property
     def gp(self) -> GPWeights:
         """The Gaussian process of the training samples."""
-        return GPWeights(self.latents_of(np.arange(len(self.X))), self.kernel)
+        return GPWeights(self.X, self.kernel)
 
     @property
     def materials_in_words(self) -> str:
@@ -120,27 +113,11 @@ class LatentSpace(ABC):
 
     def numbers(self, n_bands: int) -> int:
         """How many numbers describe a material of `n_bands` bands: its latent, and colours and gains."""
-        return self.X.shape[1] + n_bands * (self.takes_colours + self.takes_gains)
+        return self.X.shape[1] + 2 * n_bands * self.takes_colours
 
     def around(self, x: Array) -> tuple[Indices, LatentSpace] | None:
         """The materials that predictions at x (Q,) depend on, (n,), and the space of these; None where all may."""
         return None
-
-    def sample_rows(self, materials: Indices) -> Indices:
-        """Indices of the training samples of some materials; by default a material is one sample."""
-        return materials
-
-    def latents_of(self, materials: Indices) -> Array:
-        """Latents of the training samples of some materials, shape (n, Q')."""
-        return self.X[materials]
-
-    def own_latents(self, material: int) -> Array:
-        """Latents of one material: one, or one per band, shape (1 or B, Q')."""
-        return self.X[material : material + 1]
-
-    def join(self, X: Array, colours: Array | None) -> Array:
-        """Latents (M R, Q') of the process at X (M, Q), in colours (B,) or those of surrounding materials."""
-        return X
 
     @abstractmethod
     def weights(self, x: Array, colours: Array | None) -> Array:
@@ -163,7 +140,7 @@ class LatentSpace(ABC):
             raise UsageError(fixed_colours(self.kind))
         colours = np.asarray(colours, dtype=np.float64)
         n_bands = self.reflectances.shape[1]
-        expected = [(n_bands,), (2, n_bands)][: 1 + self.takes_gains]
+        expected = [(n_bands,), (2, n_bands)]
         if colours.shape not in expected or not np.all(np.isfinite(colours)):
             shapes = " or ".join(map(str, expected))
             raise ShapeError(f"colours have shape {colours.shape}, expected {shapes}, finite")
@@ -203,17 +180,7 @@ class LatentSpace(ABC):
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])
-        return Combination(mapping, self.weights(x, colours), self.sample_bands)
-
-    def reflectance_of(self, x: Array, colours: Array, decoder: Decoder, measure: Array) -> Array:
-        """Reflectance (B,) of a structure x (Q,) in colours (B,), by a measure (P,) of the decoder's outputs."""
-        return decoder.decode(self.join(x[None], colours)) @ measure
-
-    def colours_of(
-        self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
-    ) -> tuple[Array, Array]:
-        """Colours (B,) in which a structure x (Q,) has a reflectance (B,), and the reflectance reached, (B,)."""
-        return ColourTable(decoder, x).of_albedo(reflectance, measure)
+        return Combination(mapping, self.weights(x, colours))
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
         """The material whose latent x (Q,) and colours (B,) these are."""
@@ -229,9 +196,8 @@ class LatentSpace(ABC):
         return found
 
     def variance_fraction(self, X: Array, colours: Array | None) -> Array:
-        """Posterior over prior variance at X (M, Q), averaged over bands, shape (M,); 0 at a material."""
-        found = self.gp.variance_fraction(self.join(X, colours)).reshape(len(X), -1).mean(axis=1)
-        return np.where(self.training_indices(X, colours) < 0, found, 0.0)
+        """Posterior over prior variance at X (M, Q), shape (M,); 0 at a material."""
+        return np.where(self.training_indices(X, colours) < 0, self.gp.variance_fraction(X), 0.0)
 
 
 def fixed_colours(kind: str) -> str:

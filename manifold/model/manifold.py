@@ -139,11 +139,8 @@ class Manifold(LatentMap):
         return self.materials.measured(name)
 
     def prepare(self) -> None:
-        """Load what all predictions need: the materials, or, for a monochrome manifold, some of their bands."""
-        if self.space.sample_bands is not None:
-            self.materials.in_bands(self.space.sample_bands.tolist())
-        else:
-            self.materials.filled()
+        """Load what all predictions need: the materials."""
+        self.materials.filled()
 
     # -- predicting ----------------------------------------------------------------------------------------
 
@@ -167,10 +164,9 @@ class Manifold(LatentMap):
 
         Args:
             x: latent, the name of a material, or `FROM:TO:T` on the walk between two, which `interpolate` makes
-                unless colours are given; of a monochrome manifold, the structure.
+                unless colours are given.
             colours: colour coordinate of every band, shape (B,), as `colours.of_reflectance` gives them; of blends
-                also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials,
-                and gives x on a monochrome manifold the reflectance of the nearest one.
+                also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials.
         Raises:
             LatentError: x is not (Q,) or not finite.
             UsageError: colours for a manifold of kind `material`, or no such material.
@@ -183,8 +179,6 @@ class Manifold(LatentMap):
         if place.path is not None and colours is None:
             return self.interpolate(*place.path)
         x = place.latent
-        if colours is None and self.space.needs_colours:
-            colours = self.colours.like(x, self.nearest(x)[0][0])
         combination = self.combination(x, colours)
         if combination.source is not None:
             return PredictedBRDF(
@@ -222,29 +216,27 @@ class Manifold(LatentMap):
             self._walked[name] = Walked.of(self.materials.filled([name])[0])
         return self._walked[name]
 
-    def embed(self, brdf: BRDF, criterion: str | None = None) -> Embedded:
+    def embed(self, brdf: BRDF) -> Embedded:
         """Find the latent, and colours, whose decoded prediction is nearest to a material's data.
 
         Args:
             brdf: a material in the bands of the library.
-            criterion: the objective, see `manifold.latent.criteria`; by default that of the settings. Blends
-                are found by cube roots only.
         Raises:
             BandMismatchError: it has other bands.
-            UsageError: there is no such criterion.
         """
         require_brdf(brdf, "the material to embed")
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
         is_isotropic = self.materials.is_isotropic and brdf.is_isotropic
         pairs = self.space.embedding_pairs(is_isotropic)
-        settings = self.settings if criterion is None else replace(self.settings, criterion=criterion)
         f = brdf.eval(pairs.wi, pairs.wo).T
         if isinstance(self.space, BlendSpace) and self.space.landmarks is not None:
             if is_isotropic not in self._searches:
                 samples = SamplesOnDemand(self.space, self.materials, pairs)
                 self._searches[is_isotropic] = LandmarkSearch(self.space, samples)
             return self._searches[is_isotropic].embed(f)
-        return self.space.embed(decoder_at(pairs, self.space, self.materials, self.settings), f, settings)
+        return self.space.embed(
+            decoder_at(pairs, self.space, self.materials, self.settings), f, self.settings
+        )
 
     def reconstruct(self, brdf: BRDF, numbers: int | None = None) -> PredictedBRDF:
         """Non-negative least squares of a material over all samples and analytic lobes, in every band.

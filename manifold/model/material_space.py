@@ -9,9 +9,13 @@ from typing import ClassVar
 import numpy as np
 
 from manifold.latent.decoder import Decoder
+from manifold.latent.encoder import Encoder
 from manifold.latent.kernels import Kernel
-from manifold.model.latent_space import Embedded, require_shapes
-from manifold.model.process_space import ProcessSpace
+from manifold.model.combination import Combination
+from manifold.model.decoding import decoder_at
+from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_shapes
+from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.records import AnyArray, Array, Indices, evenly_spaced
 
@@ -19,7 +23,7 @@ _EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spac
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MaterialSpace(ProcessSpace):
+class MaterialSpace(LatentSpace):
     """Whole materials as points, with the same weights in all bands: the method of Hikichi & Iwasaki.
 
     Attributes:
@@ -33,7 +37,6 @@ class MaterialSpace(ProcessSpace):
     S: Array
     n_outputs: int
     kernel: Kernel
-    sample_bands: None = None
     kind: ClassVar[str] = "material"
 
     def without(self, material: int) -> MaterialSpace:
@@ -73,7 +76,25 @@ class MaterialSpace(ProcessSpace):
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
         """The latent of a material with values f (B, P) in all bands."""
-        values = f[self.embedding_bands(len(f))].reshape(1, -1)
-        latent = self.encoder(decoder, settings).encode(values)
-        error = decoder.relative_error(latent, values)
-        return Embedded(latent[0], None, error, error)
+        values = f[self.embedding_bands(len(f))].reshape(-1)
+        latent = Encoder.of_decoder(decoder, settings.prior).by_values(decoder, values)
+        error = decoder.relative_error(latent[None], values[None])
+        return Embedded(latent, None, error, error)
+
+    def left_out_search(
+        self, table: MaterialTable, materials: MaterialCache, settings: Settings
+    ) -> LeftOutSearch:
+        """A search that encodes each material in the process on the others."""
+        pairs = self.embedding_pairs(materials.is_isotropic)
+        whole = decoder_at(pairs, self, materials, settings)
+        brdfs = materials.filled()
+
+        def find(i: int) -> tuple[Array, Combination, float]:
+            others, rest = np.delete(np.arange(len(self.X)), i), self.without(i)
+            decoder = Decoder(rest.gp, whole.mapped[others], whole.mapping, whole.cosines)
+            found = rest.embed(decoder, brdfs[i].eval(pairs.wi, pairs.wo).T, settings)
+            every = np.zeros(len(self.X))
+            every[others] = rest.weights(found.latent, None)
+            return found.latent, Combination(whole.mapping, every), found.residual
+
+        return find

@@ -1,4 +1,4 @@
-"""Colours of monochrome manifolds and of blends as reflectances.
+"""Colours of blends as reflectances.
 
 Reflectance is the directional-hemispherical one at 8 degrees, specular included, as integrating spheres measure it;
 of an RGB library, the linear sRGB colour.
@@ -12,6 +12,7 @@ import numpy as np
 
 from manifold.errors import ShapeError, UsageError
 from manifold.latent.decoder import Decoder
+from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import decoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace, fixed_colours
 from manifold.model.latents import require_latent
@@ -29,7 +30,7 @@ class ReflectanceColours:
         Raises:
             UsageError: its materials have fixed colours.
         """
-        if not space.takes_colours:
+        if not isinstance(space, BlendSpace):
             raise UsageError(fixed_colours(space.kind))
         self._own, self._reflectances = space.own_colours, space.reflectances
         self._space, self._materials, self._settings = space, materials, settings
@@ -85,7 +86,7 @@ class ReflectanceColours:
     def _latent(self, x: Array) -> Array:
         return require_latent(x, self._space.X.shape[1])
 
-    def _around(self, x: Array) -> tuple[LatentSpace, Decoder, Array]:
+    def _around(self, x: Array) -> tuple[BlendSpace, Decoder, Array]:
         """The space, or what of it predictions at x (Q,) depend on, its decoder inside an integrating sphere, and what
         gives the reflectance when multiplied with its values, (P,).
         """

@@ -5,19 +5,16 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
-from manifold.errors import LibraryError
+from manifold.errors import LibraryError, ModelError, UsageError
 from manifold.library.store import Library
 from manifold.model.blend_space import BlendSpace
-from manifold.model.curve_space import CurveSpace
 from manifold.model.latent_space import LatentSpace
 from manifold.model.left_out import LeftOut
 from manifold.model.material_space import MaterialSpace
 from manifold.model.model_file import ModelRecord, damaged
 from manifold.model.settings import Settings
 
-SPACES: dict[str, type[LatentSpace]] = {
-    space.kind: space for space in (BlendSpace, CurveSpace, MaterialSpace)
-}
+SPACES: dict[str, type[LatentSpace]] = {space.kind: space for space in (BlendSpace, MaterialSpace)}
 """The kinds of latent space, by name."""
 
 
@@ -59,13 +56,14 @@ def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, Lef
         ModelError: they do not fit each other.
     """
     try:
-        known = {"criterion": "cube-root"} | stored.settings  # which could not always be chosen
-        settings = Settings(**{f.name: known[f.name] for f in fields(Settings)})
+        settings = Settings(**{f.name: stored.settings[f.name] for f in fields(Settings)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), stored.n_bands or 0)
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:
             raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")
         left_out = LeftOut.from_arrays(stored.arrays, space)
+    except UsageError as error:
+        raise ModelError(f"{path}: fitted with {error}; embed the library again") from error
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise damaged(path, error) from error
     return settings, space, left_out

@@ -7,7 +7,6 @@ from numbers import Integral
 from typing import Any, cast
 
 from manifold.errors import UsageError
-from manifold.latent.criteria import CRITERIA
 from manifold.latent.kernels import Kernel, kernel_named, require_mu
 from manifold.latent.search import OPTIMIZERS
 from manifold.mapping import mapping_named
@@ -15,10 +14,9 @@ from manifold.metrics import RusinkiewiczGrid
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
     "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},
-    "monochrome": {"optimizer": "l-bfgs", "mu": 1e-3, "prior": 0.1},
     "material": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
 }
-_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "monochrome": ("l-bfgs",), "material": tuple(OPTIMIZERS)}
+_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "material": tuple(OPTIMIZERS)}
 
 KINDS = tuple(_KIND_DEFAULTS)
 
@@ -32,20 +30,19 @@ class Settings:
     """How a manifold was fitted.
 
     Attributes:
-        kind: `blend`, every point a non-negative combination of materials; `monochrome`, every band a
-            sample; or `material`, the method of Hikichi & Iwasaki.
-        latent_dim: Q; of a monochrome manifold the structure coordinates, to which every band adds a colour.
+        kind: `blend`, every point a non-negative combination of materials; or `material`, the method of Hikichi &
+            Iwasaki.
+        latent_dim: Q.
         mapping: name of the mapping.
-        optimizer: of `GPLVM`; None is the kind's own. Kinds but `material` have `l-bfgs` only.
+        optimizer: of `GPLVM`; None is the kind's own. Blends have `l-bfgs` only.
         mu: noise filter of the kernel; None is the kind's own.
         prior: weight of the Gaussian prior on the latents; None is the kind's own.
         length_scale: l, in units of the latents.
         kernel: name of the kernel, see `kernel_named`.
         grid: name of the grid of direction pairs behind the Gram matrix.
-        sample_bands: bands per material that are samples of a monochrome manifold, at most.
+        sample_bands: bands per material of which colours of blends are made, at most.
         landmarks: number of materials of a map of blends that are laid out, the others being located among them; None
             is all of at most 300 materials, and 150 of more.
-        criterion: by which new materials are found, one of `criteria.CRITERIA`; blends have `cube-root` only.
     """
 
     kind: str = "blend"
@@ -58,7 +55,6 @@ class Settings:
     kernel: str = "se"
     grid: str = "default"
     sample_bands: int = 5
-    criterion: str = "cube-root"
     landmarks: int | None = None
 
     def __post_init__(self) -> None:
@@ -75,11 +71,7 @@ class Settings:
             )
         if self.kind == "blend" and self.mapping != "cube-root":
             raise UsageError(f"mapping '{self.mapping}' for kind blend, expected cube-root")
-        if self.criterion not in CRITERIA:
-            raise UsageError(f"criterion '{self.criterion}', expected one of {', '.join(CRITERIA)}")
-        if self.kind == "blend" and self.criterion != "cube-root":
-            raise UsageError(f"criterion '{self.criterion}' for kind blend, expected cube-root")
-        for name, least in (("latent_dim", 0), ("sample_bands", 2)):  # 0: colours alone, as the report tries
+        for name, least in (("latent_dim", 1), ("sample_bands", 2)):
             value = getattr(self, name)
             if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
                 raise UsageError(f"{name} is {value!r}, expected a whole number from {least}")

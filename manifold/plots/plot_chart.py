@@ -41,7 +41,6 @@ STYLES = {
     "one or two materials": _Style("D", "#cc79a7"),
     "PCA": _Style("o", "#0072b2"),
     "GPLVM, whole materials": _Style("s", "#e69f00"),
-    "GPLVM, monochrome samples": _Style("^", "#009e73"),
     BLENDS: _Style("P", "#000000"),
     NONNEGATIVE: _Style("v", "#56b4e9"),
     AS_PUBLISHED: _Style("*", "#d55e00"),

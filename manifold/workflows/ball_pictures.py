@@ -38,7 +38,7 @@ def latent_map(
         output: the picture.
         library: path of the model's library, if it was moved.
         marked: place of a prediction to show; a material is located.
-        colour: of that prediction, on a monochrome manifold.
+        colour: of that prediction.
     Returns:
         The prediction that is marked, and what is left out: balls, where Mitsuba is missing; materials are points then.
     """

@@ -36,8 +36,8 @@ START, END = "syn_satin_gold", "syn_metallic_gold"
 _BETWEEN = f"{START}:{END}:0.75"
 
 CHARTED = (
-    "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root", "monochrome_2_1_3",
-    "monochrome_3_1_3", "blend_2", "blend_2_half", "blend_2_angles_2_1", "nonnegative", "fit_gauss-newton",
+    "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root",
+    "blend_2", "blend_2_half", "blend_2_angles_2_1", "nonnegative", "fit_gauss-newton",
 )  # fmt: skip
 """Settings in the demo's chart; `manifold chart` measures all."""
 

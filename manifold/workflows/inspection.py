@@ -24,7 +24,6 @@ from manifold.workflows.sources import FileSource, MaterialSource, source_file
 
 _FIT = b'{\n  "format": "manifold fit"'
 _KINDS = {
-    "monochrome": "monochrome: structure on the map, a colour per band",
     "blend": "blends of whole materials",
     "material": "whole materials",
 }
@@ -263,7 +262,6 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "mapping": s.mapping,
         "kernel": f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
         "optimizer": s.optimizer,
-        "criterion": s.criterion,
         "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }

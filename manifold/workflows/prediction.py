@@ -40,7 +40,7 @@ def predict(
         latent: Q coordinates, another place, or a material, which is located.
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
-        colour: of a monochrome manifold, whose latent is the structure alone.
+        colour: another than that of the place.
         attributes: gloss and colour that the material should have instead of its own; see `attributes.adjust`.
         options: of the file.
     Raises:
@@ -53,7 +53,7 @@ def predict(
     if not isinstance(model, Manifold):
         model = Manifold.load(model, library)
     place = place_of(latent, model)
-    if colour != NEAREST or model.space.needs_colours or place.path is not None:
+    if colour != NEAREST or place.path is not None:
         model.prepare()
     if attributes is None:
         adjusted, chosen = None, choose_colour(model, place, colour)

@@ -103,7 +103,7 @@ def test_help_loads_nothing_heavy(tmp_path):
         (["predict", "--latent", "0.3", "1.2"], "coordinates have commas and no blanks, such as 0.3,1.2"),
         (["complete", "--lab", "40", "50", "30"], "a colour has commas, such as 50,20,10"),
         (["calibrate", "samples"], "or two folders"),
-        (["embed", "--kernel", "cubic"], "matern32+linear"),
+        (["embed", "--kernel", "cubic"], "matern32"),
         (["embed", "--mapping", "cuberoot"], "did you mean cube-root?"),
         (["embed", "--mu", "0"], "mu = 0.0, expected 1e-10 to 1e+06"),
         (["report", "--grid", "huge"], "hikichi"),

@@ -80,18 +80,6 @@ def test_several_latents_have_the_errors_and_support_of_each(model):
     np.testing.assert_array_equal(model.is_extrapolation(X), [model.is_extrapolation(x) for x in X])
 
 
-def test_several_latents_of_a_monochrome_manifold_have_what_each_has(model):
-    monochrome = Manifold.fit(model.library, Settings(kind="monochrome"), calibrate=False)
-    colours = monochrome.space.own_colours[2]
-    for found in (monochrome.std, monochrome.weights):
-        together = found(monochrome.X, colours)
-        each = [found(x, colours) for x in monochrome.X]
-        np.testing.assert_allclose(together, each, rtol=1e-9, atol=1e-12)  # sums in another order
-        if found == monochrome.std:
-            assert together[2] == 0.0
-            assert np.all(np.delete(together, 2) > 0.0)
-
-
 class Gloss:
     """A BRDF of somebody's own: what evaluation takes, and no more."""
 

@@ -38,7 +38,7 @@ from manifold.model.manifold import Manifold, Settings
 from manifold.model.materials import MaterialCache
 from manifold.plots import figures, plot_latents
 
-KINDS = ("monochrome", "material")
+KINDS = ("material",)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -62,17 +62,17 @@ def models(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def reports(models):
-    return {kind: report.make_report(model, compare=kind == "monochrome") for kind, model in models.items()}
+    return {kind: report.make_report(model, compare=True) for kind, model in models.items()}
 
 
 @pytest.fixture(scope="module")
 def model(models):
-    return models["monochrome"]
+    return models["material"]
 
 
 @pytest.fixture(scope="module")
 def made(reports):
-    return reports["monochrome"]
+    return reports["material"]
 
 
 @pytest.fixture(scope="module")
@@ -237,7 +237,7 @@ def test_other_grids_are_walked_in_blocks(models, monkeypatch):
 
 def test_standardised_errors_are_given_where_a_method_has_a_variance(made):
     for m in made.methods:
-        has_variance = m.is_held_out and (m.key.startswith(("gp", "mono", "published")))
+        has_variance = m.is_held_out and (m.key.startswith(("gp", "published")))
         assert (m.rms_standardised_error is not None) == has_variance
         if m.standardised_error is not None:
             rms = np.sqrt(np.mean(np.square(m.standardised_error)))
@@ -253,18 +253,13 @@ def test_bytes_count_files_and_numbers(model, made):
 def test_long_methods_are_left_out_unless_asked_for(models):
     long = {m.key for m in standard_methods() if report.is_long(m, 51, 195)}
     assert long == {
-        "published", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1", "monochrome_0_2", "blend_2", "blend_3",
-        "nonnegative", "few_atoms",
+        "published", "gplvm_2", "gplvm_6", "blend_2", "blend_3", "nonnegative", "few_atoms",
     }  # fmt: skip
     assert not any(report.is_long(m, 20, 3) for m in standard_methods())
-    assert report.is_long(method_of(models["monochrome"], "gp_refitted"), 51, 195)
+    assert report.is_long(method_of(models["material"], "gp_refitted"), 51, 195)
 
 
 def test_no_method_is_listed_twice(models, reports):
-    decoded = replace(models["monochrome"].settings, criterion="decoded")
-    in_space = Manifold(models["monochrome"].materials, models["monochrome"].space, decoded, {})
-    assert replaced_keys(in_space) == {"monochrome_2_1", "pca_3_log_relative"}
-    assert replaced_keys(models["monochrome"]) == {"pca_3_log_relative"}  # by another criterion
     assert replaced_keys(models["material"]) == {"pca_2_log_relative"}  # gplvm_2 is by another optimizer
     for made in reports.values():
         keys = [m.key for m in made.methods]

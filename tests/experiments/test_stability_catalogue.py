@@ -114,7 +114,7 @@ def test_without_a_word_about_jitter_an_ill_conditioned_kernel_is_silently_wrong
 
 @pytest.mark.parametrize(
     ("key", "method", "severity"),
-    [("long_length_scale", "monochrome", 1000.0), ("bad_starts", "l-bfgs", 100.0)],
+    [("long_length_scale", "material", 1000.0), ("bad_starts", "l-bfgs", 100.0)],
 )
 def test_without_the_warning_of_fits_that_predict_little_they_are_silently_wrong(
     bed, monkeypatch, key, method, severity
@@ -128,13 +128,13 @@ def test_without_the_warning_of_fits_that_predict_little_they_are_silently_wrong
 def test_without_the_diagnostic_an_impossible_reflectance_is_silently_wrong(bed, monkeypatch):
     monkeypatch.setattr(diagnostics, "MOST_RESIDUAL", np.inf)
     monkeypatch.setattr(Manifold, "is_extrapolation", lambda *_: False)
-    assert unguarded(bed, "impossible_reflectance", "monochrome").outcome == WRONG
+    assert unguarded(bed, "impossible_reflectance", "blend").outcome == WRONG
 
 
 def test_without_the_diagnostic_a_lobe_sharper_than_the_library_is_silently_wrong(bed, monkeypatch):
     monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_ERROR", np.inf)
     monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_BALL", np.inf)
-    assert unguarded(bed, "sharper_than_library", "monochrome").outcome == WRONG
+    assert unguarded(bed, "sharper_than_library", "blend").outcome == WRONG
 
 
 def test_without_diagnostics_of_plausibility_raw_values_are_silently_wrong_outside(fresh_bed, monkeypatch):

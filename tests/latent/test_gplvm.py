@@ -18,7 +18,6 @@ from manifold.gpr import FlatModelWarning, GPWeights, IsolatedLatentsWarning
 from manifold.latent.incremental import IncrementalObjective
 from manifold.latent.kernels import KERNELS, SquaredExponential, kernel_named
 from manifold.latent.objective import LatentObjective, centre_gram, fix_gauge, pca_start
-from manifold.latent.per_band import MonochromeGPLVM
 from manifold.latent.search import OPTIMIZERS
 
 
@@ -165,28 +164,17 @@ def test_direct_local_search_is_that_of_hooke_and_jeeves_from_the_principal_comp
     np.testing.assert_allclose(model.embedding_, fix_gauge(slow.x.reshape(8, 2)), atol=1e-8)
 
 
-@pytest.mark.parametrize("optimizer", ["dls", "l-bfgs", "multistart"])
+@pytest.mark.parametrize("optimizer", ["dls", "l-bfgs"])
 def test_the_order_of_samples_changes_nothing(rng, optimizer):
     Y, order = curved(rng, 20), rng.permutation(20)
     S = Y @ Y.T
     model, other = (
-        GPLVM(mu=1e-2, optimizer=optimizer, random_state=0).fit_gram(gram, 40)
-        for gram in (S, S[np.ix_(order, order)])
+        GPLVM(mu=1e-2, optimizer=optimizer).fit_gram(gram, 40) for gram in (S, S[np.ix_(order, order)])
     )
     np.testing.assert_allclose(other.embedding_, model.embedding_[order], atol=1e-3)  # rounding, amplified
 
 
-def test_several_starts_gain_more_than_one_descent(rng):
-    """They include the descent: what can fail is that relocations and searches add anything."""
-    gains = []
-    for _ in range(6):
-        Y = curved(rng, 15, q=3)
-        several, one = (GPLVM(optimizer=name).fit(Y).objective_ for name in ("multistart", "l-bfgs"))
-        gains.append(one - several)
-    assert np.mean(np.array(gains) > 0.1) >= 0.5  # nats, of all latents; of 30 sets 0.8
-
-
-def test_fits_repeat_bit_for_bit_with_the_same_random_state(rng):
+def test_fits_repeat_bit_for_bit(rng):
     Y = curved(rng, 15)
     for optimizer in OPTIMIZERS:
         a, b = (GPLVM(optimizer=optimizer, max_iter=20).fit(Y).embedding_ for _ in range(2))
@@ -290,7 +278,7 @@ def test_duplicated_samples_are_embedded(rng):
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"optimizer": "adam"}, "dls, l-bfgs, multistart"),
+        ({"optimizer": "adam"}, "dls, l-bfgs"),
         ({"mu": 0.0}, "mu = 0.0"),
         ({"prior": -1.0}, "prior"),
     ],
@@ -326,5 +314,3 @@ def test_samples_that_differ_by_rounding_only_are_refused(count):
 def test_noise_filters_that_cannot_be_used_are_refused(mu, rng):
     with pytest.raises(UsageError, match=r"mu = .*, expected 1e-10 to 1e\+06"):
         GPLVM(mu=mu).fit(curved(rng, 10))
-    with pytest.raises(UsageError, match="mu = "):
-        MonochromeGPLVM(2, 1, mu=mu)

@@ -22,17 +22,8 @@ BANDS = Bands.from_array(rgl_wavelengths_nm())
 def model(tmp_path_factory):
     return Manifold.fit(
         Library.open(small_library(tmp_path_factory.mktemp("colour"))),
-        Settings(kind="monochrome"),
         calibrate=False,
     )
-
-
-def test_without_a_choice_the_nearest_material_gives_its_own_colours(model):
-    chosen = choose_colour(model, model.latent("syn_felt_green"), NEAREST)
-    np.testing.assert_array_equal(
-        chosen.colours, model.space.own_colours[model.names.index("syn_felt_green")]
-    )
-    assert chosen.words == "like syn_felt_green, the nearest"
 
 
 @pytest.mark.parametrize("t", [0.2, 0.5])

@@ -88,7 +88,7 @@ def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_ex
     assert other.ball > 2.0 * place.ball
 
 
-@pytest.mark.parametrize("kind", ["blend", "monochrome", "material"])
+@pytest.mark.parametrize("kind", ["blend", "material"])
 def test_every_kind_is_calibrated_and_a_model_file_remembers(library, tmp_path, kind):
     fitted = Manifold.fit(library, Settings(kind=kind))
     assert np.all(fitted.left_out.ball > 0.0)

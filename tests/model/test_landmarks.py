@@ -96,11 +96,10 @@ def test_a_report_on_a_map_by_landmarks_is_refused(model):
         make_report(model)
 
 
-@pytest.mark.parametrize("kind", ["material", "monochrome"])
-def test_kinds_that_grow_with_the_cube_refuse_many_materials(model, kind, monkeypatch):
+def test_the_kind_that_grows_with_the_cube_refuses_many_materials(model, monkeypatch):
     monkeypatch.setattr(fitting, "MOST_LAID_OUT", 9)
-    with pytest.raises(UsageError, match=f"10 materials for kind {kind}, expected at most 9"):
-        Manifold.fit(model.library, Settings(kind=kind))
+    with pytest.raises(UsageError, match="10 materials for kind material, expected at most 9"):
+        Manifold.fit(model.library, Settings(kind="material"))
 
 
 def test_landmarks_are_refused_where_they_cannot_span_the_map():

@@ -25,11 +25,10 @@ from manifold.errors import (
     UsageError,
 )
 from manifold.io_rgl import write_bsdf
-from manifold.latent.decoder import EncodingPairs
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error, rmse
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse
 from manifold.model import gram, model_file
 from manifold.model.fitting import BrightMaterialWarning
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
@@ -53,7 +52,7 @@ def model(request, library):
     ("kind", "mapping"),
     [
         ("blend", "cube-root"),
-        *itertools.product(("monochrome", "material"), ("identity", "cube-root", "log", "log-relative")),
+        *itertools.product(("material",), ("identity", "cube-root", "log", "log-relative")),
     ],
 )
 def test_prediction_at_a_training_latent_is_the_measured_file(library, mapping, kind):
@@ -267,8 +266,8 @@ def test_a_model_without_a_hash_is_refused_in_one_line(tmp_path):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", ["monochrome", "material"])
-@pytest.mark.parametrize("kernel", ["matern32+linear", "matern52", "rq"])
+@pytest.mark.parametrize("kind", ["blend", "material"])
+@pytest.mark.parametrize("kernel", ["matern32", "matern52"])
 def test_a_model_keeps_its_kernel(library, tmp_path, kind, kernel):
     made = Manifold.fit(library, Settings(kind=kind, kernel=kernel), calibrate=False)
     made.save(tmp_path / "model.h5")
@@ -277,12 +276,6 @@ def test_a_model_keeps_its_kernel(library, tmp_path, kind, kernel):
     x = made.between(made.names[0], made.names[1], 0.3)
     np.testing.assert_array_equal(found.std(x), made.std(x))
     np.testing.assert_array_equal(found.weights(x), made.weights(x))
-
-
-def test_far_from_all_materials_a_linear_kernel_extrapolates_too(library):
-    model = Manifold.fit(library, Settings(kind="material", kernel="se+linear"), calibrate=False)
-    assert not model.is_extrapolation(model.X).any()
-    assert model.is_extrapolation(model.X + 50.0).all()
 
 
 def test_a_model_of_another_version_is_refused(model, tmp_path, monkeypatch):
@@ -313,10 +306,10 @@ def test_impossible_settings_are_refused(library):
         Manifold.fit(library, Settings(latent_dim=len(NAMES)), calibrate=False)
     with pytest.raises(UsageError, match="cube-root"):
         Manifold.fit(library, Settings(mapping="cuberoot"), calibrate=False)
-    with pytest.raises(UsageError, match="monochrome or material"):
+    with pytest.raises(UsageError, match="blend or material"):
         Settings(kind="metal")
     with pytest.raises(UsageError, match="expected l-bfgs"):
-        Settings(kind="monochrome", optimizer="dls")
+        Settings(kind="blend", optimizer="dls")
 
 
 def test_unknown_materials_are_refused_with_near_names(model):
@@ -334,40 +327,6 @@ def test_a_material_of_the_library_is_embedded_where_it_lies(model):
         np.testing.assert_allclose(again.eval(wi, wo), model.material(name).eval(wi, wo), rtol=0.3)
 
 
-@pytest.mark.parametrize("kind", ["monochrome", "material"])
-def test_the_criterion_of_an_embedding_is_what_it_is_best_at(library, kind):
-    model = Manifold.fit(library, Settings(kind=kind, optimizer="l-bfgs"), calibrate=False)
-    brdf, pairs = MeasuredBRDF(measured("syn_metallic_gold")), EncodingPairs.default()
-    f, errors = brdf.eval(pairs.wi, pairs.wo), {}
-    for criterion in ("decoded", "cube-root"):
-        found = model.embed(brdf, criterion)
-        predicted = model.predict(found.latent, found.colours).eval(pairs.wi, pairs.wo)
-        errors[criterion] = [e(f, predicted, pairs.cosines) for e in (relative_error, cube_root_error)]
-    assert errors["decoded"][0] < errors["cube-root"][0]
-    assert errors["cube-root"][1] < errors["decoded"][1]
-
-
-@pytest.mark.parametrize("kind", ["monochrome", "material"])
-def test_a_model_finds_new_materials_by_the_criterion_of_its_settings(library, tmp_path, kind):
-    settings = Settings(kind=kind, optimizer="l-bfgs", criterion="mapped")
-    model, brdf = (
-        Manifold.fit(library, settings, calibrate=False),
-        MeasuredBRDF(measured("syn_metallic_gold")),
-    )
-    model.save(tmp_path / "model.h5")
-    loaded = Manifold.load(tmp_path / "model.h5", library)
-    assert loaded.settings.criterion == "mapped"
-    np.testing.assert_array_equal(loaded.embed(brdf).latent, model.embed(brdf, "mapped").latent)
-    assert np.any(model.embed(brdf, "cube-root").latent != model.embed(brdf, "mapped").latent)
-
-
-def test_blends_have_one_criterion_and_unknown_ones_are_refused():
-    with pytest.raises(UsageError, match="criterion 'decoded' for kind blend, expected cube-root"):
-        Settings(criterion="decoded")
-    with pytest.raises(UsageError, match="criterion 'best', expected one of decoded"):
-        Settings(kind="material", criterion="best")
-
-
 def test_a_material_with_other_bands_is_not_embedded(model):
     lambert = Lambert(np.array([0.2, 0.3]), Bands((500.0, 600.0)))
     with pytest.raises(BandMismatchError, match="500"):
@@ -382,23 +341,8 @@ def test_interpolation_begins_and_ends_at_the_materials(model):
         np.testing.assert_array_equal(model.interpolate(a, b, t).eval(wi, wo), expected)
 
 
-def test_monochrome_predictions_agree_with_the_sum_written_out(library):
-    model = Manifold.fit(library, Settings(kind="monochrome"), calibrate=False)
-    x = model.between("syn_felt_green", "syn_satin_gold", 0.4)
-    colours = model.colours.like(x, "syn_gloss_red")
-    wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
-    V = model.gp.weights(np.column_stack([np.tile(x, (3, 1)), colours]))
-    T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.materials.filled()])
-    found = model.predict(x, colours).eval(wi, wo)
-    np.testing.assert_allclose(found, (V @ T) ** 3, rtol=1e-6)  # roots in single precision
-    of_materials = V.reshape(3, len(model.names), -1).sum(axis=2).mean(axis=0)
-    np.testing.assert_allclose(model.weights(x, colours), of_materials, rtol=1e-9)
-    own = model.weights(model.X[1], model.space.own_colours[1])
-    np.testing.assert_array_equal(own, np.eye(len(model.names))[1])
-
-
 def test_a_structure_takes_the_reflectance_it_is_given(library):
-    model = Manifold.fit(library, Settings(kind="monochrome"), calibrate=False)
+    model = Manifold.fit(library, calibrate=False)
     x = model.between("syn_felt_green", "syn_paper_white", 0.5)
     wi = from_spherical(np.deg2rad(8.0), 0.0)
     asked = np.array([0.5, 0.3, 0.2])
@@ -409,7 +353,7 @@ def test_a_structure_takes_the_reflectance_it_is_given(library):
 
 
 def test_a_reflectance_out_of_reach_is_met_as_nearly_as_can_be(library):
-    model = Manifold.fit(library, Settings(kind="monochrome"), calibrate=False)
+    model = Manifold.fit(library, calibrate=False)
     colours, reached = model.colours.of_reflectance(model.latent("syn_metal_copper"), np.full(3, 5.0))
     assert np.all(np.isfinite(colours))
     assert np.all(reached < 5.0)

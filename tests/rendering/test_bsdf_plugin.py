@@ -91,10 +91,7 @@ def models(tmp_path_factory) -> dict[str, Path]:
     paths = {}
     for name, source, settings in (
         ("rgb", rgb, Settings(kind="material")),
-        ("linear", rgb, Settings(kind="material", kernel="matern32+linear")),
         ("material", library, Settings(kind="material")),
-        ("monochrome", library, Settings(kind="monochrome")),
-        ("many samples", library, Settings(kind="monochrome", sample_bands=11)),
         ("six bands", few, Settings(kind="material")),
         ("blend", rgb, Settings(kind="blend")),
         ("spectral blend", library, Settings(kind="blend")),
@@ -151,7 +148,7 @@ class InMitsuba:
         return np.array(record.wo).T.astype(np.float64), np.array(record.pdf).astype(np.float64)
 
 
-@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome", "many samples", "six bands", "brushed"])
+@pytest.mark.parametrize("kind", ["rgb", "material", "six bands", "brushed"])
 def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     model = Manifold.load(models[kind])
     is_rgb = model.bands.is_rgb
@@ -205,7 +202,7 @@ def test_at_a_training_latent_it_is_the_measured_material_with_its_negative_valu
     )
 
 
-@pytest.mark.parametrize("kind", ["rgb", "monochrome", "brushed"])
+@pytest.mark.parametrize("kind", ["rgb", "material", "brushed"])
 @pytest.mark.parametrize("theta_deg", [12.0, 50.0, 78.0])
 def test_samples_follow_the_density(models, rng, kind, theta_deg):
     model = Manifold.load(models[kind])
@@ -393,13 +390,13 @@ def test_leaving_out_materials_states_its_error_and_keeps_to_it(rng):
 
 
 def test_a_reflectance_colours_a_prediction(models, rng, tmp_path):
-    model = Manifold.load(models["monochrome"])
+    model = Manifold.load(models["spectral blend"])
     x = model.between(model.names[0], model.names[2], 0.4)
     spectrum = tmp_path / "blue.txt"
     spectrum.write_text("380 0.6\n480 0.5\n550 0.1\n780 0.05\n")
     chosen = choose_colour(model, x, ColourChoice(reflectance=spectrum))
     mi, bands = backend.mitsuba("spectral"), [15, 40, 77, 130]
-    scene = {"type": "manifold", "model": str(models["monochrome"]), "latent": words(x)}
+    scene = {"type": "manifold", "model": str(models["spectral blend"]), "latent": words(x)}
     plugin = InMitsuba(
         mi, scene | {"reflectance": str(spectrum)}, np.array(model.bands.wavelengths_nm)[bands]
     )
@@ -451,7 +448,7 @@ def test_a_library_of_other_bands_than_the_variant_is_refused(models):
 
 def test_importing_render_registers_the_plugin_in_every_variant(models):
     assert NAME == "manifold"  # what scenes say
-    for colour, model in (("spectral", "material"), ("rgb", "rgb"), ("spectral", "monochrome")):
+    for colour, model in (("spectral", "material"), ("rgb", "rgb"), ("spectral", "spectral blend")):
         mi = backend.mitsuba(colour)
         scene = f'<bsdf version="3.0.0" type="manifold"><string name="model" value="{models[model]}"/>'
         bsdf = mi.load_string(scene + '<string name="latent" value="0.0,0.1"/></bsdf>')

@@ -12,7 +12,6 @@ from manifold.experiments.evaluation.baselines import fit_linear, fit_nearest, f
 from manifold.experiments.evaluation.cross_validation import Method
 from manifold.experiments.evaluation.latent_models import (
     SAMPLE_BANDS,
-    fit_monochrome,
     fit_published,
     fit_settings,
 )
@@ -22,7 +21,6 @@ from manifold.experiments.evaluation.nonnegative import (
     fit_nonnegative,
 )
 from manifold.experiments.evaluation.storage_forms import Storage
-from manifold.experiments.evaluation.tabulated import MAX_BANDS
 from manifold.model.settings import Settings
 
 PUBLISHED = "published"
@@ -30,7 +28,7 @@ AS_PUBLISHED = "Hikichi & Iwasaki 2-D, as published"
 NONNEGATIVE = "samples and lobes, weights >= 0"
 BLENDS = "blends, the default"
 _FEW = "one or two materials"
-_FAMILIES = {"blend": BLENDS, "material": "GPLVM, whole materials", "monochrome": "GPLVM, monochrome samples"}
+_FAMILIES = {"blend": BLENDS, "material": "GPLVM, whole materials"}
 _SAMPLES = 3  # bands per material that are samples in charts, where nothing else is said
 _COARSE = ((2, 1), (2, 2), (4, 1))  # of outgoing rows and columns, and of incidences, one in so many is kept
 
@@ -61,29 +59,21 @@ def gplvm_methods() -> list[Method]:
     """Models of this package at settings of their own."""
     titles = {
         "gplvm_2": "GPLVM, 2, cube root", "gplvm_6": "GPLVM, 6, cube root",
-        "monochrome_2_1": "monochrome, 2 + 1 per band", "monochrome_3_1": "monochrome, 3 + 1 per band",
         "blend_2": "blend, 2 + 2 per band", "blend_3": "blend, 3 + 2 per band",
     }  # fmt: skip
     models = {key: _model(key, title, STANDARD[key]) for key, title in titles.items()}
     blends = [models.pop("blend_2"), models.pop("blend_3")]
-    colours = Method(
-        "monochrome_0_2", "monochrome, 2 per band", lambda B: 2 * min(B, MAX_BANDS),
-        fit_monochrome(Settings(kind="monochrome", latent_dim=0), "decoded", n_colour=2),
-        sample_bands=SAMPLE_BANDS, fits_model=True,
-    )  # fmt: skip
-    return [*models.values(), colours, _few_atoms(SAMPLE_BANDS), *blends]
+    return [*models.values(), _few_atoms(SAMPLE_BANDS), *blends]
 
 
 def _gplvm(latent_dim: int, mapping: str = "cube-root") -> Settings:
     prior = 0.0 if latent_dim == 2 else 0.1
-    return Settings("material", latent_dim, mapping, optimizer="l-bfgs", prior=prior, criterion="decoded")
+    return Settings("material", latent_dim, mapping, optimizer="l-bfgs", prior=prior)
 
 
 STANDARD = {
     "gplvm_2": _gplvm(2),
     "gplvm_6": _gplvm(6),
-    "monochrome_2_1": Settings("monochrome", 2, criterion="decoded"),
-    "monochrome_3_1": Settings("monochrome", 3, criterion="decoded"),
     "blend_2": Settings("blend", 2),
     "blend_3": Settings("blend", 3),
 }
@@ -92,7 +82,7 @@ STANDARD = {
 
 def _model(key: str, title: str, s: Settings) -> Method:
     """The model that a manifold of these settings has: a coordinate per axis, and per band a colour and a gain."""
-    Q, per_band = s.latent_dim, {"blend": 2, "material": 0, "monochrome": 1}[s.kind]
+    Q, per_band = s.latent_dim, {"blend": 2, "material": 0}[s.kind]
     return Method(
         key, title, lambda B: Q + per_band * B, fit_settings(s), fits_model=True, family=_FAMILIES[s.kind],
         sample_bands=s.sample_bands if per_band else None,
@@ -125,7 +115,6 @@ def settings(n_bands: int) -> list[Method]:
     mappings = ("identity", "cube-root", "log-relative")
     pcas = [_pca(f"pca_{k}_{T}", f"PCA {k}, {T}", T, k) for T in mappings for k in (2, 4, 6, 8)]
     gplvms = [_model(f"gplvm_{Q}_{T}", f"GPLVM {Q}, {T}", _gplvm(Q, T)) for T in mappings for Q in (2, 4, 6)]
-    monochromes = [_monochrome(Q, _SAMPLES) for Q in (1, 2, 3)]
     blends = [_model(f"blend_{Q}", f"blend {Q}+2", Settings("blend", Q)) for Q in (2, 3)]
     by_key = {setting.key: setting for setting in (*pcas, *gplvms)}
     pca, gplvm = by_key["pca_6_cube-root"], by_key["gplvm_6_cube-root"]
@@ -139,27 +128,16 @@ def settings(n_bands: int) -> list[Method]:
         Method(PUBLISHED, AS_PUBLISHED, lambda B: 2, fit_published, family=AS_PUBLISHED, is_dense=True),
         *pcas,
         *gplvms,
-        *monochromes,
-        *([_monochrome(2, SAMPLE_BANDS)] if n_bands > SAMPLE_BANDS else []),
         *blends,
         nonnegative,
         _few_atoms(_SAMPLES),
         *(_sparse(pca, threshold) for threshold in (0.03, 0.1)),
         *(_stored(gplvm, storage) for storage in few_bands),
-        *(
-            _stored(setting, storage_forms.half())
-            for setting in (pca, gplvm, monochromes[2], blends[0], nonnegative)
-        ),
+        *(_stored(setting, storage_forms.half()) for setting in (pca, gplvm, blends[0], nonnegative)),
         *(_stored(setting, storage_forms.compact()) for setting in (blends[0], nonnegative)),
         *(_stored(gplvm, storage) for storage in angles),
-        *(_stored(s, storage) for s in (monochromes[2], blends[0], nonnegative) for storage in coarse),
+        *(_stored(s, storage) for s in (blends[0], nonnegative) for storage in coarse),
     ]
-
-
-def _monochrome(Q: int, bands: int) -> Method:
-    title = f"monochrome {Q}+1" + ("" if bands == _SAMPLES else f", {bands} bands")
-    s = Settings("monochrome", Q, sample_bands=bands, criterion="decoded")
-    return _model(f"monochrome_{Q}_1_{bands}", title, s)
 
 
 def _sparse(base: Method, threshold: float) -> Method:

@@ -6,7 +6,7 @@ import numpy as np
 
 from manifold.experiments.evaluation.baselines import fit_pca
 from manifold.experiments.evaluation.cross_validation import Encode, Fit, Method
-from manifold.experiments.evaluation.latent_models import LatentProcess, Samples, fit_settings
+from manifold.experiments.evaluation.latent_models import LatentProcess, fit_settings
 from manifold.experiments.evaluation.methods import STANDARD
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.latent.gp_weights import GPWeights
@@ -15,17 +15,14 @@ from manifold.model.manifold import Manifold
 from manifold.model.material_table import MaterialTable
 from manifold.records import Indices
 
-_COMPARED_CRITERIA = ("decoded", "cube-root", "likelihood")
-
 
 def model_methods(model: Manifold) -> list[Method]:
     """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
     s, space, count = model.settings, model.space, _pca_count(model)
-    sample_bands = None if space.sample_bands is None else len(space.sample_bands)
 
     def method(key: str, title: str, fit: Fit, *, is_held_out: bool = True, refits: bool = True) -> Method:
         fits_model = "refitted" in key
-        return Method(key, title, space.numbers, fit, is_held_out, refits, sample_bands, fits_model)
+        return Method(key, title, space.numbers, fit, is_held_out, refits, fits_model=fits_model)
 
     def fit_reconstruction(data: Data, training: Indices) -> Encode:
         """The measured material, which the kernel's delta makes of every training latent."""
@@ -36,8 +33,7 @@ def model_methods(model: Manifold) -> list[Method]:
         process = _process(model, data, training)
 
         def encode(i: int) -> Combination:
-            latents = space.own_latents(i)
-            return process.at(latents, process.gp.smooth_weights(latents))
+            return process.at(space.X[i], process.gp.smooth_weights(space.X[i : i + 1])[0])
 
         return encode
 
@@ -50,7 +46,7 @@ def model_methods(model: Manifold) -> list[Method]:
         variance = _process(model, data, training).output_variance  # of all materials, this one too
 
         def encode(i: int) -> Combination:
-            return _process(model, data, np.delete(training, i), variance).at(space.own_latents(i))
+            return _process(model, data, np.delete(training, i), variance).at(space.X[i])
 
         return encode
 
@@ -82,10 +78,6 @@ def model_methods(model: Manifold) -> list[Method]:
             method("gp_encoded", "GP, encoded, others kept", fit_encoded),
             method("gp_refitted", "GP, refitted without it", fit_settings(s)),
         ]
-        for by in _COMPARED_CRITERIA:
-            if by != s.criterion:
-                key = f"gp_refitted_{by.replace('-', '_')}"
-                own.append(method(key, f"GP, refitted, {by}", fit_settings(s, by)))
     return [reconstruction, *own, pca]
 
 
@@ -104,9 +96,5 @@ def _process(
     model: Manifold, data: Data, materials: Indices, output_variance: float | None = None
 ) -> LatentProcess:
     """The process on the latents of some materials of the model."""
-    space = model.space
-    samples = Samples(data, model.mapping, space.sample_bands)
-    gp = GPWeights(space.latents_of(materials), space.kernel)
-    return LatentProcess(
-        gp, space.X.shape[1], samples, materials, model.settings.prior, known_variance=output_variance
-    )
+    gp = GPWeights(model.space.X[materials], model.space.kernel)
+    return LatentProcess(gp, data, model.mapping, materials, model.settings.prior, output_variance)

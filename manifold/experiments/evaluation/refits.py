@@ -36,11 +36,9 @@ class _Refits(NamedTuple):
 
 
 def tabulate(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Data:
-    """The data of all methods, in about 20 bands, among them the samples of monochrome models."""
+    """The data of all methods, in about 20 bands, among them the samples of blends."""
     count = model.bands.count
     bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
-    if model.space.sample_bands is not None:
-        bands = np.union1d(bands, model.space.sample_bands)
     return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands)
 
 

@@ -30,7 +30,6 @@ _MANY_DIGITS = 1e5
 _KINDS = {
     "blend": "Blends of materials: {}, and two colours per band",
     "material": "GPLVM of whole materials: {}",
-    "monochrome": "GPLVM of single bands: {}, and a colour per band",
 }
 
 Columns = Sequence[tuple[str, Callable[[MethodResult], str]]]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.latent.decoder import PAIR_STRIDE, EncodingPairs
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.latent.decoder import PAIR_STRIDE
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.model import gram
@@ -30,14 +30,12 @@ class Data(Values):
         wi, wo: unit vectors (P, 3).
         bands: which of all bands the values are in, increasing, shape (B',); by default all.
         n_bands: B.
-        full_values: material i at every `stride`th direction pair in all bands, shape (P / stride, B).
         stride: one in so many direction pairs serves to find a latent by decoded values.
         materials: that were evaluated, for methods that look at other direction pairs too.
     """
 
     bands: Indices = field(default=None)  # type: ignore[arg-type]
     n_bands: int = 0
-    full_values: Callable[[int], Array] = field(default=None, repr=False)  # type: ignore[assignment]
     stride: int = PAIR_STRIDE
     materials: Sequence[MeasuredBRDF] = field(default=(), repr=False)
     _made: dict[Hashable, Any] = field(default_factory=dict, repr=False, kw_only=True)
@@ -46,8 +44,6 @@ class Data(Values):
         if self.bands is None:
             object.__setattr__(self, "bands", np.arange(self.f.shape[2]))
             object.__setattr__(self, "n_bands", self.f.shape[2])
-        if self.full_values is None:
-            object.__setattr__(self, "full_values", lambda i: self.f[i, :: self.stride])
 
     @classmethod
     def evaluate(
@@ -75,11 +71,15 @@ class Data(Values):
             blocks.append(block)
             progress.report(len(blocks), total, "direction pairs")
         wi, wo, f = zip(*blocks, strict=True)
-        pairs = EncodingPairs.of_grid(grid.suited_to(all_isotropic(materials)), stride)
         return cls(
-            np.concatenate(f, axis=1), np.concatenate(wi), np.concatenate(wo), bands, n_bands,
-            lambda i: materials[i].eval(pairs.wi, pairs.wo), stride, materials,
-        )  # fmt: skip
+            np.concatenate(f, axis=1),
+            np.concatenate(wi),
+            np.concatenate(wo),
+            bands,
+            n_bands,
+            stride,
+            materials,
+        )
 
     def blocks(self) -> Iterator[Values]:
         """The values, some direction pairs at a time."""
@@ -96,9 +96,7 @@ class Data(Values):
 
     def unmapped(self) -> Data:
         """The same without what methods share, values in a mapped domain and their products: each pays its own."""
-        return Data(
-            self.f, self.wi, self.wo, self.bands, self.n_bands, self.full_values, self.stride, self.materials
-        )
+        return Data(self.f, self.wi, self.wo, self.bands, self.n_bands, self.stride, self.materials)
 
     @property
     def n_materials(self) -> int:
@@ -148,13 +146,6 @@ class Data(Values):
         wanted = evenly_spaced(self.n_bands, count)
         nearest = np.abs(self.bands[None] - wanted[:, None]).argmin(axis=1)
         return np.unique(self.bands[nearest])
-
-    def interpolated(self, nodes: Array) -> Array:
-        """Coordinates (B, Q) of all bands from those of the data's bands, (B', Q); of a whole material (1, Q) as is."""
-        if len(nodes) == 1:
-            return nodes
-        every = np.arange(self.n_bands)
-        return np.column_stack([np.interp(every, self.bands, node) for node in nodes.T])
 
     def relative_error(self, i: int, predicted: Array) -> float:
         """Of a prediction (P, B') of material i, weighted by the cosines."""

@@ -32,7 +32,7 @@ def _from_outermost(
 
 def _brighter(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
     """At materials' own structures, in colours moved up."""
-    model = bed.model("monochrome")
+    model = bed.model("blend")
     for x, colours in zip(model.X[::3], model.space.own_colours[::3], strict=True):
         yield predict(model, x, colours + distance * model.space.kernel.length_scale)
 
@@ -81,7 +81,6 @@ MODES: tuple[Mode, ...] = (
         {
             "material": partial(_outside, partial(_from_outermost, "material", "cube-root")),
             "raw values": partial(_outside, partial(_from_outermost, "material", "identity")),
-            "monochrome": partial(_outside, partial(_from_outermost, "monochrome", "cube-root")),
             "blend": partial(_outside, partial(_from_outermost, "blend", "cube-root")),
             "brighter": partial(_outside, _brighter),
         },
@@ -94,7 +93,6 @@ MODES: tuple[Mode, ...] = (
         HALF_OF_NEAREST,
         {
             "GP, material": partial(_on_the_way, partial(_on_the_path, "material")),
-            "GP, monochrome": partial(_on_the_way, partial(_on_the_path, "monochrome")),
             "blend": partial(_on_the_way, partial(_on_the_path, "blend")),
             "walk": partial(_on_the_way, _on_the_walk),
         },

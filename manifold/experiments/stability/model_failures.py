@@ -20,7 +20,7 @@ from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile
 
-KINDS = ("material", "monochrome", "blend")
+KINDS = ("material", "blend")
 
 
 def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
@@ -126,7 +126,7 @@ def _sharper(kind: str, bed: TestBed, ratio: float) -> Measurement:
 
 def _requested(bed: TestBed, reflectance: float) -> list[Measurement]:
     """A grey of a reflectance, requested of every structure."""
-    model = bed.model("monochrome")
+    model = bed.model("blend")
     requested = np.full(model.bands.count, reflectance)
     found = []
     for x in model.X[::3]:
@@ -199,7 +199,7 @@ MODES: tuple[Mode, ...] = (
             "difference between the requested and the predicted reflectance", 0.05,
             "a step of 3 to 6 in CIELAB lightness between reflectances of 0.6 and 0.2",
         ),
-        {"monochrome": _requested},
+        {"blend": _requested},
         "Request a reflectance between those of the surrounding materials; the warning gives the error of the "
         "nearest one.",
     ),

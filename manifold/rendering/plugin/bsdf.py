@@ -14,7 +14,7 @@ Properties:
     library: where its library is, if it has moved.
     latent: coordinates with commas between, or
     latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
-    like, reflectance, srgb: the colour on a monochrome manifold, as in `manifold predict`.
+    like, reflectance, srgb: the colour, as in `manifold predict`.
     tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
         weights of the others are fitted again. 0 by default, which keeps all.
 

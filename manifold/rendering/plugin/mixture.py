@@ -37,7 +37,7 @@ class Mixture:
         tables: what they hold.
         mapping: T.
         bands: of the prediction.
-        weights: of whole materials, (N,); of monochrome samples, (B, N, B_s); None where the latent varies.
+        weights: of whole materials, (N,); of single bands, (B, N, B_s); None where the latent varies.
         lobes: shares of the materials in sampling, (N,), positive, of sum 1.
         gp: what turns latents into weights, where they vary.
         order: index of each material in the model, (N,); none of a measured file, which holds unmeasured cells.
@@ -175,13 +175,8 @@ def varying_mixture(model: Manifold) -> Mixture:
     """All materials, for latents that are known only where a surface is hit.
 
     Raises:
-        UsageError: the manifold is monochrome (which colours give a structure its reflectance jumps between places,
-            and would tear the field).
+        UsageError: the map has landmarks.
     """
-    if model.space.needs_colours:
-        raise UsageError(
-            "textures of latents need a manifold of whole materials; give one latent, or embed as kind `blend`"
-        )
     n = len(model.names)
     if model.space.landmarks is not None:
         raise UsageError(

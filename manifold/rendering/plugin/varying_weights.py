@@ -133,14 +133,10 @@ class VaryingWeights:
 
     def _similarity(self, latent: list[Any], j: Any, has_slopes: bool) -> list[Any]:
         """Covariance with material j, and its slopes."""
-        mi, dr, kernel = self._mi, self._dr, self._gp.kernel
+        dr, kernel = self._dr, self._gp.kernel
         unit = 1.0 / kernel.length_scale**2
         k, slope = kernel.radial(self._squared_distance(latent, j) * unit, dr)
         slopes = [2.0 * unit * slope * d for d in self._differences(latent, j)]
-        if kernel.linear:
-            sample = [dr.gather(mi.Float64, c, j) for c in self._latents]
-            k += kernel.slope_of_linear * sum(x * c for x, c in zip(latent, sample, strict=True))
-            slopes = [a + kernel.slope_of_linear * c for a, c in zip(slopes, sample, strict=True)]
         return [k, *slopes[: len(slopes) * has_slopes]]
 
     def _differences(self, latent: list[Any], j: Any) -> list[Any]:

@@ -32,7 +32,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
 from manifold.records import Array
 
-DEFAULT = ("nearest", "gplvm_6", "monochrome_3_1", "nonnegative", "few_atoms")
+DEFAULT = ("nearest", "gplvm_6", "nonnegative", "few_atoms")
 """Keys of the registry of methods."""
 
 COLUMNS = ("linear", "cube_root", "ball", "ball_in_turned_light")

@@ -133,7 +133,7 @@ def main() -> None:
         reference = reference_seconds(library)
         results: dict[str, Any] = {"materials": len(stored), "stored_bytes": size}
         print(f"{len(stored)} materials, {size / 1e6:.0f} MB; copied in {reference:.3f} s")
-        for kind in ("blend", "material", "monochrome"):
+        for kind in ("blend", "material"):
             for name in MEASUREMENTS:
                 found = measure(library, name, kind)
                 found["ratio"] = found["seconds"] / reference

@@ -3,7 +3,7 @@
     python benchmarks/bench_revision.py REVISION [--rounds 9] [--files FOLDER] [--json FILE]
 
 Both revisions are installed into folders of their own, share the other packages, and take turns: starting, importing
-the RGB files of `manifold corpus` (or of a folder) into a new library, and predicting from a monochrome model of them.
+the RGB files of `manifold corpus` (or of a folder) into a new library, and predicting from a model of them.
 Medians of whole commands are compared; `sync` before each, not after it.
 """
 
@@ -66,7 +66,7 @@ def one_round(installed: Path, folder: Path, files: Path) -> dict[str, float]:
     }
     if not (folder / "model.h5").exists():
         shutil.copytree(folder / "new.zarr", folder / "library.zarr")
-        seconds(installed, folder, "embed", "--kind", "monochrome", "-L", "library.zarr")
+        seconds(installed, folder, "embed", "-L", "library.zarr")
     (folder / "predicted_rgb.bsdf").unlink(missing_ok=True)
     prediction = ("predict", "--latent", "0.1,0.2", "-o", "predicted_rgb.bsdf")
     return result | {"predict": seconds(installed, folder, *prediction)}

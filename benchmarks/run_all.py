@@ -17,11 +17,11 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
 CHARTED = (
-    "nearest", "published", "monochrome_3_1_3", "blend_2", "nonnegative", "nonnegative_angles_2_2",
+    "nearest", "published", "blend_2", "nonnegative", "nonnegative_angles_2_2",
     "blend_2_angles_2_2",
 )  # fmt: skip
 HELD_OUT = (
-    "nearest", "published", "pca_6_cube_root", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1",
+    "nearest", "published", "pca_6_cube_root", "gplvm_2", "gplvm_6",
     "blend_2", "blend_3", "nonnegative",
 )  # fmt: skip
 COMMANDS = {
@@ -33,7 +33,6 @@ COMMANDS = {
     "exports": "bench_exports.py --files FILES --targets gltf,openpbr",
     "expected_error": "bench_expected_error.py LIBRARY",
     "interior": "bench_interior.py LIBRARY",
-    "interior_monochrome": "bench_interior.py LIBRARY --kind monochrome",
     "walks": "bench_walks.py LIBRARY",
     "page": "bench_page.py MODEL",
     "compact": "bench_compact.py FILES",

@@ -7,6 +7,7 @@ Tables with a row per value beside its wavelength, or a row per wavelength below
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -40,6 +41,7 @@ HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (d
 """The headers of tables that are read, for errors."""
 
 _HEADER_ROWS = 60  # a header stands at the top, below titles
+_CONDITION = re.compile(r"M[0-3]\b")
 _BLACK_LAB = {"src_z", "src_a", "view_z", "view_a"}  # a program's heads; its values are reflectance factors
 
 
@@ -369,6 +371,8 @@ def read_table(
         unit = _is_degrees(table, columns, samples, context)
         pairs = {key: _angle_pairs(table, s, columns, unit, context) for key, s in samples.items()}
     else:
+        for one in samples.values():
+            _require_one_condition(table, one, columns, context)
         pairs = {key: _geometry_pairs(table, s, angles, columns, context) for key, s in samples.items()}
     kind = column_heads.quantity(columns.band_heads)
     if is_percent or (columns.geometry is None and set(columns.heads) >= _BLACK_LAB):
@@ -463,6 +467,21 @@ def _angle_pairs(
     notes: list[str] = []
     angles = dict(zip(columns.angles, scale * np.array(cells).T, strict=True))
     return (*directions(angles, context, notes), notes)
+
+
+def _require_one_condition(table: Table, sample: _Sample, columns: Columns, context: ErrorContext) -> None:
+    """Raise FileFormatError where a geometry is read under M1 and M2 (ISO 13655), which are no repeats."""
+    others = [k for k in range(len(columns.heads)) if k not in (columns.name, *columns.key, *columns.bands)]
+    first: dict[tuple[int, str], str] = {}
+    for row, (geometry,) in zip(sample.rows, sample.keys, strict=True):
+        for k in others:
+            found = _CONDITION.match(table.text(row, k))
+            if found and first.setdefault((k, geometry), found[0]) != found[0]:
+                raise context.error(
+                    f"{found[0]} beside {first[k, geometry]} at '{geometry[:24]}', expected one measuring condition; "
+                    "keep the rows of one",
+                    table.where(row, k),
+                )
 
 
 def _geometry_pairs(

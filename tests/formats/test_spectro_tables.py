@@ -284,6 +284,10 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         ("Geometry,400,410\n45as15,1,2\n45as15,1,3\n", "row 3: geometry '45as15' stands in row 2, too"),
         ("Name,Geometry,400,410\nA,45as15,1,2\nA,195as25,1,3\n", "row 3: found geometry '195as25'"),
         ('Name,Geometry,400,410\nA,45as15,"1,2\nA,45as25,1,3\n', "row 2: not cells of a table"),
+        (
+            "Name,Mode,Geometry,400,410\nA,M1,45/0,0.9,0.9\nB,M2,45/0,0.8,0.8\nA,M2,45/0,0.8,0.8\n",
+            "row 4, column 2: M2 beside M1 at '45/0', expected one measuring condition",
+        ),
         ("Geometry,400,500\n45,1,2\n55as15,1,3\n", "geometries '45' and '55as15' in one column"),
         (
             "Angle,400,500,600\n45as15,1,2,3\n25\u00b0,1,3,4\n",

@@ -35,6 +35,7 @@ from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
 from manifold.plots import plot_chart
+from manifold.system import progress
 
 FILES = [small_library.measured(name) for name in small_library.NAMES]
 HELD_OUT = [s.key for s in settings(3)]
@@ -98,7 +99,8 @@ def test_an_interrupted_chart_is_continued_and_a_finished_one_measured_again(two
             if count == stop_at:
                 raise KeyboardInterrupt
 
-        return make_chart(FILES, only, step, GRID, 1, library=library)
+        with progress.listen(step):
+            return make_chart(FILES, only, GRID, 1, library=library)
 
     for count in (1, 2):
         with pytest.raises(KeyboardInterrupt):

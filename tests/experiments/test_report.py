@@ -10,7 +10,6 @@ import pytest
 from helpers.reference import left_out
 from helpers.small_library import NAMES, measured, small_library
 from matplotlib.transforms import Bbox
-from scipy.linalg import solve
 
 from manifold import metrics
 from manifold.brdf.plausibility import plausibility
@@ -123,24 +122,6 @@ def test_latents_kept_are_the_closed_form_of_leave_one_out(models, data):
     np.testing.assert_allclose(found, model.gp.leave_one_out_weights(), atol=1e-8)
     ratio = np.array([c.variance for c in combinations]) / model.gp.leave_one_out_variance()
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
-
-
-def test_latents_kept_of_curves_are_the_closed_form_for_blocks(model, data):
-    """Leaving the B_s samples of a material out together: T* = T - [K^-1]_ii^-1 [K^-1 T]_i, on centred data."""
-    kept = method_of(model, "gp_latents_kept")
-    i, bands = 1, model.space.sample_bands
-    rows = i * len(bands) + np.arange(len(bands))
-    T = data.samples(model.mapping, bands)
-    others = np.delete(np.arange(len(T)), rows)
-    centred = T - T[others].mean(axis=0)
-    P = np.linalg.inv(model.gp.K)
-    expected = centred[rows] - solve(P[np.ix_(rows, rows)], P[rows] @ centred) + T[others].mean(axis=0)
-    latents = model.gp.X[rows]
-    moved = replace(model.space, own_colours=latents[None, :, -1].repeat(data.n_materials, axis=0))
-    at_samples = Manifold(model.materials, moved, model.settings, {})
-    found = left_out(method_of(at_samples, "gp_latents_kept"), data, i).mapped(data).T
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-    assert left_out(kept, data, i).variance.shape == (len(bands),)
 
 
 @pytest.mark.parametrize("kind", KINDS)

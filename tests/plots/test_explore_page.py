@@ -445,7 +445,9 @@ def test_a_tinted_place_is_that_of_the_package(visited, model):
     x = 0.5 * (model.X[1] + model.X[3])
     wanted = Attributes({}, Wanted(55.0), Wanted(30.0), Wanted(250.0))
     adjusted = adjust(model, x, wanted)
-    expected = model.predict(adjusted.latent, adjusted.colours).albedo(from_spherical(np.deg2rad(8.0), 0.0))
+    expected = model.predict(adjusted.place.latent, adjusted.colours).albedo(
+        from_spherical(np.deg2rad(8.0), 0.0)
+    )
     change = "(x) => window.explorer.change({ x, colour: 'lch', lch: [55, 30, 250] })"
     visited.page.evaluate(change, x.tolist())
     assert np.allclose(shown(visited.page, "window.explorer.reflectance"), expected, atol=0.01)

@@ -286,7 +286,7 @@ def test_a_dropped_photograph_and_its_light_are_located(serve):
     server = serve((sys.executable, "-c", script))
     taken = {"suffix": ".jpg", "light_suffix": ".exr", "light_bytes": 5, "circle": "10,20.5,8", "turn": -30}
     job = post(server, "/do/photograph", b"pixelslight", X_Name="ball", X_Request=json.dumps(taken))
-    assert job.message == "ball.jpg pixels light.exr light"
+    assert job.message == "ball.jpg pixels ball-light.exr light"
     assert {"--circle=10,20.5,8", "--turn=-30", "--json=-"} < set(job.action.arguments)
     assert job.action.output.name == "ball_photo.png"
     server.queue.close()

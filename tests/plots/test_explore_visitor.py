@@ -401,7 +401,7 @@ def test_pictures_that_no_browser_shows_are_located_with_a_picture_of_their_ligh
     page.locator("#photo-find").click()
     page.locator("#jobs li[data-state=done]", has_text="locate raw").wait_for()
     photograph, light = served.queue.jobs[-1].action.inputs
-    assert (photograph.name, light.name) == ("raw.exr", "light.hdr")
+    assert (photograph.name, light.name) == ("raw.exr", "raw-light.hdr")
     assert served_page.errors == []
 
 

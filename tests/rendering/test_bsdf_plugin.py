@@ -286,7 +286,7 @@ def test_the_written_file_and_the_plugin_make_the_same_picture(models, tmp_path,
     require_same_picture(written, direct)
 
 
-@pytest.mark.parametrize("kind", ["rgb", "linear", "blend", "brushed"])
+@pytest.mark.parametrize("kind", ["rgb", "blend", "brushed"])
 def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
     model = Manifold.load(models[kind])
     mi, dr = backend.mitsuba("rgb"), backend.drjit()

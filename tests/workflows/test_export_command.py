@@ -19,6 +19,7 @@ from manifold.fitting.exports import TARGETS
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.model.manifold import Manifold
+from manifold.system import progress
 from manifold.workflows import export_folders, exports
 
 COPPER = "syn_metal_copper"
@@ -122,9 +123,8 @@ def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
     shutil.copy(source / "copper_rgb.fit.json", source / "other.fit.json")
     (source / "broken.fit.json").write_text("{}")
     done = []
-    outcomes = export_folders.export_all(
-        source, TARGETS["gltf"], tmp_path / "out", lambda *step: done.append(step)
-    )
+    with progress.listen(lambda *step: done.append(step)):
+        outcomes = export_folders.export_all(source, TARGETS["gltf"], tmp_path / "out")
     assert [(o.name, o.failure is None, o.was_there) for o in outcomes] == [
         ("broken", False, False), ("copper", True, False), ("other", True, False),
     ]  # fmt: skip

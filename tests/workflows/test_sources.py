@@ -210,7 +210,7 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     written, found = MeasuredBRDF(read_bsdf(path)), completed.completion
     np.testing.assert_array_equal(found.predicted, written.eval(found.readings.wi, found.readings.wo))
     assert found.gloss == gloss_units(written, [60.0])
-    assert completed.residual == pytest.approx(float(np.sqrt(np.mean(found.misfits**2))))
+    assert completed.residual == found.residual_of_readings
 
 
 def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run, folder):
@@ -219,7 +219,9 @@ def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run
     read = registry.read_readings(folder / "place.csv", None)
     predicted = Manifold.load(folder / "model.h5").predict(np.array([0.1, 0.2]))
     expected = np.maximum(predicted.eval(read.wi, read.wo), 0.0)
-    np.testing.assert_allclose(read.values, expected, rtol=1e-4, atol=1e-7)  # digits of angles and values
+    high = read.wo[:, 2] > np.sin(np.deg2rad(2.1))  # below, tables have the value at two degrees
+    assert np.mean(high) > 0.9
+    np.testing.assert_allclose(read.values[high], expected[high], rtol=1e-4, atol=1e-7)  # digits of both
     made = prediction.predict(folder / "model.h5", "0.1,0.2", folder / "place.bsdf")
     file = MeasuredBRDF(read_bsdf(folder / "place.bsdf"))
     assert np.abs(file.eval(read.wi, read.wo) / expected - 1.0).max() > 0.01

@@ -9,6 +9,8 @@ import contextlib
 import logging
 import os
 import pickle
+import queue
+import re
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +32,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _PACKAGES = ("brdf-manifold", "numpy", "scipy", "numba", "mitsuba")  # on which results depend
-_CONNECT_S = 10
+_CONNECT_S = 8.0
+_ADDRESS = re.compile(r"((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.%]+\]|[^\s:/\[\]]+):\d{1,5}")
 # Of workers with several threads: the folder and the renderer are the process's.
 _one_at_a_time = threading.Lock()
 
@@ -100,12 +103,26 @@ def _connected(address: str) -> Iterator[Client]:
     from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is said in one line here
+    if not _ADDRESS.fullmatch(address):
+        raise UsageError(f"scheduler '{address}', expected an address such as tcp://10.0.0.1:8786")
+    found: queue.Queue[Client | Exception] = queue.Queue()
+
+    def connect() -> None:
+        try:
+            found.put(Client(address, timeout=_CONNECT_S, set_as_default=False))
+        except Exception as error:
+            found.put(error)
+
+    # In a thread of its own: at a peer that accepts and says nothing, the client waits for ever.
+    threading.Thread(target=connect, daemon=True).start()
     try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+        client = found.get(timeout=_CONNECT_S + 1.0)
+    except queue.Empty:
+        client = TimeoutError(f"nothing was heard in {_CONNECT_S + 1.0:g} s")
+    if isinstance(client, Exception):
         raise ManifoldError(
-            f"{address}: no Dask scheduler answers ({error}); start one, or check the address"
-        ) from error
+            f"{address}: no Dask scheduler answers ({client}); start one, or check the address"
+        ) from client
     with client:
         yield client
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -138,6 +139,22 @@ def test_no_scheduler_is_one_line(monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.2)
     with pytest.raises(ManifoldError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers .*; start one"):
         list(Cluster("tcp://127.0.0.1:1").run(squared, [1]))
+
+
+def test_a_peer_that_says_nothing_is_no_scheduler(monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(ManifoldError, match=f"{address}: no Dask scheduler answers"):
+            list(Cluster(address).run(squared, [1]))
+
+
+@pytest.mark.parametrize(
+    "address", ["", "nonsense", "tcp://", "http://a:1", "tcp://a:b", "tcp://127.0.0.1", "tcp://a b:1"]
+)
+def test_what_is_no_address_is_refused(address):
+    with pytest.raises(UsageError, match=r"expected an address such as tcp://10\.0\.0\.1:8786"):
+        list(Cluster(address).run(squared, [1]))
 
 
 def test_without_dask_one_line_says_what_to_install(monkeypatch):

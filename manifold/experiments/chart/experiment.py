@@ -199,7 +199,7 @@ class _Measuring:
         self._files, self._how = files, how
         self._known = _known_settings(files[0].bands.count, how.neural)
         chosen = [self._known[key] for key in how.only or self._known]
-        with instruments.one_core():
+        with instruments.one_core(), progress.listen(None):  # settings are what is counted
             self._held = HeldOut(files, how.grid, [s for s in chosen if isinstance(s, Method)])
 
     def measure(self, keys: Sequence[str]) -> _Measured:

@@ -12,7 +12,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.orientation import aligned
 from manifold.errors import UsageError
 from manifold.fitting import fit_json, fit_samples
-from manifold.fitting.exports.direct import fit_target
+from manifold.fitting.exports.direct import at_bounds, fit_target
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.principled_values import Principled
 from manifold.fitting.exports.targets import Target, TargetBRDF
@@ -176,6 +176,9 @@ def export(
     if made.ball.unseen_light > NOTICEABLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
         notes = (f"visibly different from the {subject.against}{better}", *notes)
+    ends = () if is_mapped else at_bounds(target, parameters)
+    if ends:
+        notes = (f"at the end of the range: {', '.join(ends)}", *notes)
     if is_flattened:
         notes = (f"anisotropic, but {target.name} has no anisotropy: the same at all azimuths", *notes)
     return Outcome(subject.name, path, subject, made.to_json(), notes=notes)

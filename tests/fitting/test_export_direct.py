@@ -9,7 +9,7 @@ import pytest
 
 from manifold.fitting import fit_samples
 from manifold.fitting.exports import TARGETS, Principled, blender, gltf, openpbr, standard_surface
-from manifold.fitting.exports.direct import fit_target
+from manifold.fitting.exports.direct import at_bounds, fit_target
 from manifold.fitting.exports.targets import TargetBRDF
 from manifold.fitting.fit_metrics import BallDifference
 
@@ -123,3 +123,25 @@ def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):
     bare = fit_target(replace(target, film=()), start, fit_samples.from_brdf(truth))
     assert difference(bare) > 2.3  # a just noticeable difference
     assert difference(found) < 1.0
+
+
+def test_highlights_of_usd_keep_their_hue_on_which_renderers_agree():
+    """Lilac highlights over purple cloth: with a green `1 - F` the diffuse part would be right in OpenUSD alone."""
+    satin = Principled((0.25, 0.02, 0.3), roughness=0.45, specular=0.5)
+    truth = TargetBRDF(
+        TARGETS["blender"], TARGETS["blender"].parameters(satin) | {"Specular Tint": [0.2, 1.0, 0.2]}
+    )
+    target = TARGETS["usd"]
+    found = fit_target(target, target.parameters(satin), fit_samples.from_brdf(truth))
+    assert np.ptp(found["specularColor"]) < 1e-3
+
+
+def test_parameters_at_an_end_of_their_range_are_named():
+    target = TARGETS["gltf"]
+    plain = target.parameters(Principled((0.3, 0.2, 0.1), roughness=0.4, metallic=1.0))
+    assert at_bounds(target, plain) == ()  # all metal is no bound
+    assert at_bounds(target, plain | {"roughnessFactor": 0.02, "ior": 2.0}) == (
+        "roughnessFactor 0.02",
+        "ior 2",
+    )
+    assert at_bounds(target, plain | {"baseColorFactor": [1.0, 0.2, 0.1]}) == ("baseColorFactor 1",)

@@ -286,6 +286,16 @@ def test_the_written_file_and_the_plugin_make_the_same_picture(models, tmp_path,
     require_same_picture(written, direct)
 
 
+def test_a_texture_with_a_texel_that_is_no_number_is_refused(models):
+    mi = backend.mitsuba("rgb")
+    fields = {
+        f"latent_{k}": {"type": "bitmap", "bitmap": mi.Bitmap(np.float32([[[0.1], [value]]])), "raw": True}
+        for k, value in enumerate((0.2, np.nan))
+    }
+    with pytest.raises(Exception, match="latent_1 has texels that are not finite"):
+        mi.load_dict({"type": "manifold", "model": str(models["rgb"]), **fields})
+
+
 @pytest.mark.parametrize("kind", ["rgb", "blend", "brushed"])
 def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
     model = Manifold.load(models[kind])

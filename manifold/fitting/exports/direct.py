@@ -41,19 +41,23 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
     """
     few = samples.as_rgb().subsample(_PAIRS)
     free = [name for name, parameter in target.entries.items() if parameter.is_free]
-    hued = [name for name in target.sheen if name in free and np.ndim(start[name])]
+    fixed = list(target.hued)
+    hued = fixed + [name for name in target.sheen if name in free and np.ndim(start[name])]
     problem = _Problem(target, start, free, few, hued)
     with threadpool_limits(1):
         x, cost = problem.nearest(problem.starts())
-        if any(np.any(problem.rounded(x)[name]) for name in hued):
-            coloured, unseen = _Problem(target, start, free, few), replace(samples.as_rgb(), pixels=None)
+        if any(np.any(problem.rounded(x)[name]) for name in hued if name not in fixed):
+            coloured, unseen = (
+                _Problem(target, start, free, few, fixed),
+                replace(samples.as_rgb(), pixels=None),
+            )
             y, with_colour = coloured.nearest([coloured.vector(problem.rounded(x))])
             gains = (
                 coloured.ball_difference(y) / problem.ball_difference(x),
                 (coloured.relative(y, unseen) / problem.relative(x, unseen)) ** 2,
             )
             if max(gains) < _GAIN:
-                problem, x, cost, hued = coloured, y, with_colour, []
+                problem, x, cost, hued = coloured, y, with_colour, fixed
         found = problem.rounded(x)
         difference = problem.ball_difference(x)
         if target.film and difference > NOTICEABLE:
@@ -62,6 +66,21 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
             if with_film < _GAIN * cost and filmed.ball_difference(x) < _GAIN * difference:
                 return filmed.rounded(x)
     return found
+
+
+def at_bounds(target: Target, values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Fitted parameters that ended at an end of their range which is not merely all or nothing, with the end."""
+    found = []
+    for name, parameter in target.entries.items():
+        if not parameter.is_free:
+            continue
+        ends = [] if parameter.is_share else [parameter.low]
+        ends += [parameter.high] * (not parameter.is_share or np.ndim(parameter.default) > 0)
+        margin = 2e-3 * (parameter.high - parameter.low)
+        reached = [end for end in ends if np.any(np.abs(np.asarray(values[name]) - end) <= margin)]
+        if reached and not np.array_equal(values[name], parameter.default):
+            found.append(f"{name} {reached[0]:g}")
+    return tuple(found)
 
 
 def _hue(colour: Any) -> Array:

@@ -27,6 +27,10 @@ DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("clearcoat", "clearcoatRoughness")
 
+HUED = ("specularColor",)
+"""The diffuse part loses Fresnel's share per channel in OpenUSD, and its mean in MaterialX: a fitted colour of
+highlights that complements that of the diffuse would look right in one of them alone."""
+
 _IOR = 1.5  # the default, which here is the coat's alone
 
 

@@ -47,6 +47,7 @@ class Target:
         content: the file of an export.
         coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
         film: those of the thin film, the thickness and the index last; empty where there is none.
+        hued: colours whose hue no fit changes, since renderers disagree on what another one does.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Target:
     coat: tuple[str, ...]
     sheen: tuple[str, ...]
     film: tuple[str, ...]
+    hued: tuple[str, ...] = ()
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -107,9 +109,19 @@ _BLENDER = {
 
 def _target(name: str, suffix: str, title: str, model: ModuleType, content: Content) -> Target:
     """A target whose parameters and shading model are those of a module."""
-    sheen, film = (getattr(model, names, ()) for names in ("SHEEN", "FILM"))
+    sheen, film, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "HUED"))
     return Target(
-        name, suffix, title, model.PARAMETERS, model.parameters, model.brdf, content, model.COAT, sheen, film
+        name,
+        suffix,
+        title,
+        model.PARAMETERS,
+        model.parameters,
+        model.brdf,
+        content,
+        model.COAT,
+        sheen,
+        film,
+        hued,
     )
 
 

@@ -194,7 +194,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         for name in ("tolerance", "like", "reflectance", "srgb"):
             if name in properties:
                 raise UsageError(f"plugin manifold: {name} needs one latent, not textures; leave it out")
-        return [properties.get_texture(name) for name in names], None
+        return [_finite_texture(mi, properties, name) for name in names], None
     if "latent" not in properties:
         raise UsageError(
             f"plugin manifold: no latent; give `latent` as 'x,y', or textures {', '.join(names)}"
@@ -211,6 +211,16 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         srgb=str(properties["srgb"]) if "srgb" in properties else None,
     )
     return [], FixedLatent.of(model, latent, colour, tolerance)
+
+
+def _finite_texture(mi: Any, properties: Any, name: str) -> Any:
+    """A texture of a latent's coordinates, none of whose texels is NaN or infinite: such would be rendered as NaN."""
+    texture = properties.get_texture(name)
+    params = mi.traverse(texture)
+    for key in params.keys():  # noqa: SIM118  # its own iteration is over pairs
+        if key.endswith("data") and not np.all(np.isfinite(np.array(params[key]))):
+            raise UsageError(f"plugin manifold: {name} has texels that are not finite, expected coordinates")
+    return texture
 
 
 def _path(properties: Any, name: str) -> Path:

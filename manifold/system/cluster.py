@@ -33,7 +33,7 @@ R = TypeVar("R")
 
 _PACKAGES = ("brdf-manifold", "numpy", "scipy", "numba", "mitsuba")  # on which results depend
 _CONNECT_S = 8.0
-_ADDRESS = re.compile(r"((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.%]+\]|[^\s:/\[\]]+):\d{1,5}")
+_ADDRESS = re.compile(r"inproc://\S+|((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.%]+\]|[^\s:/\[\]]+):\d{1,5}")
 # Of workers with several threads: the folder and the renderer are the process's.
 _one_at_a_time = threading.Lock()
 

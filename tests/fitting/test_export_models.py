@@ -269,8 +269,8 @@ def test_parameters_stay_in_the_ranges_of_the_targets(rng):
                 if "hickness" in key:  # nm, of a film that there is not
                     assert value == target.defaults[key]
                     continue
-                if "angent" in key:  # the azimuth of the highlights, in radians
-                    highest = 2.0 * np.pi
+                if "angent" in key:  # the azimuth of the highlights, in degrees
+                    highest = 360.0
                 if key == "specularColorFactor":  # the one colour that glTF lets go above 1
                     highest = np.inf
                 assert np.all(np.asarray(value) >= 0.0), (target.name, key, value)

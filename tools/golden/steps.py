@@ -63,11 +63,8 @@ COMMANDS: dict[str, str] = {
     "embed materials": "embed -L real.zarr --kind material --mapping log-relative -M own.h5;"
     "locate real-left-out/paper_blue_rgb.bsdf -M own.h5 -o located.bsdf; predict 0.1,0.2 -M own.h5 -o predicted.bsdf;"
     "report -M own.h5",
-    "embed as published": "embed -L real.zarr --kind material --mapping identity --criterion likelihood -M own.h5;"
+    "embed as published": "embed -L real.zarr --kind material --mapping identity -M own.h5;"
     "predict cardboard -M own.h5 -o predicted.bsdf; predict 0.1,0.2 -M own.h5 -o between.bsdf",
-    "embed bands": "embed -L real.zarr --kind monochrome -M own.h5;"
-    "locate real-left-out/paper_blue_rgb.bsdf -M own.h5 -o located.bsdf;"
-    "predict 0.1,0.2 --like cardboard -M own.h5 -o predicted.bsdf",
     # -- predictions
     "predict place": "predict --latent 0.3,0.5 -M real.h5 -o place.bsdf",
     "predict material": "predict cardboard -M real.h5 -o material.bsdf",

@@ -1,0 +1,5 @@
+"""Surfaces from pictures: colour, slope and sparkle per pixel, on top of a completed BRDF."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,83 @@
+"""How the brightness of a point answers to its slope, as measured on real paints, by the angle of the lamp.
+
+    ln N_j = ln a + s(lamp_j) . slope + t(lamp_j) u
+
+with `a` the albedo of a point in each channel, `slope` the components of its normal along x and y, and `u` a third
+factor, which stands for occlusion and gloss. A Lambertian would have s = tan of the lamp's angle: real surfaces answer
+less to lamps from the mirror's side, and more to grazing ones opposite, where relief casts shadows. Learned by
+`benchmarks/bench_surface.py --learn` from workbooks of mineral paints, seen from 15 degrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.records import Array
+from manifold.surface.pictures import SurfacePictures
+
+_ANGLES_DEG = np.array([-65.0, -30.0, 0.0, 30.0, 45.0, 60.0])  # positive on the mirror's side
+_SLOPE = np.array([-1.74, -0.636, -0.131, 0.519, 0.876, 1.395])
+_THIRD = np.array([1.29, -0.651, -0.926, -0.338, 0.22, 1.064])
+_NOISE = np.array([0.177, 0.129, 0.095, 0.111, 0.105, 0.138])  # of ln N, standard deviation
+_SLOPE_DIFFUSE, _THIRD_DIFFUSE, _NOISE_DIFFUSE = -0.126, -0.495, 0.081
+_CODE_NOISE = 0.012  # standard deviation of linear values: 8 bits, and the camera
+_REFERENCE_NOISE = 0.08  # of ln N, of the noise above in a bright channel
+
+SLOPE_STD = 0.13
+"""Standard deviation of slopes of the paints, the prior of each component."""
+
+THIRD_STD = 0.071
+"""That of the third factor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Responses of J pictures.
+
+    Attributes:
+        factors: of ln N to slope along x, along y, and the third factor, shape (J, 3).
+        weights: inverse variance of ln N, shape (J, 3 channels).
+    """
+
+    factors: Array
+    weights: Array
+
+    @classmethod
+    def of(cls, lamps: Array, means: Array) -> Response:
+        """The responses under lamps.
+
+        Args:
+            lamps: unit vectors, shape (J, 3); NaN for diffuse light. Those in the plane of y and z have the measured
+                response of their side, those in other planes the mean of both sides.
+            means: linear sRGB of the pictures, shape (J, 3): dark channels are noisier.
+        """
+        is_diffuse = np.isnan(lamps[:, 0])
+        x, y, z = np.where(is_diffuse[:, None], [0.0, 0.0, 1.0], lamps).T
+        across = np.hypot(x, y)
+        angle = np.rad2deg(np.arctan2(across, z))
+        share = np.divide(
+            -y, across, out=np.ones_like(y), where=across > 0.0
+        )  # of the mirror's side: 1, opposite: -1
+        slope, third, noise = (
+            0.5 * (1.0 + share) * np.interp(angle, _ANGLES_DEG, table)
+            + 0.5 * (1.0 - share) * sign * np.interp(-angle, _ANGLES_DEG, table)
+            for table, sign in ((_SLOPE, -1.0), (_THIRD, 1.0), (_NOISE, 1.0))
+        )
+        slope, third, noise = (
+            np.where(is_diffuse, diffuse, lit)
+            for diffuse, lit in ((0.0, slope), (_THIRD_DIFFUSE, third), (_NOISE_DIFFUSE, noise))
+        )
+        along_x = np.divide(x, across, out=np.zeros_like(x), where=across > 0.0)
+        along_y = np.divide(y, across, out=-np.ones_like(y), where=across > 0.0)
+        factors = np.stack([slope * along_x, slope * along_y, third], axis=-1)
+        factors[is_diffuse, 1] = -_SLOPE_DIFFUSE
+        relative = _CODE_NOISE / means
+        weights = (_REFERENCE_NOISE / noise[:, None]) ** 2 / (_REFERENCE_NOISE**2 + relative**2)
+        return cls(factors, weights)
+
+    @classmethod
+    def of_pictures(cls, pictures: SurfacePictures) -> Response:
+        """The responses of all pictures."""
+        return cls.of(pictures.lamps, pictures.values.mean(axis=(1, 2)))

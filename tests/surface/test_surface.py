@@ -1,0 +1,221 @@
+"""Surfaces from pictures: what is known is found again, and textures continue across their edges."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from manifold.errors import FileFormatError, UsageError
+from manifold.formats import ma_t12
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.surface.estimate import estimate_surface, integrated
+from manifold.surface.pictures import SurfacePictures, _in_plane, read_folder, read_workbook
+from manifold.surface.response import Response
+from manifold.surface.sparkle import sparkle_of
+from manifold.surface.tiling import blend, dust_in, tile, uncropped
+
+ANGLES_DEG = np.array([60.0, 45.0, 30.0, 0.0, -30.0, -65.0, np.nan])
+CAPTIONS = ("15as-45", "15as-30", "15as-15", "15as15", "15as45", "15as80", "15d")
+SIZE = (220, 260)
+
+
+def rough(rng, size=SIZE, pixels=2.0):
+    """A smooth random field of standard deviation 1."""
+    field = gaussian_filter(rng.standard_normal(size), pixels, mode="wrap")
+    return field / field.std()
+
+
+def truth(rng, size=SIZE):
+    """Heights with slopes of 0.1, and their slopes."""
+    height = rough(rng, size, 2.5)
+    slope = np.stack([-np.gradient(height, axis=1), np.gradient(height, axis=0)], axis=-1)
+    scale = 0.1 / slope.std()
+    return scale * height, scale * slope
+
+
+def photographed(rng, slope, *, noise=0.01):
+    """Pictures of a surface that answers as the table says."""
+    lamps = _in_plane(ANGLES_DEG)
+    colour = np.array([0.5, 0.3, 0.2])
+    albedo = np.exp(0.15 * rough(rng, slope.shape[:2]))[..., None] * np.array([1.0, 1.0, 1.0])
+    factors = Response.of(lamps, np.broadcast_to(colour, (7, 3))).factors
+    bright = colour * albedo * np.exp(np.einsum("jk,hwk->jhw", factors[:, :2], slope))[..., None]
+    values = bright * np.exp(noise * rng.standard_normal(bright.shape))
+    return SurfacePictures("twin", values, lamps, CAPTIONS, values.mean(axis=(1, 2))), albedo
+
+
+def test_slopes_in_the_plane_of_the_lamps_and_albedo_are_found(rng):
+    _, slope = truth(rng)
+    pictures, albedo = photographed(rng, slope)
+    surface = estimate_surface(pictures)
+    assert np.corrcoef(surface.slope[..., 1].ravel(), slope[..., 1].ravel())[0, 1] > 0.99
+    fitted = np.polyfit(slope[..., 1].ravel(), surface.slope[..., 1].ravel(), 1)[0]
+    assert 0.9 < fitted < 1.05  # the prior shrinks by a few per cent
+    assert np.corrcoef(np.log(surface.albedo[..., 1]).ravel(), np.log(albedo[..., 1]).ravel())[0, 1] > 0.97
+    assert surface.slope_std[1] < 0.5 * surface.slope_std[0]  # no lamp stands across the plane
+
+
+def test_slopes_across_the_plane_follow_from_integrability(rng):
+    _, slope = truth(rng)
+    surface = estimate_surface(photographed(rng, slope)[0])
+    assert np.corrcoef(surface.relief[..., 0].ravel(), slope[..., 0].ravel())[0, 1] > 0.6
+    assert np.abs(surface.slope[..., 0]).max() < 1e-9  # pixel by pixel there is nothing to see
+
+
+def test_lamps_around_a_sample_show_both_slopes(rng):
+    _, slope = truth(rng)
+    azimuth = np.arange(8) * np.pi / 4.0
+    lamps = np.stack([0.6 * np.cos(azimuth), 0.6 * np.sin(azimuth), np.full(8, 0.8)], axis=-1)
+    factors = Response.of(lamps, np.full((8, 3), 0.5)).factors
+    values = 0.5 * np.exp(np.einsum("jk,hwk->jhw", factors[:, :2], slope))[..., None] * np.ones(3)
+    found = estimate_surface(SurfacePictures("all round", values, lamps, ("",) * 8, np.full((8, 3), np.nan)))
+    for axis in range(2):
+        assert np.corrcoef(found.slope[..., axis].ravel(), slope[..., axis].ravel())[0, 1] > 0.99
+
+
+def test_a_lamp_that_was_left_out_is_predicted_better_than_by_the_mean_of_the_others(rng):
+    _, slope = truth(rng)
+    pictures, _ = photographed(rng, slope)
+    left_out = 1
+    made = estimate_surface(pictures.without(left_out)).lit(
+        pictures.lamps[left_out], pictures.means[left_out]
+    )
+    true = pictures.values[left_out]
+    np.testing.assert_allclose(made.mean(axis=(0, 1)), pictures.means[left_out], rtol=1e-9)
+    others = pictures.without(left_out).values
+    mean = (others / others.mean(axis=(1, 2), keepdims=True)).mean(axis=0) * pictures.means[left_out]
+    assert np.sqrt(np.mean((made - true) ** 2)) < 0.4 * np.sqrt(np.mean((mean - true) ** 2))
+
+
+def test_heights_are_those_that_the_slopes_came_from(rng):
+    height, slope = truth(rng)
+    found = integrated(slope, np.ones(2))
+    assert np.corrcoef(found.ravel(), height.ravel())[0, 1] > 0.98  # slopes are finite differences
+    row_slope = np.gradient(found, axis=0)
+    assert np.corrcoef(row_slope.ravel(), slope[..., 1].ravel())[0, 1] > 0.98
+
+
+def test_glints_are_counted_under_the_lamps_that_show_them(rng):
+    _, slope = truth(rng)
+    pictures, _ = photographed(rng, 0.2 * slope)
+    values = pictures.values.copy()
+    rows, columns = rng.integers(5, 200, 40), rng.integers(5, 240, 40)
+    for k, (row, column) in enumerate(zip(rows, columns, strict=True)):
+        values[2 + k % 2, row : row + 2, column : column + 2] *= 3.0
+    sparkle = sparkle_of(estimate_surface(replace(pictures, values=values)))
+    counted = sparkle.density * 4 * SIZE[0] * SIZE[1] / 1e4  # four lamps within 50 degrees
+    assert 30 <= counted <= 42  # a few overlap
+    assert sparkle.seen_once > 0.9
+    assert 3.0 <= sparkle.size_px <= 5.0
+    assert 2.0 < sparkle.brightness < 3.5
+    clean = sparkle_of(estimate_surface(pictures))
+    assert (clean.density, clean.spread_deg) == (0.0, None)
+
+
+def test_a_texture_continues_across_its_edges_and_keeps_the_distribution(rng):
+    sample = np.exp(0.3 * rough(rng))[..., None] * np.array([1.0, 2.0])
+    made = blend(sample, 300, np.random.default_rng(1))
+    assert made.shape == (300, 300, 2)
+    steps = np.abs(np.diff(made, axis=0)).mean()
+    assert np.abs(made[0] - made[-1]).mean() < 1.3 * steps
+    assert np.abs(made[:, 0] - made[:, -1]).mean() < 1.3 * np.abs(np.diff(made, axis=1)).mean()
+    for share in (10, 50, 90):
+        np.testing.assert_allclose(
+            np.percentile(made[..., 0], share), np.percentile(sample[..., 0], share), rtol=0.08
+        )
+
+
+def test_textures_of_a_surface_have_normals_that_belong_to_their_heights(rng):
+    _, slope = truth(rng)
+    made = tile(estimate_surface(photographed(rng, slope)[0]), 256)
+    rows = (np.roll(made.height, -1, axis=0) - np.roll(made.height, 1, axis=0)) / 2.0
+    assert np.corrcoef(rows.ravel(), made.slope[..., 1].ravel())[0, 1] > 0.9
+    np.testing.assert_allclose(np.linalg.norm(made.normal, axis=-1), 1.0)
+    np.testing.assert_allclose(made.albedo.mean(axis=(0, 1)), 1.0)
+    with pytest.raises(UsageError, match="expected 192 to 8192"):
+        tile(estimate_surface(photographed(rng, slope)[0]), 100)
+
+
+def test_shaded_edges_are_cropped_and_dust_is_found():
+    albedo = np.ones((200, 240, 3))
+    albedo[:6] *= 0.5
+    albedo[:, -3:] *= 1.4
+    assert uncropped(albedo) == (slice(6, 200), slice(0, 237))
+    logs = 0.05 * np.random.default_rng(0).standard_normal((200, 240, 3))
+    logs[100:108, 50:58] += 1.0
+    dust = dust_in(logs)
+    assert dust[104, 54]
+    assert dust.sum() < 400
+
+
+def workbook(path, rng, *, shift_px=0, factor=None):
+    """A workbook with readings and pictures of one sample, as the instrument's program writes it."""
+    _, slope = truth(rng, (360, 480))
+    pictures, _ = photographed(rng, slope, noise=0.0)
+    wi, wo = geometry_ma_t12()
+    nm = np.arange(400.0, 701.0, 10.0)
+    readings = Readings("twin", "MA-T12", wi, wo, nm, np.full((12, 31), 0.35 / np.pi))
+    images = {}
+    for j, (caption, values) in enumerate(zip(CAPTIONS, pictures.values, strict=True)):
+        grey = np.repeat(
+            values[..., :1] / values[..., 0].mean() * 0.35 * (1.0 if factor is None else factor[j]),
+            3,
+            axis=-1,
+        )
+        grey[..., 0] = np.roll(grey[..., 0], -shift_px, axis=0)
+        stream = io.BytesIO()
+        Image.fromarray(np.round(255.0 * np.clip(grey, 0.0, 1.0)).astype(np.uint8)).save(stream, "PNG")
+        images[caption] = stream.getvalue()
+    ma_t12.write(path, replace(readings, texture={"values": [{"Name": "twin"}], "images": images}))
+    return slope
+
+
+def test_a_workbook_s_pictures_are_read_with_their_geometries_and_registered(rng, tmp_path):
+    slope = workbook(tmp_path / "twin.xlsx", rng, shift_px=1)
+    pictures, readings = read_workbook(tmp_path / "twin.xlsx")
+    assert pictures.labels == CAPTIONS
+    assert readings.name == "twin"
+    np.testing.assert_allclose(pictures.lamps[0], [0.0, -np.sin(np.pi / 3), 0.5], atol=1e-12)
+    assert np.isnan(pictures.lamps[6]).all()
+    np.testing.assert_allclose(pictures.factors[:6], 1.0, atol=0.03)  # 8 bits
+    assert "red moved by +1.00 pixels along the rows onto green" in pictures.notes
+    found = estimate_surface(pictures).slope[..., 1]
+    margin = (slope.shape[0] - found.shape[0]) // 2
+    assert np.corrcoef(found.ravel(), slope[margin:-margin, :, 1].ravel())[0, 1] > 0.97
+
+
+def test_pictures_that_do_not_belong_to_their_readings_are_refused(rng, tmp_path):
+    workbook(tmp_path / "twin.xlsx", rng, factor=(1.0, 1.0, 2.0, 1.0, 1.0, 1.0, 1.0))
+    with pytest.raises(FileFormatError, match=r"picture 15as-15 is 2.* times as bright"):
+        read_workbook(tmp_path / "twin.xlsx")
+
+
+def test_a_workbook_without_pictures_is_refused_by_name(tmp_path):
+    wi, wo = geometry_ma_t12()
+    nm = np.arange(400.0, 701.0, 10.0)
+    ma_t12.write(tmp_path / "bare.xlsx", Readings("bare", "MA-T12", wi, wo, nm, np.full((12, 31), 0.1)))
+    with pytest.raises(FileFormatError, match="found 0 pictures with a geometry, expected at least 3"):
+        read_workbook(tmp_path / "bare.xlsx")
+
+
+def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
+    files = []
+    for k in range(3):
+        files.append(tmp_path / f"{k}.png")
+        Image.fromarray(rng.integers(60, 200, (40, 50, 3), dtype=np.uint8)).save(files[-1])
+    lamps = tmp_path / "lamps.txt"
+    lamps.write_text("1 0 1\n0 1 1\n-1 0 1\n")
+    pictures = read_folder(files, lamps)
+    np.testing.assert_allclose(pictures.lamps[1], [0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    assert pictures.values.shape == (3, 40, 50, 3)
+    lamps.write_text("1 0 1\n0 1 1\n")
+    with pytest.raises(UsageError, match="found 2 lamps for 3 pictures"):
+        read_folder(files, lamps)
+    lamps.write_text("1 0 1\n0 1 1\n0 0 -1\n")
+    with pytest.raises(FileFormatError, match="z above 0"):
+        read_folder(files, lamps)

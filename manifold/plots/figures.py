@@ -25,7 +25,14 @@ _FALLBACK_FONTS = (
     "Noto Sans CJK JP", "Noto Sans CJK SC", "WenQuanYi Zen Hei", "Hiragino Sans", "PingFang SC", "Yu Gothic",
     "Microsoft YaHei", "Malgun Gothic", "Noto Emoji", "Segoe UI Symbol", "Arial Unicode MS", "Unifont",
 )  # fmt: skip
-_GAPS, _ANGLES = np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]), 24  # rings of places around a point, in dots
+_GAPS, _ANGLES = (
+    np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0, 17.0, 24.0]),
+    24,
+)  # rings of places around a point, in dots
+_COVERED_POINT, _COVERED_NAME = (
+    4.0,
+    100.0,
+)  # costs of a covered square pixel, where a dot's gap costs a text's height
 _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
 rcParams["font.family"] += [name for name in _FALLBACK_FONTS if name in fontManager.get_font_names()]
 
@@ -56,6 +63,7 @@ def place_names(
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents
     own = axes.transData.transform([name.xy for name in names])
     taken = np.hstack([points - dot, points + dot])  # left, bottom, right, top
+    price = np.full(len(taken), _COVERED_POINT)
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     around = np.tile(np.stack([np.cos(angles), np.sin(angles)], axis=1), (len(_GAPS), 1))
     gaps = np.repeat(dot * _GAPS, _ANGLES)
@@ -65,15 +73,15 @@ def place_names(
         offsets = around * (gaps[:, None] + half)
         boxes = np.hstack([own[k] + offsets - half, own[k] + offsets + half])
         common = np.minimum(boxes[:, None, 2:], taken[:, 2:]) - np.maximum(boxes[:, None, :2], taken[:, :2])
-        covered = np.prod(np.maximum(common, 0.0), axis=2).sum(axis=1)
+        covered = np.prod(np.maximum(common, 0.0), axis=2) @ price
         outside = np.maximum(np.hstack([frame[:2] - boxes[:, :2], boxes[:, 2:] - frame[2:]]).max(axis=1), 0.0)
         nearest = np.clip(own[:, None], boxes[:, :2], boxes[:, 2:])  # points of the boxes, [K, places, 2]
         apart = np.linalg.norm(own[:, None] - nearest, axis=2)
         too_far = np.maximum(apart[k] - apart.min(axis=0), 0.0)  # nearer to other points than to its own
-        cost = extent.height * (gaps + 4.0 * too_far) + 4.0 * covered + 1e4 * outside
+        cost = extent.height * (gaps + 4.0 * too_far) + covered + 1e4 * outside
         best = int(np.argmin(cost))
         name.set_position(tuple(offsets[best]))
-        taken = np.vstack([taken, boxes[best]])
+        taken, price = np.vstack([taken, boxes[best]]), np.append(price, _COVERED_NAME)
         if apart[k, best] > 2.0 * dot:
             end = axes.transData.inverted().transform(nearest[k, best])
             axes.plot(*zip(name.xy, end, strict=True), color="0.4", linewidth=0.7, zorder=zorder)

@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import small_library
+from hypothesis import given
+from hypothesis import settings as settings_of_test
+from hypothesis.strategies import integers
 from matplotlib.colors import to_rgb
 from typer.testing import CliRunner
 
@@ -34,7 +37,7 @@ from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
-from manifold.plots import plot_chart
+from manifold.plots import figures, plot_chart
 from manifold.system import progress
 
 FILES = [small_library.measured(name) for name in small_library.NAMES]
@@ -304,17 +307,45 @@ def test_every_panel_shows_every_setting_and_names_the_published_setting_and_the
         assert all(drawn[key].get_markersize() < drawn[front[0].key].get_markersize() for key in dominated)
 
 
+def _require_names_apart(axes, renderer):
+    boxes = [text.get_window_extent(renderer) for text in axes.texts]
+    frame = axes.get_window_extent(renderer)
+    for k, box in enumerate(boxes):
+        assert box.x0 > frame.x0 - 1 and box.x1 < frame.x1 + 1  # noqa: PT018
+        for other in boxes[:k]:
+            width = min(box.x1, other.x1) - max(box.x0, other.x0)
+            height = min(box.y1, other.y1) - max(box.y0, other.y0)
+            assert width <= 0 or height <= 0.25 * box.height
+
+
 def test_no_two_names_of_a_panel_cover_each_other_and_none_is_cut(figure):
-    renderer = figure.canvas.get_renderer()
     for axes in figure.axes:
-        boxes = [text.get_window_extent(renderer) for text in axes.texts]
-        frame = axes.get_window_extent(renderer)
-        for k, box in enumerate(boxes):
-            assert box.x0 > frame.x0 - 1 and box.x1 < frame.x1 + 1  # noqa: PT018
-            for other in boxes[:k]:
-                width = min(box.x1, other.x1) - max(box.x0, other.x0)
-                height = min(box.y1, other.y1) - max(box.y0, other.y0)
-                assert width <= 0 or height <= 0.25 * box.height
+        _require_names_apart(axes, figure.canvas.get_renderer())
+
+
+@given(seed=integers(0, 2**32 - 1))
+@settings_of_test(max_examples=40, deadline=None)
+def test_names_of_points_anywhere_do_not_cover_each_other(seed):
+    points = np.random.default_rng(seed).uniform(0.05, 0.95, (12, 2)) ** 2  # crowded in a corner
+    drawn = figures.new_figure(5.0, 4.0)
+    axes = drawn.subplots()
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    drawn.draw_without_rendering()
+    drawn.set_layout_engine("none")
+    names = [
+        axes.annotate(
+            f"setting number {k}, 6",
+            p,
+            xytext=(0, 0),
+            textcoords="offset pixels",
+            ha="center",
+            va="center",
+            fontsize=8,
+        )
+        for k, p in enumerate(points)
+    ]
+    figures.place_names(drawn, axes, names, 5.0, axes.transData.transform(points), zorder=2)
+    _require_names_apart(axes, drawn.canvas.get_renderer())
 
 
 def test_families_differ_in_shape_and_in_lightness_or_hue_for_all_kinds_of_colour_vision(figure):

@@ -40,12 +40,11 @@ from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.gplvm import GPLVM
+from manifold.gplvm import GPLVM, OPTIMIZERS
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
 from manifold.latent.kernels import SquaredExponential
 from manifold.latent.objective import LatentObjective, centre_gram, pca_start
-from manifold.latent.search import OPTIMIZERS
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.gram import gram_matrix

@@ -1,22 +1,27 @@
 """A Gaussian-process latent variable model: low-dimensional coordinates of materials from their Gram matrix.
 
-The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of
-outputs D. What is minimised is `manifold.latent.objective.LatentObjective`, by an optimiser of
-`manifold.latent.search`.
+The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of outputs D. It
+starts from principal components, and is minimised by the direct local search of `manifold.dls`, as Hikichi & Iwasaki
+publish it (sections 3.3 and 3.4), or by L-BFGS. The likelihood itself is `manifold.latent.objective.LatentObjective`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from manifold.dls import STOPPED, direct_local_search
 from manifold.errors import UsageError
+from manifold.gpr import GaussianProcess
 from manifold.latent.encoder import Encoder
-from manifold.latent.gp_weights import GPWeights
+from manifold.latent.incremental import IncrementalObjective
 from manifold.latent.kernels import Kernel, kernel_named, require_mu
 from manifold.latent.objective import (
     LatentObjective,
@@ -29,8 +34,96 @@ from manifold.latent.objective import (
     require_prior,
     require_start,
 )
-from manifold.latent.search import OPTIMIZERS, FitCallback, Run
 from manifold.records import Array
+
+FitCallback = Callable[[int, float], Any]
+
+_FIRST_STEP = 0.1  # of direct local search, in length scales
+_LAST_STEP = 100.0  # of direct local search, in length scales times the tolerance
+
+
+class Run:
+    """One fit: its limits, the best latents so far, and the counts over all stages.
+
+    The callback gets the best value so far after every round; its StopIteration ends the whole fit.
+    """
+
+    def __init__(
+        self,
+        objective: LatentObjective,
+        start: Array,
+        max_iter: int,
+        tol: float,
+        callback: FitCallback | None,
+    ) -> None:
+        self.objective, self.max_iter, self.tol = objective, max_iter, tol
+        self.callback = callback
+        self.n_iter, self.n_evaluations = 0, 1
+        self.best_X, self.best = start, objective(start)[0]
+
+    def refine(self, optimizer: str) -> None:
+        """Minimise from the best latents so far by one of `OPTIMIZERS`."""
+        with suppress(StopIteration):
+            OPTIMIZERS[optimizer](self, self.best_X)
+
+    def report(self, X: Array, value: float) -> None:
+        """Count a round that ended at X (N, Q)."""
+        self.n_iter += 1
+        if value < self.best:
+            self.best_X, self.best = X.reshape(self.best_X.shape).copy(), value
+        if self.callback is not None:
+            self.callback(self.n_iter, self.best)
+
+
+def search(run: Run, X: Array) -> Array:
+    """Direct local search of Hooke & Jeeves from X (N, Q): latents. No gradient.
+
+    Args:
+        run: the fit.
+        X: the start.
+    Source: Hikichi & Iwasaki, section 3.4.
+    """
+    objective = run.objective
+    l = objective.kernel.length_scale
+    result = direct_local_search(
+        IncrementalObjective(objective, X),
+        initial_step=_FIRST_STEP * l,
+        tolerance=_LAST_STEP * run.tol * l,
+        maxfev=np.iinfo(np.int64).max,
+        max_sweeps=run.max_iter,
+        callback=run.report,
+    )
+    run.n_evaluations += result.nfev
+    if result.status == STOPPED:
+        raise StopIteration
+    return result.x.reshape(X.shape)
+
+
+def descend(run: Run, X: Array) -> tuple[Array, float]:
+    """L-BFGS from X (N, Q): latents and their value."""
+    objective = run.objective
+
+    def flat(x: Array) -> tuple[float, Array]:
+        value, gradient = objective(x.reshape(X.shape))
+        return value, gradient.reshape(-1)
+
+    def report(intermediate_result: Any) -> None:
+        run.report(intermediate_result.x, float(intermediate_result.fun))
+
+    limit, tol = run.max_iter, run.tol
+    options = {"maxiter": limit, "maxfun": 10 * limit, "ftol": 1e-2 * tol, "gtol": tol, "maxcor": 20}
+    result = minimize(flat, X.reshape(-1), jac=True, method="L-BFGS-B", callback=report, options=options)
+    run.n_evaluations += int(result.nfev)
+    if result.status == STOPPED:
+        raise StopIteration
+    return result.x.reshape(X.shape), float(result.fun)
+
+
+OPTIMIZERS: dict[str, Callable[[Run, Array], Any]] = {
+    "dls": search,
+    "l-bfgs": descend,
+}
+
 
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
 
@@ -67,7 +160,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         objective_, objective_start_: F at the end and at the start.
         n_iter_, n_evaluations_: rounds, and evaluations of F (a move of one coordinate is one).
         output_variance_: profiled s^2, in squared units of the outputs.
-        gp_: `GPWeights` of the latents.
+        gp_: `GaussianProcess` of the latents.
         gram_: centred Gram matrix, shape (N, N).
         n_outputs_: D.
         Y_fit_: the data, shape (N, D), after `fit`; None after `fit_gram`, which stores nothing of size D.
@@ -159,7 +252,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         if objective_end > objective_start:  # by rounding only: the start was optimal
             found, objective_end = start[order], objective_start
         X = found[np.argsort(order)]
-        self.gp_ = GPWeights(X, kernel)
+        self.gp_ = GaussianProcess(X, kernel)
         self.gp_.warn_of_fit(S)
         self.embedding_, self.gram_, self.n_outputs_ = X, S, n_outputs
         self.output_variance_ = self.gp_.output_variance(S, n_outputs)

@@ -1,105 +1,356 @@
-"""Exact Gaussian-process regression with one kernel for all outputs, in the manner of scikit-learn.
+"""Gaussian-process regression with one kernel for all outputs, as Hikichi & Iwasaki predict BRDFs.
 
-Because all outputs share one kernel, a prediction is a weighted sum of the training samples, and everything
-that depends on latents alone lives in `GPWeights`, which never sees an output. `GPRegressor` adds outputs.
+Because all outputs share one kernel, a prediction is a weighted sum of the training samples, `w = K^-1 k*` (eq. 13):
+`GaussianProcess` depends on latents alone and never sees an output. Manifolds of kind `material` predict by it; those
+of kind `blend` take its variance. `manifold.estimators.GPRegressor` adds outputs, in the manner of scikit-learn.
 """
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils import Tags
-from sklearn.utils.validation import check_is_fitted, validate_data
+from scipy.linalg import cho_solve, cholesky, eigvalsh, solve_triangular
+from scipy.spatial.distance import cdist
 
-from manifold.errors import ShapeError
-from manifold.latent.gp_weights import FlatModelWarning, GPWeights, IsolatedLatentsWarning, LengthScaleBound
-from manifold.latent.kernels import Kernel, first_equal_row, kernel_named
-from manifold.records import Array
+from manifold.errors import NumericalError
+from manifold.latent.kernels import Kernel, equal_rows, first_equal_row
+from manifold.latent.objective import centre_gram
+from manifold.records import Array, Indices, Mask
+from manifold.system.names import first_few
 
-__all__ = ["FlatModelWarning", "GPRegressor", "GPWeights", "IsolatedLatentsWarning", "LengthScaleBound"]
+_FIRST_JITTER = 1e-12
+_LAST_JITTER = 1e-2
+_COINCIDE = 1e-6  # latents closer than this many length scales are named as coinciding
 
 
-class GPRegressor(RegressorMixin, BaseEstimator):
-    """Gaussian-process regression, mean-centred, exact at its training points.
+class JitterWarning(UserWarning):
+    """K was not positive definite: jitter was added to its diagonal, which makes predictions smoother than mu says."""
 
-    >>> X, y = np.array([[0.0], [1.0], [2.0]]), np.array([0.0, 1.0, 4.0])
-    >>> GPRegressor(mu=1e-6, length_scale=2.0).fit(X, y).predict([[1.0], [1.5]]).round(2)
-    array([1.  , 2.36])
 
-    Args:
-        mu: noise filter, >= 0.
-        length_scale: l > 0, in units of the inputs.
-        kernel: its name, or a class of your own, see `kernel_named`.
+def factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
+    """K, its lower Cholesky factor and the jitter that was needed (0 as a rule)."""
+    K = kernel.training(X)
+    diagonal, variance = np.diag_indices_from(K), np.diag(K).copy()
+    jitter = 0.0
+    while True:
+        L = _cholesky_or_none(K)
+        if L is not None:
+            break
+        raised = _FIRST_JITTER if jitter == 0.0 else 10.0 * jitter
+        if raised > _LAST_JITTER:
+            raise NumericalError(
+                f"K is not positive definite even with {jitter:.0e} on its diagonal (N = {X.shape[0]}, "
+                f"mu = {kernel.mu:.0e}): {_name_coinciding(X, kernel)}; raise mu"
+            )
+        jitter = raised
+        K[diagonal] = variance + jitter
+    if jitter > 0.0:
+        warnings.warn(
+            f"K is not positive definite (N = {X.shape[0]}, mu = {kernel.mu:.0e}): "
+            f"{_name_coinciding(X, kernel)}; added {jitter:.0e} to its diagonal; "
+            f"raise mu to {jitter:.0e} or more",
+            JitterWarning,
+            stacklevel=4,
+        )
+    return K, L, jitter
+
+
+def _cholesky_or_none(K: Array) -> Array | None:
+    """The lower factor, or None where K is singular to working precision."""
+    try:
+        L = cholesky(K, lower=True)
+    except np.linalg.LinAlgError:
+        return None
+    # Rounding can let a singular K pass with meaningless pivots.
+    smallest_pivot = float(np.diag(L).min()) ** 2
+    return L if smallest_pivot > 4.0 * K.shape[0] * np.finfo(float).eps else None
+
+
+def _name_coinciding(X: Array, kernel: Kernel) -> str:
+    """The latents that coincide, or else the closest two, in words."""
+    if X.shape[0] < 2:
+        return "a single latent"
+    distances = cdist(X, X)
+    distances[np.tril_indices_from(distances)] = np.inf
+    pairs = np.argwhere(distances <= _COINCIDE * kernel.length_scale)
+    if len(pairs) == 0:
+        i, j = np.unravel_index(int(distances.argmin()), distances.shape)
+        return f"latents {i} and {j} are closest, {distances[i, j]:.1e} apart"
+    return f"latents {first_few([f'{i} and {j}' for i, j in pairs])} coincide"
+
+
+LEAST_EXPLAINED = 0.5  # share of the variance between samples below which a fit is warned of
+_ALONE = 0.5  # share of the prior's variance above which a sample is far from all others
+_COINCIDENT = 1e-3  # of the latents' span: closer latents count as one
+_MOST_ALONE = 0.25  # share of such samples from which a fit is warned of
+
+
+class FlatModelWarning(UserWarning):
+    """A fitted process predicts the mean of the samples, or nearly, or is linear in the latents."""
+
+
+class IsolatedLatentsWarning(UserWarning):
+    """Many fitted latents are far from all others: between them a process predicts the mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class LengthScaleBound:
+    """How fast a prediction may leave its nearest training sample (Hikichi & Iwasaki, eq. 15).
 
     Attributes:
-        gp_: the `GPWeights` of the training inputs.
-        Y_fit_: training outputs, shape (N, D) or (N,).
-        output_variance_: `s^2 = tr(K^-1 S) / (N D)`, the output variance that maximises the likelihood.
+        nearest: index of the nearest training latent, shape (M,).
+        distance: distance to it, shape (M,).
+        displacement: `||y* - y_i||`, in units of the outputs, shape (M,).
+        bound: `s sqrt(2 N) * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,), with s the steepest slope of the
+            kernel, `e^(-1/2) / l` of the squared exponential.
     """
 
-    def __init__(
-        self, mu: float = 1e-4, length_scale: float = 1.0, kernel: str | type[Kernel] = "se"
-    ) -> None:
-        self.mu = mu
-        self.length_scale = length_scale
+    nearest: Indices
+    distance: Array
+    displacement: Array
+    bound: Array
+
+    @property
+    def slack(self) -> Array:
+        """`bound / displacement`, shape (M,): at least 1 where the condition holds, inf on a latent."""
+        moved = self.displacement > 0
+        return np.where(moved, self.bound / np.where(moved, self.displacement, 1.0), np.inf)
+
+    @property
+    def holds(self) -> Mask:
+        """Whether the condition holds, shape (M,). It fails very close to a latent, where the delta jumps."""
+        return self.displacement <= self.bound
+
+
+class GaussianProcess:
+    """The part of a Gaussian process that depends on the training latents alone.
+
+    Nothing of the size of the outputs is held: N latents and one N x N Cholesky factor.
+
+    Args:
+        X: training latents, shape (N, Q). Duplicates are allowed.
+        kernel: the covariance function.
+
+    Attributes:
+        X: the latents, float64, shape (N, Q).
+        K: covariance of the training latents (jitter included), shape (N, N).
+        L: its lower Cholesky factor, shape (N, N).
+        jitter: what had to be added to the diagonal, 0 unless K was not positive definite.
+
+    Raises:
+        NumericalError: K cannot be factorised even with jitter.
+
+    Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 12-14.
+    """
+
+    def __init__(self, X: Array, kernel: Kernel) -> None:
+        self.X = np.array(X, dtype=np.float64)
         self.kernel = kernel
+        self.K, self.L, self.jitter = factorise(self.X, self.kernel)
 
-    def __sklearn_tags__(self) -> Tags:
-        tags = super().__sklearn_tags__()
-        tags.target_tags.multi_output = True
-        tags.target_tags.single_output = True
-        return tags
+    def __repr__(self) -> str:
+        N, Q = self.X.shape
+        return f"<{type(self).__name__}: {N} latents, {Q} dimensions, {self.kernel}>"
 
-    def fit(self, X: Array, Y: Array) -> GPRegressor:
-        """Fit to inputs X (N, Q) and outputs Y (N, D) or (N,).
+    @property
+    def n_samples(self) -> int:
+        """N."""
+        return int(self.X.shape[0])
 
-        Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 13.
+    def weights(self, X_new: Array) -> Array:
+        """Weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
+
+        `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`: the mean of the training outputs is subtracted
+        before and added after. At a training latent the row is exactly a unit vector; where several training
+        latents coincide there, that of the first.
+
+        Args:
+            X_new: latents, shape (M, Q).
+
+        >>> from manifold.latent.kernels import SquaredExponential
+        >>> gp = GaussianProcess(np.array([[0.0], [1.0]]), SquaredExponential())
+        >>> gp.weights(np.array([[0.5], [1.0]]))
+        array([[0.5, 0.5],
+               [0. , 1. ]])
         """
-        X, Y = validate_data(self, X, Y, multi_output=True, y_numeric=True, dtype=np.float64)
-        self.gp_ = GPWeights(X, kernel_named(self.kernel, self.mu, self.length_scale))
-        self.Y_fit_ = np.array(Y, dtype=np.float64)
-        Y_c = self._centred_outputs()  # [N, D]
-        fit = max(float(np.sum(Y_c * self.gp_._solve(Y_c))), 0.0)
-        self.output_variance_ = fit / Y_c.size
-        return self
+        V = self.smooth_weights(X_new)
+        # K^-1 K[:, i] is a unit vector only to rounding: with equal coordinates it is written down instead.
+        match = first_equal_row(X_new, self.X)
+        hit = np.flatnonzero(match >= 0)
+        V[hit] = 0.0
+        V[hit, match[hit]] = 1.0
+        return V
 
-    def predict(self, X: Array, return_std: bool = False) -> Array | tuple[Array, Array]:
-        """Posterior mean at X (M, Q), shape (M, D) or (M,); with `return_std` also the deviation (M,).
+    def smooth_weights(self, X_new: Array) -> Array:
+        """`weights` without the delta, (M, N): at a training latent X_new (M, Q) those of its surroundings."""
+        W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
+        return W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
 
-        At a training input the mean is the training output, bit for bit.
+    def variance(self, X_new: Array) -> Array:
+        """Posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
+
+        Exactly 0 at a training latent, at most the prior's.
         """
-        check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        mean = self.gp_.weights(X) @ self.Y_fit_
-        match = first_equal_row(X, self.gp_.X)
-        mean[match >= 0] = self.Y_fit_[match[match >= 0]]  # 0 * y + 1 * y loses the sign of -0.0
-        if return_std:
-            return mean, self.std(X)
-        return mean
+        A = solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
+        variance = np.maximum(self.kernel.prior_variance - np.einsum("nm,nm->m", A, A), 0.0)
+        variance[first_equal_row(X_new, self.X) >= 0] = 0.0
+        return variance
 
-    def std(self, X: Array) -> Array:
-        """Posterior standard deviation at X (M, Q), one for all outputs, in their units, shape (M,)."""
-        check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        return np.sqrt(self.output_variance_ * self.gp_.variance(X))
+    def variance_fraction(self, X_new: Array) -> Array:
+        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates."""
+        return self.variance(X_new) / self.kernel.prior_variance
 
-    def leave_one_out(self) -> Array:
-        """Every training output predicted from the others, shape of the training outputs.
+    def output_variance(self, S: Array, n_outputs: int) -> float:
+        """Profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
 
-        Raises:
-            ShapeError: there are fewer than two samples.
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+            n_outputs: D.
         """
-        check_is_fitted(self)
-        if len(self.Y_fit_) < 2:
-            raise ShapeError("leave-one-out needs at least 2 samples, found 1")
-        return self.gp_.leave_one_out_weights() @ self.Y_fit_
+        S = centre_gram(S)
+        return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
 
-    def length_scale_bound(self, X: Array) -> LengthScaleBound:
-        """The condition on the length scale at X (M, Q), with its slack (Hikichi & Iwasaki, eq. 15)."""
-        check_is_fitted(self)
-        Y_c = self._centred_outputs()
-        return self.gp_.length_scale_bound(validate_data(self, X, reset=False, dtype=np.float64), Y_c @ Y_c.T)
+    def explained(self, S: Array) -> float:
+        """Share of the variance between the training samples that the smooth mean explains at their latents.
 
-    def _centred_outputs(self) -> Array:
-        Y = self.Y_fit_.reshape(self.Y_fit_.shape[0], -1)
-        return Y - Y.mean(axis=0)
+        The residual of a sample is mu K^-1 Y there, so the share is `1 - |r K^-1 Y|^2 / |Y|^2`, `r` the whole
+        diagonal less 1; 1 interpolates, 0 is the mean everywhere.
+
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+        """
+        S = centre_gram(S)
+        residual = (self.kernel.mu + self.jitter) ** 2 * float(np.trace(self._solve(self._solve(S).T)))
+        return 1.0 - residual / float(np.trace(S))
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the mean is linear in the latents, but for less than the noise filter.
+
+        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function. Any function of
+        Q + 1 places is linear, and over a whole length scale no kernel is.
+        """
+        N, Q = self.X.shape
+        span = float(np.ptp(self.X, axis=0).max())
+        if not 0.0 < span < self.kernel.length_scale:
+            return False
+        if len(np.unique(np.round(self.X / (_COINCIDENT * span)), axis=0)) <= Q + 1:
+            return False
+        beyond = N - 1 - Q
+        smooth = centre_gram(self.kernel.smooth(self.X, self.X))
+        return bool(eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
+
+    def warn_of_fit(self, S: Array) -> None:
+        """Warn of latents that predict little of the samples they were fitted to, of Gram matrix S (N, N).
+
+        Warns:
+            FlatModelWarning: `explained` is below one half, or the mean `is_linear`.
+            IsolatedLatentsWarning: a quarter of the samples and more have a variance, given the others, of over
+                half of the prior's.
+        """
+        share = self.explained(S)
+        if share < LEAST_EXPLAINED:
+            warnings.warn(
+                f"the fit explains {100.0 * share:.0f} % of the variance between samples "
+                f"(N = {self.n_samples}, length scale {self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), "
+                f"expected at least {100.0 * LEAST_EXPLAINED:.0f} %; lower the length scale, the prior or mu",
+                FlatModelWarning,
+                stacklevel=3,
+            )
+        elif self.is_linear:
+            span = np.ptp(self.X, axis=0).max()
+            warnings.warn(
+                f"the map is linear, as that of PCA: the latents span only {span:.2g} (length scale "
+                f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}); lower the length scale, the prior or "
+                "mu",
+                FlatModelWarning,
+                stacklevel=3,
+            )
+        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * self.kernel.prior_variance)
+        if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
+            warnings.warn(
+                f"{alone} of {self.n_samples} latents are far from all others (length scale "
+                f"{self.kernel.length_scale:g}): predictions between them are the mean; use more materials, fewer "
+                "dimensions, a longer length scale or a better start",
+                IsolatedLatentsWarning,
+                stacklevel=3,
+            )
+
+    def leave_one_out_weights(self) -> Array:
+        """Weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).
+
+        Row i equals the weights of a process fitted on the other N - 1 samples, evaluated at x_i: with
+        `P = K^-1` its uncentred weights are `a_j = -P_ij / P_ii`, and centring on the mean of the *remaining*
+        samples adds `(1 - sum(a)) / (N - 1)`. Where another training latent coincides with x_i, that sample
+        is the prediction, as in `weights`.
+
+        There are at least two samples.
+
+        Source: Rasmussen & Williams 2006, eq. 5.12.
+        """
+        N = self.n_samples
+        A = -self._precision / np.diag(self._precision)[:, None]  # [N, N]
+        np.fill_diagonal(A, 0.0)
+        V = A + (1.0 - A.sum(axis=1, keepdims=True)) / (N - 1)
+        np.fill_diagonal(V, 0.0)
+        twin = self._first_twin
+        hit = np.flatnonzero(twin >= 0)
+        V[hit] = 0.0
+        V[hit, twin[hit]] = 1.0
+        return V
+
+    def leave_one_out_variance(self) -> Array:
+        """Variance of every sample given the others, in units of the output variance, shape (N,).
+
+        Source: Rasmussen & Williams 2006, eq. 5.12: `1 / [K^-1]_ii`.
+        """
+        return np.where(self._first_twin >= 0, 0.0, 1.0 / np.diag(self._precision))
+
+    @cached_property
+    def condition(self) -> float:
+        """Condition number kappa(K) in the 2-norm."""
+        eigenvalues = np.linalg.eigvalsh(self.K)
+        return float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else float("inf")
+
+    def length_scale_bound(self, X_new: Array, S: Array) -> LengthScaleBound:
+        """The condition on the length scale at X_new, with its slack.
+
+        Args:
+            X_new: latents, shape (M, Q).
+            S: Gram matrix of the training outputs, shape (N, N); centred here.
+        Source: Hikichi & Iwasaki, eq. 15.
+        """
+        S = centre_gram(S)
+        V = self.weights(X_new)
+        distances = cdist(X_new, self.X)
+        nearest = distances.argmin(axis=1)
+        rows = np.arange(X_new.shape[0])
+        V[rows, nearest] -= 1.0  # y* - y_i as weights of the samples
+        squared = np.einsum("mi,ij,mj->m", V, S, V, optimize=True)
+        factor = self.kernel.steepest / self.kernel.length_scale * np.sqrt(2.0 * self.n_samples)
+        norm_Y = np.sqrt(max(float(np.trace(S)), 0.0))
+        distance = distances[rows, nearest]
+        return LengthScaleBound(
+            nearest=nearest,
+            distance=distance,
+            displacement=np.sqrt(np.maximum(squared, 0.0)),
+            bound=factor * self.condition * norm_Y * distance,
+        )
+
+    def _solve(self, B: Array) -> Array:
+        """K^-1 B. Always through L: near-identical samples make K ill-conditioned."""
+        return cho_solve((self.L, True), B)
+
+    @cached_property
+    def _precision(self) -> Array:
+        return self._solve(np.eye(self.n_samples))
+
+    @cached_property
+    def _first_twin(self) -> Indices:
+        """Index of the first *other* training latent with the same coordinates, or -1, shape (N,)."""
+        same = equal_rows(self.X, self.X)
+        np.fill_diagonal(same, False)
+        return np.where(same.any(axis=1), same.argmax(axis=1), -1)

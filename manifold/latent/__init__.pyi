@@ -1,6 +1,7 @@
 from ..dls import direct_local_search, hooke_jeeves
+from ..estimators import GPRegressor
 from ..gplvm import GPLVM
-from ..gpr import GPRegressor, GPWeights
+from ..gpr import GaussianProcess
 from .decoder import Decoder
 from .encoder import Encoder
 from .kernels import Kernel, kernel_named
@@ -12,7 +13,7 @@ __all__ = [
     "Decoder",
     "Encoder",
     "GPRegressor",
-    "GPWeights",
+    "GaussianProcess",
     "Kernel",
     "Lobes",
     "direct_local_search",

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from manifold.latent.gp_weights import GPWeights
+from manifold.gpr import GaussianProcess
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.records import Array
@@ -59,7 +59,7 @@ class Decoder:
         cosines: cos(theta_i) cos(theta_o) of each output, shape (P,).
     """
 
-    gp: GPWeights
+    gp: GaussianProcess
     mapped: Array
     mapping: Mapping
     cosines: Array

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg.lapack import dpotrs
 from scipy.optimize import minimize
 
+from manifold.gpr import GaussianProcess
 from manifold.latent.criteria import Criterion, Products, decoded_error, likelihood, mapped_residual
 from manifold.latent.decoder import Decoder
-from manifold.latent.gp_weights import GPWeights
 from manifold.records import Array
 
 _STARTS = 5  # nearest training materials to start from
@@ -36,7 +36,7 @@ class Encoder:
         prior: weight of the Gaussian prior on the latent, or one per axis, shape (Q,).
     """
 
-    gp: GPWeights
+    gp: GaussianProcess
     S: Array
     n_outputs: int
     prior: float | Array = 0.0

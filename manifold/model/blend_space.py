@@ -14,10 +14,10 @@ from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 
 from manifold.errors import UsageError
+from manifold.gpr import GaussianProcess
 from manifold.latent.blending import NEIGHBOURS, blend_weights, widest_gap
 from manifold.latent.colour_paths import ColourPaths, between, interpolate, sample_rows
 from manifold.latent.decoder import Decoder, EncodingPairs
-from manifold.latent.gp_weights import GPWeights
 from manifold.latent.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
@@ -117,7 +117,7 @@ class BlendSpace(LatentSpace):
         return self.subset(self.landmarks, (len(self.X) / len(self.landmarks)) ** (1.0 / self.X.shape[1]))
 
     @cached_property
-    def gp(self) -> GPWeights:
+    def gp(self) -> GaussianProcess:
         """The process of the materials, or of the landmarks: of thousands of materials it would cost the cube."""
         return super().gp if self.landmarks is None else self.of_landmarks.gp
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manifold.errors import UnknownNameError
-from manifold.latent.gp_weights import GPWeights
+from manifold.gpr import GaussianProcess
 from manifold.model.latent_space import LatentSpace
 from manifold.model.latents import (
     Place,
@@ -71,7 +71,7 @@ class LatentMap:
         return self.landmarks if self.space.landmarks is None else self.landmarks[:_PICTURED]
 
     @property
-    def gp(self) -> GPWeights:
+    def gp(self) -> GaussianProcess:
         """The Gaussian process on the latents of the materials."""
         return self.space.gp
 

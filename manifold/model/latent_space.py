@@ -12,8 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 from manifold.errors import ShapeError, UsageError
+from manifold.gpr import GaussianProcess
 from manifold.latent.decoder import Decoder, EncodingPairs
-from manifold.latent.gp_weights import GPWeights
 from manifold.latent.kernels import Kernel, first_equal_row
 from manifold.mapping import Mapping
 from manifold.model.combination import Combination
@@ -82,9 +82,9 @@ class LatentSpace(ABC):
         return f"<{type(self).__name__}: {N} materials, {Q} dimensions, kernel {self.kernel.name}>"
 
     @cached_property
-    def gp(self) -> GPWeights:
+    def gp(self) -> GaussianProcess:
         """The Gaussian process of the training samples."""
-        return GPWeights(self.X, self.kernel)
+        return GaussianProcess(self.X, self.kernel)
 
     @property
     def materials_in_words(self) -> str:

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 from manifold.errors import UsageError
 from manifold.latent.kernels import Kernel, kernel_named, require_mu
-from manifold.latent.search import OPTIMIZERS
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 
@@ -16,7 +15,7 @@ _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
     "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},
     "material": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
 }
-_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "material": tuple(OPTIMIZERS)}
+_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "material": ("dls", "l-bfgs")}
 
 KINDS = tuple(_KIND_DEFAULTS)
 

@@ -17,7 +17,6 @@ from manifold.experiments.stability.data_failures import lost_cells
 from manifold.experiments.stability.testbed import MIDDLE, TestBed
 from manifold.experiments.stability.trials import FINE, REFUSED, WARNED, WRONG, TrialResult, run_trial
 from manifold.fitting import fit_samples, principled
-from manifold.latent import cholesky
 from manifold.model import diagnostics
 from manifold.model import manifold as model
 from manifold.model.manifold import Manifold
@@ -108,7 +107,7 @@ def test_without_the_flag_of_extrapolation_a_short_length_scale_is_silently_wron
 
 def test_without_a_word_about_jitter_an_ill_conditioned_kernel_is_silently_wrong(bed, monkeypatch):
     assert tried(bed, "ill_conditioned_kernel", "GP").outcome == WARNED
-    monkeypatch.setattr(cholesky, "warnings", SimpleNamespace(warn=lambda *_, **__: None))
+    monkeypatch.setattr(gpr, "warnings", SimpleNamespace(warn=lambda *_, **__: None))
     assert unguarded(bed, "ill_conditioned_kernel", "GP").outcome == WRONG
 
 
@@ -120,7 +119,7 @@ def test_without_the_warning_of_fits_that_predict_little_they_are_silently_wrong
     bed, monkeypatch, key, method, severity
 ):
     assert tried(bed, key, method, severity).outcome == WARNED
-    monkeypatch.setattr(gpr.GPWeights, "warn_of_fit", lambda *_: None)
+    monkeypatch.setattr(gpr.GaussianProcess, "warn_of_fit", lambda *_: None)
     monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_BALL", np.inf)
     assert unguarded(bed, key, method, severity).outcome == WRONG
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manifold.gplvm import GPLVM
-from manifold.gpr import GPWeights
+from manifold.gpr import GaussianProcess
 from manifold.latent.criteria import Products, decoded_error, likelihood, mapped_residual
 from manifold.latent.decoder import Decoder
 from manifold.latent.encoder import Encoder
@@ -59,7 +59,9 @@ def fitted(values):
 @pytest.mark.parametrize("mapping", sorted(MAPPINGS))
 @pytest.mark.parametrize("way", WAYS)
 def test_gradients_agree_with_differences(values, rng, mapping, way):
-    decoder = decoder_of(values, GPWeights(rng.standard_normal((N, 3)), kernel_named("se", 1e-3)), mapping)
+    decoder = decoder_of(
+        values, GaussianProcess(rng.standard_normal((N, 3)), kernel_named("se", 1e-3)), mapping
+    )
     enc = Encoder.of_decoder(decoder, 0.1)
     criterion, x = criterion_of(way, enc, decoder, values[0] * 1.1), rng.standard_normal(3)
     gradient, h = enc.value_and_gradient(criterion, x)[1], 1e-5
@@ -115,7 +117,7 @@ def test_likelihood_knows_its_error(rng):
     """Samples of smooth functions of three coordinates, the process given."""
     X = rng.normal(size=(N, 3))
     frequencies, phases = rng.normal(size=(3, 300)), rng.uniform(0, 2 * np.pi, 300)
-    gp = GPWeights(X, kernel_named("se", 1e-3))
+    gp = GaussianProcess(X, kernel_named("se", 1e-3))
 
     def of(x):
         return np.cos(0.7 * x @ frequencies + phases)

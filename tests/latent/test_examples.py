@@ -8,10 +8,10 @@ from importlib import import_module
 import pytest
 
 MODULES = (
-    "manifold.dls", "manifold.gplvm", "manifold.gpr", "manifold.mapping", "manifold.metrics",
+    "manifold.dls", "manifold.gplvm", "manifold.estimators", "manifold.mapping", "manifold.metrics",
     "manifold.brdf.analytic.base", "manifold.brdf.goniometer", "manifold.colour.conversion",
     "manifold.colour.difference", "manifold.colour.metals", "manifold.formats.geometry_names",
-    "manifold.formats.readings", "manifold.formats.values", "manifold.latent.gp_weights", "manifold.latent.kernels",
+    "manifold.formats.readings", "manifold.formats.values", "manifold.gpr", "manifold.latent.kernels",
     "manifold.latent.nonnegative", "manifold.rendering.images",
 )  # fmt: skip
 

@@ -13,12 +13,11 @@ from threadpoolctl import threadpool_limits
 
 from manifold.dls import hooke_jeeves
 from manifold.errors import ShapeError, UsageError
-from manifold.gplvm import GPLVM
-from manifold.gpr import FlatModelWarning, GPWeights, IsolatedLatentsWarning
+from manifold.gplvm import GPLVM, OPTIMIZERS
+from manifold.gpr import FlatModelWarning, GaussianProcess, IsolatedLatentsWarning
 from manifold.latent.incremental import IncrementalObjective
 from manifold.latent.kernels import KERNELS, SquaredExponential, kernel_named
 from manifold.latent.objective import LatentObjective, centre_gram, fix_gauge, pca_start
-from manifold.latent.search import OPTIMIZERS
 
 
 # A few rounds exercise every path; hundreds would only cost time.
@@ -196,14 +195,14 @@ def test_gauge_keeps_its_sense_where_the_largest_entries_are_as_good_as_equal(se
 @pytest.mark.parametrize(("scale", "warning"), [(1e-4, FlatModelWarning), (1e4, IsolatedLatentsWarning)])
 def test_latents_that_predict_little_of_each_other_are_warned_of(rng, scale, warning):
     Y = curved(rng, 10)
-    gp = GPWeights(scale * rng.normal(size=(10, 2)), SquaredExponential(1e-3))
+    gp = GaussianProcess(scale * rng.normal(size=(10, 2)), SquaredExponential(1e-3))
     with pytest.warns(warning):
         gp.warn_of_fit(Y @ Y.T)
 
 
 @pytest.mark.parametrize(("scale", "is_linear"), [(0.01, True), (1.0, False)])
 def test_a_kernel_that_does_not_bend_between_its_latents_is_linear(rng, scale, is_linear):
-    gp = GPWeights(scale * rng.normal(size=(10, 2)), SquaredExponential(1e-4))
+    gp = GaussianProcess(scale * rng.normal(size=(10, 2)), SquaredExponential(1e-4))
     a, b, halfway = gp.weights(scale * np.array([[-0.5, -0.4], [0.6, 0.5], [0.05, 0.05]]))
     bend = np.linalg.norm(halfway - 0.5 * (a + b)) / np.linalg.norm(a - b)
     assert (bend < 0.01) == is_linear  # of six draws: at most 0.0003 and at least 0.19

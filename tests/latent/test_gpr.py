@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from manifold.gpr import GPRegressor, GPWeights
-from manifold.latent.cholesky import JitterWarning
+from manifold.estimators import GPRegressor
+from manifold.gpr import GaussianProcess, JitterWarning
 from manifold.latent.kernels import SquaredExponential
 from manifold.latent.objective import centre_gram
 
@@ -35,7 +35,7 @@ def test_posterior_is_the_textbook_posterior(n, m, q, d):
 
 def test_weights_at_training_latents_are_exactly_unit_vectors(rng):
     X = rng.normal(size=(20, 2))
-    assert np.array_equal(GPWeights(X, SquaredExponential()).weights(X), np.eye(20))
+    assert np.array_equal(GaussianProcess(X, SquaredExponential()).weights(X), np.eye(20))
 
 
 def test_prediction_at_training_latents_is_the_data_bit_for_bit(rng):
@@ -72,7 +72,7 @@ def test_output_variance_maximises_the_likelihood(rng):
 def _refit_without(X, i, **parameters):
     keep = np.arange(len(X)) != i
     row = np.zeros(len(X))
-    process = GPWeights(X[keep], SquaredExponential(**parameters))
+    process = GaussianProcess(X[keep], SquaredExponential(**parameters))
     row[keep] = process.weights(X[i : i + 1])[0]
     return row, process.variance(X[i : i + 1])[0]
 
@@ -80,7 +80,7 @@ def _refit_without(X, i, **parameters):
 @pytest.mark.parametrize(("n", "mu", "length_scale"), [(2, 1e-4, 1.0), (20, 1e-2, 0.5), (51, 1e-4, 1.0)])
 def test_closed_form_leave_one_out_is_refitting_n_times(rng, n, mu, length_scale):
     X = 2.0 * rng.normal(size=(n, 2))
-    process = GPWeights(X, SquaredExponential(mu, length_scale))
+    process = GaussianProcess(X, SquaredExponential(mu, length_scale))
     refitted = [_refit_without(X, i, mu=mu, length_scale=length_scale) for i in range(n)]
     V = process.leave_one_out_weights()
     assert np.array_equal(np.diag(V), np.zeros(n))
@@ -91,7 +91,7 @@ def test_closed_form_leave_one_out_is_refitting_n_times(rng, n, mu, length_scale
 def test_leave_one_out_of_a_duplicate_is_its_twin(rng):
     X = rng.normal(size=(9, 2))
     X[[4, 7]] = X[1]
-    process = GPWeights(X, SquaredExponential(1e-2))
+    process = GaussianProcess(X, SquaredExponential(1e-2))
     refitted = [_refit_without(X, i, mu=1e-2) for i in range(9)]
     V = process.leave_one_out_weights()
     np.testing.assert_allclose(V, [row for row, _ in refitted], rtol=0, atol=1e-10)
@@ -113,14 +113,14 @@ def test_jitter_names_the_coinciding_latents(rng):
     X = rng.normal(size=(12, 2))
     X[9] = X[4]
     with pytest.warns(JitterWarning, match=r"latents 4 and 9 coincide; added 1e-12 .* raise mu"):
-        process = GPWeights(X, SquaredExponential(0.0, 0.2))
+        process = GaussianProcess(X, SquaredExponential(0.0, 0.2))
     assert process.jitter == 1e-12
     assert np.all(np.isfinite(process.weights(X + 0.1)))
 
 
 def test_jitter_escalates_until_the_factorisation_holds():
     with pytest.warns(JitterWarning, match="closest"):
-        process = GPWeights(np.linspace(0, 1, 60)[:, None], SquaredExponential(0.0, 5.0))
+        process = GaussianProcess(np.linspace(0, 1, 60)[:, None], SquaredExponential(0.0, 5.0))
     assert process.jitter > 1e-13
     np.testing.assert_allclose(process.L @ process.L.T, process.K, atol=1e-13)
 

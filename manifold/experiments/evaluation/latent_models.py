@@ -10,9 +10,9 @@ import numpy as np
 from manifold.experiments.evaluation.cross_validation import Encode, Fit
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.gplvm import GPLVM
+from manifold.gpr import GaussianProcess
 from manifold.latent.decoder import Decoder
 from manifold.latent.encoder import Encoder
-from manifold.latent.gp_weights import GPWeights
 from manifold.mapping import CubeRoot, Mapping, mapping_named
 from manifold.model.appearance import roots_at
 from manifold.model.blend_fitting import BlendTables
@@ -89,7 +89,7 @@ class LatentProcess:
         known_variance: output variance s^2 of the mapped values, where it is not that of the training materials.
     """
 
-    gp: GPWeights
+    gp: GaussianProcess
     data: Data
     mapping: Mapping
     training: Indices

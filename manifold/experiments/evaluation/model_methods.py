@@ -9,7 +9,7 @@ from manifold.experiments.evaluation.cross_validation import Encode, Fit, Method
 from manifold.experiments.evaluation.latent_models import LatentProcess, fit_settings
 from manifold.experiments.evaluation.methods import STANDARD
 from manifold.experiments.evaluation.tabulated import Data
-from manifold.latent.gp_weights import GPWeights
+from manifold.gpr import GaussianProcess
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold
 from manifold.model.material_table import MaterialTable
@@ -96,5 +96,5 @@ def _process(
     model: Manifold, data: Data, materials: Indices, output_variance: float | None = None
 ) -> LatentProcess:
     """The process on the latents of some materials of the model."""
-    gp = GPWeights(model.space.X[materials], model.space.kernel)
+    gp = GaussianProcess(model.space.X[materials], model.space.kernel)
     return LatentProcess(gp, data, model.mapping, materials, model.settings.prior, output_variance)

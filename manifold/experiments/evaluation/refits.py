@@ -17,7 +17,7 @@ from manifold.experiments.evaluation.latent_models import SAMPLE_BANDS
 from manifold.experiments.evaluation.methods import standard_methods
 from manifold.experiments.evaluation.model_methods import model_methods
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
-from manifold.latent.gp_weights import IsolatedLatentsWarning
+from manifold.gpr import IsolatedLatentsWarning
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.manifold import Manifold
 from manifold.records import evenly_spaced

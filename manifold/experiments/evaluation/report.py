@@ -31,7 +31,7 @@ from manifold.experiments.evaluation.methods import baseline_methods, gplvm_meth
 from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
 from manifold.experiments.evaluation.tabulated import Data, block_pairs
 from manifold.experiments.results import finite
-from manifold.latent.gp_weights import IsolatedLatentsWarning
+from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram

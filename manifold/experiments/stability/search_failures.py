@@ -10,7 +10,7 @@ from manifold.experiments.stability.model_failures import held_out, in_error_of_
 from manifold.experiments.stability.testbed import TestBed, in_space
 from manifold.experiments.stability.trials import HALF_OF_NEAREST, Limit, Measurement, Mode
 from manifold.gplvm import GPLVM
-from manifold.latent.gp_weights import GPWeights
+from manifold.gpr import GaussianProcess
 from manifold.latent.kernels import SquaredExponential
 from manifold.latent.objective import centre_gram, pca_start
 from manifold.mapping import mapping_named
@@ -71,7 +71,7 @@ def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
     """The held-out plastic from the weights of a kernel without observation noise."""
     model, truth = bed.model("material"), held_out(bed)
     x = bed.cached("latent of the held-out plastic", lambda: model.embed(truth).latent)
-    weights = GPWeights(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
+    weights = GaussianProcess(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
     brdf = PredictedBRDF(model.materials.filled(), Combination(model.mapping, weights))
     return Measurement(in_error_of_nearest(bed, brdf))
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.latent.gp_weights import GPWeights
+from manifold.gpr import GaussianProcess
 from manifold.mapping import Mapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
@@ -55,7 +55,7 @@ class Mixture:
     bands: Bands
     weights: Array | None
     lobes: Array
-    gp: GPWeights | None = None
+    gp: GaussianProcess | None = None
     order: Sequence[int] = ()
     slopes: Sequence[Array] = ()
     is_blend: bool = False

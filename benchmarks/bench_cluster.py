@@ -42,7 +42,8 @@ from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.system.cluster import Cluster
 from manifold.workflows import fits, many_files
-from manifold.workflows.inputs import find_inputs, find_samples
+from manifold.workflows.inputs import find_inputs
+from manifold.workflows.samples import find_samples
 from manifold.workflows.sources import FileSource
 
 WORKERS = 4

@@ -111,6 +111,7 @@ def complete(
     """
     from manifold.model.output_file import OutputOptions
     from manifold.workflows import completions, inputs
+    from manifold.workflows.samples import find_samples
 
     results = terminal.Results(json)
     written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
@@ -152,7 +153,7 @@ def complete(
     units = completions.parse_gloss(gloss or [])
     if readings and sample is None and not merge:
         with progress.shown("Reading files"):
-            samples = inputs.find_samples(readings)
+            samples = find_samples(readings)
         if len(samples) > 1 or len(samples[0].parts) != len(readings) or into or (output and output.is_dir()):
             if units or picture:
                 raise UsageError(

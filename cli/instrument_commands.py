@@ -81,7 +81,8 @@ def convert(
     """
     from manifold.workflows import conversion
     from manifold.workflows.conversion_targets import Options
-    from manifold.workflows.inputs import is_readings, is_rgl
+    from manifold.workflows.inputs import is_rgl
+    from manifold.workflows.samples import is_readings
 
     results = terminal.Results(json)
     sources = options.several_materials(inputs, model, library)

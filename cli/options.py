@@ -119,7 +119,7 @@ def several_materials(texts: Sequence[str], model: Path, library: Path | None) -
     Raises:
         UsageError: one is no file, no material of the library, and no place.
     """
-    from manifold.workflows.sources import matching
+    from manifold.system.reading import matching
 
     return [material_source(each, model, library) for text in texts for each in matching(text)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
 from typing import Any, overload
@@ -299,3 +299,24 @@ class Manifold(LatentMap):
             model.notes = (change,)
             warnings.warn(change, LibraryChangedWarning, stacklevel=2)
         return model
+
+
+@lru_cache(maxsize=4)
+def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold, str]:
+    """A model, kept open since scenes are loaded often, and the hash of its library's content when it was opened."""
+    loaded = Manifold.load(path, library)
+    return loaded, loaded.library.content_hash
+
+
+def load_model(path: Path, library: Path | None = None) -> Manifold:
+    """A model, read again only where its file or its library has changed.
+
+    Raises: as `Manifold.load`.
+    """
+    changed = path.stat().st_mtime_ns if path.exists() else 0
+    key = path.absolute(), changed, None if library is None else library.absolute()
+    loaded, content_hash = _model(*key)
+    if loaded.library.content_hash != content_hash:
+        _model.cache_clear()
+        loaded, _ = _model(*key)
+    return loaded

@@ -1,9 +1,10 @@
-"""Reading of small files: regular files only, of bounded size."""
+"""Reading of small files: regular files only, of bounded size; and the files that patterns match."""
 
 from __future__ import annotations
 
 import json
 import os
+from glob import glob, has_magic
 from pathlib import Path
 from typing import Any
 
@@ -83,3 +84,9 @@ def begins_with(path: Path, *magic: bytes) -> bool:
         return False
     with path.open("rb") as stream:
         return stream.read(max(map(len, magic))).startswith(magic)
+
+
+def matching(text: str) -> list[str]:
+    """The paths that a pattern such as `*.bsdf` matches, sorted; the text itself where there are none."""
+    found = [] if os.path.exists(text) or not has_magic(text) else sorted(glob(text, recursive=True))
+    return found or [text]

@@ -15,22 +15,22 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 from filelock import FileLock, Timeout
 
 from manifold import __version__
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
 from manifold.completion.attributes import lab_of
 from manifold.completion.gloss import gloss_units
 from manifold.errors import FileFormatError, ManifoldError, UsageError
-from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.rendering import backend, thumbnails
 from manifold.system import atomic, progress, reading
 from manifold.system.names import printable
 from manifold.system.workers import HERE, Workers
+from manifold.workflows.inputs import FIT
 
 _MOST = 1 << 30  # bytes of an index: a row has about two thousand
 _ENTRY = '{"file": '  # every line of an index begins so
@@ -256,7 +256,7 @@ def _has_ball(path: Path) -> bool:
     return ball_path(path).is_file() or not backend.is_available()
 
 
-def appearance(path: Path, brdf: BRDF | FittedBRDF | None = None) -> dict[str, Any]:
+def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
     """Colour and gloss of a material that was written, for the table; its ball is drawn for the sheet.
 
     Args:
@@ -266,10 +266,10 @@ def appearance(path: Path, brdf: BRDF | FittedBRDF | None = None) -> dict[str, A
     ball = ball_path(path)
     brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
     if backend.is_available():
-        if path.suffix == ".bsdf" or isinstance(brdf, FittedBRDF):
+        if path.name.endswith((".bsdf", FIT)):
             image = thumbnails.of_file(path)
         else:
-            image = thumbnails.of_material(brdf)
+            image = thumbnails.of_material(cast(BRDF, brdf))
         ball.parent.mkdir(exist_ok=True)
         thumbnails.write(ball, image)
     units = gloss_units(brdf)

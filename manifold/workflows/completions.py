@@ -32,8 +32,8 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.records import Array
 from manifold.system import atomic
 from manifold.system.progress import Stages
-from manifold.workflows.inputs import Sample, find_samples, safe_name
 from manifold.workflows.output_files import require_bsdf_output, write_checked
+from manifold.workflows.samples import Sample, find_samples, safe_name
 
 _MOST_READINGS = 2000
 _ENOUGH_SAMPLES = 6  # of a colour correction; see docs/explanation/completion.md
@@ -149,12 +149,11 @@ def complete_readings(
         keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
     )
     if picture is not None:
+        from manifold.rendering import ball, images
         from manifold.rendering.render import RenderSettings
-        from manifold.workflows import renders
-        from manifold.workflows.sources import FileSource
 
         stages.begin("rendering")
-        renders.render(FileSource(output), picture, RenderSettings())
+        images.write_image(picture, ball.read_material(output).render(RenderSettings()))
     plausibility = written.plausibility
     if written.file is not None and written.change is not None:
         made = made.as_written(MeasuredBRDF(written.file))
@@ -218,7 +217,7 @@ def read(
 def read_sample(
     sample: Sample, correction: Path | None = None, gloss: Mapping[float, float] = MappingProxyType({})
 ) -> tuple[Readings, ColourCorrection | None]:
-    """The same of a sample that was found in files, see `inputs.find_samples`."""
+    """The same of a sample that was found in files, see `samples.find_samples`."""
     readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
     merged, learned = _merged(readings, correction, gloss)
     return merged if sample.note is None else merged.with_note(sample.note), learned

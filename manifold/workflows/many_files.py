@@ -14,15 +14,16 @@ from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.located import Reconstruction
+from manifold.model.manifold import load_model
 from manifold.model.output_file import OutputOptions
-from manifold.rendering.plugin.bsdf import load_model
 from manifold.rendering.render import RenderSettings
 from manifold.system.workers import HERE, Workers
 from manifold.workflows import completions, conversion, reconstruction, renders
 from manifold.workflows.batch import APPEARANCE, Batch, Outcome, Task, appearance
 from manifold.workflows.conversion_source import open_source
 from manifold.workflows.conversion_targets import TARGETS, Options
-from manifold.workflows.inputs import Input, Sample
+from manifold.workflows.inputs import Input
+from manifold.workflows.samples import Sample
 
 _ERRORS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "CIEDE2000": lambda content: content["ball"],
@@ -52,7 +53,7 @@ def complete_all(
     """Complete samples through a library, each into a `.bsdf` file; see `completions.complete_readings`.
 
     Args:
-        samples: see `inputs.find_samples`.
+        samples: see `samples.find_samples`.
         library: of measured materials.
         batch: see `completions_in`.
         correction: of colours, a file.

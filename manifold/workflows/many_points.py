@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from manifold.library.identity import file_sha256
-from manifold.model.manifold import Manifold
+from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.rendering import images
-from manifold.rendering.plugin.bsdf import load_model
 from manifold.rendering.render import RenderSettings, require_d65
 from manifold.system.workers import HERE, Workers
 from manifold.workflows import prediction, renders

@@ -147,8 +147,8 @@ def latent_material(
         UsageError: `direct` without LLVM; and what `prediction.predict` raises.
     """
     from manifold.model import diagnostics
+    from manifold.model.manifold import load_model
     from manifold.model.output_file import FINE_OPTIONS
-    from manifold.rendering.plugin.bsdf import load_model
     from manifold.workflows import prediction
 
     at = PlaceSource(model, latent)

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from glob import glob, has_magic
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -131,12 +130,6 @@ def parse_source(
             f"{text}: no such file or folder; name one, or a material of a library, or a place on a map"
         )
     raise UnknownNameError(f"{text}: no file, {unknown}")
-
-
-def matching(text: str) -> list[str]:
-    """The paths that a pattern such as `*.bsdf` matches, sorted; the text itself where there are none."""
-    found = [] if os.path.exists(text) or not has_magic(text) else sorted(glob(text, recursive=True))
-    return found or [text]
 
 
 def read_source(source: MaterialSource) -> BsdfFile:

@@ -25,13 +25,13 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.combination import Combination
-from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
+from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings, load_model
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Bands
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin import mixture
-from manifold.rendering.plugin.bsdf import NAME, load_model
+from manifold.rendering.plugin.bsdf import NAME
 from manifold.rendering.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 from manifold.workflows import prediction
 

@@ -16,7 +16,8 @@ from manifold.model.colours import ColourChoice
 from manifold.system.workers import Finished
 from manifold.workflows.batch import Batch, Task, _Made
 from manifold.workflows.completions import calibrate_instrument
-from manifold.workflows.inputs import Input, find_inputs, find_samples
+from manifold.workflows.inputs import Input, find_inputs
+from manifold.workflows.samples import find_samples
 from manifold.workflows.sources import FileSource, PlaceSource
 
 COLUMNS = {"letters": lambda content: content["letters"]}

@@ -25,7 +25,8 @@ from manifold.system.cluster import Cluster
 from manifold.system.workers import HERE
 from manifold.workflows import many_files, pipeline
 from manifold.workflows.conversion_targets import Options
-from manifold.workflows.inputs import find_inputs, find_samples
+from manifold.workflows.inputs import find_inputs
+from manifold.workflows.samples import find_samples
 from manifold.workflows.sources import FileSource
 
 distributed = pytest.importorskip("distributed")

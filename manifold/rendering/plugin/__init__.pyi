@@ -1,3 +1,3 @@
-from .bsdf import load_model, register_always
+from .bsdf import register_always
 
-__all__ = ["load_model", "register_always"]
+__all__ = ["register_always"]

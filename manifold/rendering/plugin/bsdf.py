@@ -31,7 +31,6 @@ a weight is 0, the derivative is 0, and so it is at a material's own latent. Der
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,29 +71,6 @@ def _refuse(properties: Any) -> Any:
     )
 
 
-@lru_cache(maxsize=4)
-def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold, str]:
-    """A model, kept open since scenes are loaded often, and the hash of its library's content when it was opened."""
-    from manifold.model.manifold import Manifold
-
-    loaded = Manifold.load(path, library)
-    return loaded, loaded.library.content_hash
-
-
-def load_model(path: Path, library: Path | None = None) -> Manifold:
-    """A model, read again only where its file or its library has changed.
-
-    Raises: as `Manifold.load`.
-    """
-    changed = path.stat().st_mtime_ns if path.exists() else 0
-    key = path.absolute(), changed, None if library is None else library.absolute()
-    loaded, content_hash = _model(*key)
-    if loaded.library.content_hash != content_hash:
-        _model.cache_clear()
-        loaded, _ = _model(*key)
-    return loaded
-
-
 def _plugin_class(mi: Any, variant: str) -> Any:
     """The class for a variant: Mitsuba's base classes exist once per variant."""
     is_spectral = "spectral" in variant
@@ -102,6 +78,7 @@ def _plugin_class(mi: Any, variant: str) -> Any:
     class ManifoldBSDF(mi.BSDF):  # type: ignore[misc]
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
+            from manifold.model.manifold import load_model
             from manifold.rendering.plugin.evaluation import Evaluation
             from manifold.rendering.plugin.mixture import varying_mixture
 

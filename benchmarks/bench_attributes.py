@@ -13,15 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.completion.attributes import (
-    COLOUR_TOLERANCE,
-    GLOSS_TOLERANCE,
-    Attributes,
-    Wanted,
-    adjust,
-    lab_of,
-)
-from manifold.completion.gloss import gloss_units
+from manifold.estimate.attributes import COLOUR_TOLERANCE, GLOSS_TOLERANCE, Attributes, Wanted, adjust, lab_of
+from manifold.estimate.gloss import gloss_units
 from manifold.model.manifold import Manifold
 
 

@@ -35,16 +35,17 @@ import numpy as np
 import psutil
 from bench_scale import write_materials
 
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
-from manifold.brdf.analytic.microfacet import Plastic
+from manifold.analytic.ggx import GGX
+from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.analytic.microfacet import Plastic
+from manifold.cluster import Cluster
+from manifold.estimate.inputs import find_inputs
+from manifold.estimate.samples import find_samples
+from manifold.estimate.sources import FileSource
+from manifold.fit import fits
+from manifold.many import tasks
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
-from manifold.system.cluster import Cluster
-from manifold.workflows import fits, many_files
-from manifold.workflows.inputs import find_inputs
-from manifold.workflows.samples import find_samples
-from manifold.workflows.sources import FileSource
 
 WORKERS = 4
 IN_LIBRARY = 50  # materials that readings are completed from
@@ -290,8 +291,8 @@ def speed(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[str, A
                     start = time.monotonic()
                     fits.fit_all(files[:first], fits.fits_in(out / "a"), fits.FitSettings(), workers=workers)
                     middle = time.monotonic()
-                    many_files.complete_all(
-                        samples[:first], inputs / "small.zarr", many_files.completions_in(out / "b"),
+                    tasks.complete_all(
+                        samples[:first], inputs / "small.zarr", tasks.completions_in(out / "b"),
                         options=OutputOptions(), workers=workers,
                     )  # fmt: skip
                     if what == "measured":

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.analytic import corpus
+from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.rendering import backend
+from manifold.render import backend
 
 TARGET = 4.0
 

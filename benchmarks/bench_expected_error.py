@@ -21,7 +21,7 @@ from scipy.stats import spearmanr
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import ball_colours
-from manifold.latent.decoder import EncodingPairs
+from manifold.encoding import EncodingPairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold

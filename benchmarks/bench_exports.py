@@ -14,8 +14,8 @@ import statistics
 import tempfile
 from pathlib import Path
 
-from manifold.fitting.exports import TARGETS
-from manifold.workflows.export_folders import export_all
+from manifold.fit.exporting import export_all
+from manifold.fit.exports import TARGETS
 
 TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity")
 SUMMARIES = {"median": statistics.median, "mean": statistics.mean, "largest": max}

@@ -20,23 +20,23 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.analytic import corpus
-from manifold.brdf.analytic.neural import read_neural_fits
+from manifold.analytic import corpus
+from manifold.analytic.neural import read_neural_fits
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.fitting import fit_json, fit_samples
-from manifold.fitting.bsdf_evaluation import evaluator
-from manifold.fitting.bsdf_parameters import Layout, principled
-from manifold.fitting.fit_metrics import Criterion
-from manifold.fitting.fit_samples import FitSamples
-from manifold.fitting.fitted_brdf import FittedBRDF
-from manifold.fitting.identifiability import DETERMINED
-from manifold.fitting.principled import FitResult, fit_bsdf
+from manifold.fit import fit_samples
+from manifold.fit.fit_metrics import Criterion
+from manifold.fit.fit_samples import FitSamples
+from manifold.fit.identifiability import DETERMINED
+from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.comparison import brdf_errors
 from manifold.records import Bands
-from manifold.rendering import backend
+from manifold.render import backend, fit_json
+from manifold.render.bsdf_evaluation import evaluator
+from manifold.render.bsdf_parameters import Layout, principled
+from manifold.render.fitted_brdf import FittedBRDF
 
 NOISE = 0.005
 METHODS = ("gauss-newton", "adam", "swarm")

@@ -14,25 +14,25 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.ggx_mixture import GGXMixture
-from manifold.brdf.analytic.microfacet import Plastic
+from manifold.analytic.ggx import GGX
+from manifold.analytic.ggx_mixture import GGXMixture
+from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.completion import LibraryAtoms, complete
-from manifold.completion.gloss import gloss_units
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.fitting import fit_json
-from manifold.fitting.fit_samples import FitSamples
-from manifold.fitting.fitted_brdf import FittedBRDF
-from manifold.fitting.principled import fit_bsdf
+from manifold.estimate import LibraryAtoms, complete
+from manifold.estimate.gloss import gloss_units
+from manifold.fit.fit_samples import FitSamples
+from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error, relative_error
 from manifold.records import Array, Bands
+from manifold.render import fit_json
+from manifold.render.fitted_brdf import FittedBRDF
 
 MATT = 10.0  # gloss units at 60 degrees
 NOISE = 0.02

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import Delaunay
 
+from manifold.analytic import GGX, Plastic, corpus
+from manifold.analytic.neural import read_neural_fits
 from manifold.brdf import goniometer
-from manifold.brdf.analytic import GGX, Plastic, corpus
-from manifold.brdf.analytic.neural import read_neural_fits
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours

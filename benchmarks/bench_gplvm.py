@@ -43,11 +43,11 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.gplvm import GPLVM, OPTIMIZERS
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
-from manifold.latent.kernels import SquaredExponential
-from manifold.latent.objective import LatentObjective, centre_gram, pca_start
+from manifold.kernels import SquaredExponential
+from manifold.likelihood import LatentObjective, centre_gram, pca_start
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
-from manifold.model.gram import gram_matrix
+from manifold.model.fitting import gram_matrix
 
 STARTS = 20
 SIZES = (51, 200, 1000, 5000)

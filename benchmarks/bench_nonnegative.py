@@ -19,15 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.analytic.neural import NeuralBRDF, read_neural_fits
+from manifold.analytic.neural import NeuralBRDF, read_neural_fits
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
-from manifold.experiments.evaluation.anchors import anchor
-from manifold.experiments.evaluation.cross_validation import Method, cross_validate, leave_out
-from manifold.experiments.evaluation.errors import BallErrors, MedianAndP90
-from manifold.experiments.evaluation.methods import standard_methods
-from manifold.experiments.evaluation.nonnegative import fit_nonnegative
-from manifold.experiments.evaluation.tabulated import Data
+from manifold.evaluate.anchors import anchor
+from manifold.evaluate.baselines import fit_nonnegative
+from manifold.evaluate.cross_validation import Method, cross_validate, leave_out
+from manifold.evaluate.errors import BallErrors, MedianAndP90
+from manifold.evaluate.methods import standard_methods
+from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
 from manifold.records import Array

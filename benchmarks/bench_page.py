@@ -28,15 +28,16 @@ from helpers.browser import chromium, visit
 
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz, xyz_to_srgb
-from manifold.colour.environments import environment
 from manifold.colour.illuminants import Illuminant
-from manifold.completion.gloss import gloss_units
+from manifold.colour.lights import environment
 from manifold.directions import from_spherical
+from manifold.estimate import predictions
+from manifold.estimate.gloss import gloss_units
 from manifold.model.manifold import Manifold
+from manifold.page import explore
 from manifold.records import Array
-from manifold.rendering import backend, images
-from manifold.rendering.render import RenderSettings, colorimetric_film, render_scene, rgb_film
-from manifold.workflows import explore, prediction
+from manifold.render import backend, images
+from manifold.render.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 
 SIZE = 128
 _EDGE = 1.02  # radii of the ball that half the side of the page's picture shows
@@ -120,7 +121,7 @@ def compare_balls(
     is_whole = shown[..., 3] == 1.0
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "predicted.bsdf"
-        prediction.predict(model, x, file)
+        predictions.predict(model, x, file)
         measured = {"type": "measured", "filename": str(file)}
         renders = [mitsuba_ball(measured, is_rgb, samples, seed) for seed in (0, 1)]
     pictures = [decode_srgb(shown[..., :3]), 0.5 * (renders[0] + renders[1])]

@@ -23,29 +23,29 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy.stats import spearmanr
 
-from manifold.brdf.analytic.corpus import isotropic_materials, rgl_bands
+from manifold.analytic.corpus import isotropic_materials, rgl_bands
 from manifold.brdf.plausibility import plausibility_of_file
 from manifold.colour.conversion import decode_srgb, encode_srgb
-from manifold.colour.environments import ENVIRONMENTS, environment
+from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
-from manifold.completion.atoms import LibraryAtoms
-from manifold.completion.expected import KINDS
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.blocks import blocks_of
+from manifold.estimate.circle import Circle
+from manifold.estimate.expected import KINDS
+from manifold.estimate.light import Environment
+from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.photo_files import Photograph
+from manifold.estimate.photo_material import PhotoMaterial, Sighting, errors_of, find_material
+from manifold.estimate.pixels import Camera
+from manifold.estimate.spectra import srgb_responses, wiener_matrix
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.output_file import output_file
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.reconstruction import ComparedValues
-from manifold.photo.atoms import PhotoAtoms
-from manifold.photo.blocks import blocks_of
-from manifold.photo.circle import Circle
-from manifold.photo.light import Environment
-from manifold.photo.material import PhotoMaterial, Sighting, errors_of, find_material
-from manifold.photo.pictures import Photograph
-from manifold.photo.pixels import Camera
-from manifold.photo.spectra import srgb_responses, wiener_matrix
 from manifold.records import Array
-from manifold.rendering.render import render_floating_ball
+from manifold.render.render import render_floating_ball
 
 SIZE, MARGIN, CAMERA = 256, 0.05, Camera(0.0, 15.0, 8.0)
 

@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.analytic import corpus
+from manifold.analytic import corpus
+from manifold.estimate import predictions
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.manifold import Manifold, Settings
-from manifold.workflows import prediction
 
 GRID_BLOCK = 65536  # direction pairs of the grid of Hikichi & Iwasaki evaluated at once
 
@@ -46,7 +46,7 @@ def predict(library: Path, kind: str) -> dict[str, float]:
     model, x = loaded(library, kind)
     with tempfile.TemporaryDirectory() as folder:
         seconds = [
-            prediction.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds for k in range(4)
+            predictions.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds for k in range(4)
         ]
     return {"first_seconds": seconds[0], "seconds": float(np.median(seconds[1:]))}
 

@@ -17,10 +17,10 @@ from scipy.stats import spearmanr
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
-from manifold.completion import LibraryAtoms, calibrate, suggest
-from manifold.completion.complete import complete_at
-from manifold.completion.expected import KINDS, errors_of
-from manifold.completion.suggest import all_directions
+from manifold.estimate import LibraryAtoms, calibrate, suggest
+from manifold.estimate.complete import complete_at
+from manifold.estimate.expected import KINDS, errors_of
+from manifold.estimate.suggest import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.records import Array, Bands

@@ -19,20 +19,20 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.analytic import corpus
+from manifold.analytic import corpus
+from manifold.estimate import predictions
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
-from manifold.rendering import backend, image_metrics, images, scenes
-from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.workflows import prediction
+from manifold.render import backend, image_metrics, images, scenes
+from manifold.render.render import RenderSettings, render_bsdf
 
 PAIR = ("syn_satin_gold", "syn_metallic_gold")
 TARGETS = {"predicted file": 1.3, "plugin": 12.0, "plugin, tolerance": 4.0, "scalar, predicted file": 10.0}
 
 _SCALAR = """
 import json, sys, time
-from manifold.rendering.render import RenderSettings, render_bsdf
+from manifold.render.render import RenderSettings, render_bsdf
 material, settings = {"type": "measured", "filename": sys.argv[1]}, RenderSettings(int(sys.argv[2]), int(sys.argv[3]))
 render_bsdf(material, False, RenderSettings(16, 1))
 start = time.perf_counter(), time.process_time()
@@ -86,8 +86,8 @@ def compare(folder: Path, library: Path, arguments: argparse.Namespace) -> dict:
     model.save(path)
     latent = model.between(*PAIR, 0.5)
     predicted, measured = folder / "predicted_spec.bsdf", folder / "measured_spec.bsdf"
-    prediction.predict(model, latent, predicted)
-    prediction.predict(model, model.latent(PAIR[0]), measured)
+    predictions.predict(model, latent, predicted)
+    predictions.predict(model, model.latent(PAIR[0]), measured)
     plugin = {"type": "manifold", "model": str(path), "latent": ",".join(repr(float(v)) for v in latent)}
     materials = {
         "measured file": {"type": "measured", "filename": str(measured)},

@@ -26,22 +26,22 @@ from pathlib import Path
 import numpy as np
 from bench_interior import Interior
 
+from manifold.analytic.base import Sheen
+from manifold.analytic.diffuse import RoughDiffuse
+from manifold.analytic.ggx import GGX
+from manifold.analytic.layers import Layered, MixedBRDF
+from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf import goniometer
-from manifold.brdf.analytic.base import Sheen
-from manifold.brdf.analytic.diffuse import RoughDiffuse
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.layers import Layered, MixedBRDF
-from manifold.brdf.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import BRDF
 from manifold.brdf.plausibility import plausibility
+from manifold.estimate.predictions import predict
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
+from manifold.page.explore import write_page
+from manifold.pictures.maps import latent_map
 from manifold.records import Bands
-from manifold.workflows.ball_pictures import latent_map
-from manifold.workflows.explore import write_page
-from manifold.workflows.prediction import predict
 
 SIZES = (50, 150, 500, 1500, 5000)
 RGB = Bands(None)

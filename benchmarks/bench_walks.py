@@ -25,15 +25,15 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import Plastic, RoughConductor
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
 from manifold.directions import from_spherical
-from manifold.latent.decoder import EncodingPairs
+from manifold.encoding import EncodingPairs
 from manifold.library.store import Library
 from manifold.metrics import cosine_weight, cube_root_error
 from manifold.model.walks import PATH_NODES, Walked, step_of, walk_path

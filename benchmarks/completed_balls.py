@@ -15,19 +15,19 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.completion import LibraryAtoms, complete, suggest
-from manifold.completion.complete import Completion
-from manifold.completion.gloss import gloss_units
+from manifold.estimate import LibraryAtoms, complete, suggest
+from manifold.estimate.complete import Completion
+from manifold.estimate.gloss import gloss_units
+from manifold.estimate.sources import FileSource
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import write_bsdf
 from manifold.library.store import Library
+from manifold.model.output_file import write_checked
 from manifold.model.prediction import ClippedBRDF
+from manifold.pictures import renders
 from manifold.records import Array
-from manifold.rendering import images
-from manifold.rendering.render import RenderSettings
-from manifold.workflows import renders
-from manifold.workflows.output_files import write_checked
-from manifold.workflows.sources import FileSource
+from manifold.render import images
+from manifold.render.render import RenderSettings
 
 SUGGESTED = 3
 GLOSS_DEG = (20, 60)

@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 
 import manifold as mf
-from manifold.fitting import fit_samples
-from manifold.fitting.exports import TARGETS, Principled
-from manifold.fitting.exports.direct import fit_target
-from manifold.fitting.exports.targets import TargetBRDF
+from manifold.fit import exporting, fit_samples
+from manifold.fit.exports import TARGETS, Principled
+from manifold.fit.exports.direct import fit_target
+from manifold.fit.exports.targets import TargetBRDF
 from manifold.records import Array
-from manifold.rendering import images
-from manifold.workflows import exports
+from manifold.render import images
 
 
 class ExportedBRDF(TargetBRDF):
@@ -43,7 +42,7 @@ def main() -> None:
     columns = []
     for path in given.files:
         fit = path.with_name(path.name.replace("_rgb.bsdf", ".fit.json"))
-        subject = exports.subject_of(fit, path) if fit.exists() else exports.subject_of(path, None)
+        subject = exporting.subject_of(fit, path) if fit.exists() else exporting.subject_of(path, None)
         assert subject.material is not None
         mapped = target.parameters(Principled.from_fit(subject.fit["bsdf"], subject.fit["values"]))
         direct = fit_target(target, mapped, fit_samples.from_brdf(subject.material))

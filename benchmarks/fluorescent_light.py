@@ -15,15 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.analytic import corpus
+from manifold.analytic import corpus
 from manifold.colour.conversion import to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.io_rgl import write_bsdf
+from manifold.pictures.renders import RIM
 from manifold.plots import figures
 from manifold.records import Array, BsdfFile
-from manifold.rendering import image_metrics, images, scenes
-from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.workflows.renders import RIM
+from manifold.render import image_metrics, images, scenes
+from manifold.render.render import RenderSettings, render_bsdf
 
 MATERIALS = ("syn_satin_gold", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper")
 

@@ -19,11 +19,11 @@ from scipy.spatial import Delaunay
 
 from manifold.model import diagnostics
 from manifold.model.colours import UNCHOSEN, ChosenColour, ColourChoice, choose_colour
-from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
+from manifold.model.places import Place
 from manifold.plots import figures
 from manifold.records import Array
-from manifold.rendering import thumbnails
+from manifold.render import thumbnails
 
 COLOURS = ("#b03030", "#d0a020", "#308040", "#2050a0", "#e8e4dc")
 PLACES, WALKS, STEPS = 5, 10, 7

@@ -14,10 +14,10 @@ from . import terminal
 from .outputs import or_default
 
 if TYPE_CHECKING:
-    from manifold.workflows.batch import Batch, Outcome
-    from manifold.workflows.inputs import Input
-    from manifold.workflows.point_table import Point
-    from manifold.workflows.sources import MaterialSource
+    from manifold.batch import Batch, Outcome
+    from manifold.estimate.inputs import Input
+    from manifold.estimate.sources import MaterialSource
+    from manifold.many.point_table import Point
 
 _MOST_WARNED = 5
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
@@ -35,7 +35,7 @@ PointsOption = Annotated[
 
 def is_many(sources: Sequence[MaterialSource], output: Path | None) -> bool:
     """Whether sources are for a folder: several, a folder or a library, or where the output is a folder."""
-    from manifold.workflows import inputs
+    from manifold.estimate import inputs
 
     return inputs.is_many(sources) or (output is not None and output.is_dir())
 
@@ -57,8 +57,8 @@ def inputs_of(
     Raises:
         UsageError: a source is missing, or a folder is read and written.
     """
-    from manifold.workflows import inputs
-    from manifold.workflows.sources import FileSource
+    from manifold.estimate import inputs
+    from manifold.estimate.sources import FileSource
 
     many = is_many(sources, output)
     files = [source.path for source in sources if isinstance(source, FileSource)]
@@ -85,7 +85,7 @@ def folder_or_default(output: Path | None, default: str) -> Path:
 
 def show_batch(results: terminal.Results, batch: Batch, outcomes: Sequence[Outcome[Any]]) -> None:
     """Print a line per file, and raise FileFormatError where some failed."""
-    from manifold.workflows.batch import cell, notes_of
+    from manifold.batch import cell, notes_of
 
     known = [outcome for outcome in outcomes if outcome.content is not None]
     rows = [

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from manifold import progress
 from manifold.errors import UsageError
-from manifold.system import progress
 
 from . import options, terminal
 from .application import app
 
 if TYPE_CHECKING:
-    from manifold.workflows.budgets import Budget
+    from manifold.evaluate.budget.budgets import Budget
 
 _NAME = 16  # columns of a material's name in the table; below it stands in full
 
@@ -67,8 +67,8 @@ def budget(
     BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
     or are kept. A CIEDE2000 of 1 is about the just noticeable difference side by side.
     """
-    from manifold.experiments.budget.search import Tolerance
-    from manifold.workflows import budgets
+    from manifold.evaluate.budget import budgets
+    from manifold.evaluate.budget.search import Tolerance
 
     results = terminal.Results(json)
     if (scene is None) == (example is None):

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from manifold import progress
 from manifold.errors import UsageError
-from manifold.system import progress
 
 from . import options, terminal
 from .application import app
 from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 if TYPE_CHECKING:
-    from manifold.experiments.chart.experiment import Chart
+    from manifold.evaluate.chart import Chart
 
 _LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 
@@ -73,11 +73,11 @@ def chart(
     an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no
     front. With --readings it runs in this process.
     """
-    from manifold.experiments.chart.experiment import make_chart
+    from manifold.evaluate.chart import make_chart
     from manifold.library.store import Library
     from manifold.model.manifold import Manifold
     from manifold.plots import figures
-    from manifold.system.workers import HERE
+    from manifold.work import HERE
 
     results = terminal.Results(json)
     if output is not None:
@@ -103,8 +103,9 @@ def chart(
 
 
 def _write_chart(made: Chart, results: terminal.Results, output: Path | None) -> None:
-    from manifold.experiments.chart.experiment import conclusion
-    from manifold.plots import figures, plot_chart
+    from manifold.evaluate import chart_figure
+    from manifold.evaluate.chart import conclusion
+    from manifold.plots import figures
 
     if said := conclusion(made):
         results.sentence(said)
@@ -124,7 +125,7 @@ def _write_chart(made: Chart, results: terminal.Results, output: Path | None) ->
         results.sentence(f"{key} was skipped: {reason}")
     results.document(made.to_json())
     if output is not None:
-        figures.save(plot_chart.chart(made), output)
+        figures.save(chart_figure.chart(made), output)
 
 
 def _rows(made: Chart) -> list[list[str]]:
@@ -147,10 +148,11 @@ def _rows(made: Chart) -> list[list[str]]:
 def _chart_readings(
     results: terminal.Results, library: Path, only: Sequence[str], output: Path | None
 ) -> None:
-    from manifold.completion.atoms import LibraryAtoms
-    from manifold.experiments.readings.curve import measure_curves
+    from manifold.estimate.atoms import LibraryAtoms
+    from manifold.evaluate import reading_figure
+    from manifold.evaluate.reading_curve import measure_curves
     from manifold.library.store import Library
-    from manifold.plots import figures, plot_readings
+    from manifold.plots import figures
 
     opened = Library.open(library)
     with progress.shown("Chart"):
@@ -170,4 +172,4 @@ def _chart_readings(
     )  # fmt: skip
     results.document({"curves": [curve.to_json() for curve in curves]})
     if output is not None:
-        figures.save(plot_readings.readings_chart(curves), output)
+        figures.save(reading_figure.readings_chart(curves), output)

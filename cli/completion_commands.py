@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from manifold import progress
 from manifold.errors import UsageError
-from manifold.system import progress
 
 from . import options, photo_options, terminal
 from .application import app
@@ -17,7 +17,7 @@ from .outputs import checked, or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
-    from manifold.completion.suggest import Suggested
+    from manifold.estimate.suggest import Suggested
 
 _SHOWN_PROBABILITY = 0.005  # of a mixture, which is printed with two decimals
 
@@ -109,9 +109,9 @@ def complete(
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
     samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept.
     """
+    from manifold.estimate import completions, inputs
+    from manifold.estimate.samples import find_samples
     from manifold.model.output_file import OutputOptions
-    from manifold.workflows import completions, inputs
-    from manifold.workflows.samples import find_samples
 
     results = terminal.Results(json)
     written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
@@ -127,7 +127,7 @@ def complete(
         request = photo_options.photo_request(
             photo, light, circle, turn, elevation, distance, exposure, camera
         )
-        from manifold.workflows import photographs
+        from manifold.estimate import photographs
 
         measured = completions.read(readings, sample, correction)[0] if readings else None
         target = or_default(output, f"{photo[0].stem}.bsdf")
@@ -159,16 +159,16 @@ def complete(
                 raise UsageError(
                     f"--gloss and --picture go with one sample, found {len(samples)}; leave them out"
                 )
-            from manifold.workflows import many_files
+            from manifold.many import tasks
 
-            batch = many_files.completions_in(folder_or_default(output, "completions"))
+            batch = tasks.completions_in(folder_or_default(output, "completions"))
             inputs.require_apart(readings, batch.folder)
-            outcomes = many_files.complete_all(
+            outcomes = tasks.complete_all(
                 samples, library, batch, correction=correction, count=suggest, instrument=instrument,
                 options=written, workers=workers_of(processes, scheduler),
             )  # fmt: skip
             if into is not None:
-                many_files.import_all(outcomes, into)
+                tasks.import_all(outcomes, into)
             show_batch(results, batch, outcomes)
             return
     if into is not None:
@@ -257,7 +257,7 @@ def calibrate(
     leave-one-out error, sample by sample. Give six or more samples of different colours: one sample determines the
     correction of its own colour only.
     """
-    from manifold.workflows import completions
+    from manifold.estimate import completions
 
     learned, n_samples = completions.calibrate_instrument(pairs, output)
     results = terminal.Results(None)

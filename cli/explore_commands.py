@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from manifold.system import progress
+from manifold import progress
 
 from . import options, terminal
 from .application import app
@@ -44,7 +44,7 @@ def explore(
     The page is served on the loopback interface only, until Ctrl-C; it can also write .bsdf files, render, fit,
     export, locate files and complete readings. For the notebook widget, see docs/how-to/explore.md.
     """
-    from manifold.workflows import explore
+    from manifold.page import explore
 
     results = terminal.Results()
     with progress.shown("Tabulating"):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from manifold import disk, progress
 from manifold.errors import UsageError
-from manifold.system import atomic, progress
 
 from . import options, terminal
 from .application import app
@@ -16,7 +16,7 @@ from .batch_options import count_words, raise_failed
 from .outputs import or_default
 
 if TYPE_CHECKING:
-    from manifold.workflows.batch import Outcome
+    from manifold.batch import Outcome
 
 
 TargetName = Literal[
@@ -75,11 +75,11 @@ def export(
     the ball between the two, in a light that the fit did not see, beside that of Mitsuba's principled, where
     the fit starts.
     """
-    from manifold.fitting.exports.targets import TARGETS, target_of
+    from manifold.estimate.sources import FileSource
+    from manifold.fit import exporting
+    from manifold.fit.exports.targets import TARGETS, target_of
     from manifold.io_rgl import material_name
-    from manifold.system.progress import Stages
-    from manifold.workflows import export_folders, exports
-    from manifold.workflows.sources import FileSource
+    from manifold.progress import Stages
 
     results = terminal.Results(json)
     material = options.one_material(
@@ -91,7 +91,7 @@ def export(
         many = TARGETS[target or "gltf"]
         folder = or_default(output, "exports")
         with progress.shown("Exporting"):
-            outcomes = export_folders.export_all(
+            outcomes = exporting.export_all(
                 material.path, many, folder, is_mapped=mapped, with_pictures=picture
             )
         _show_all(results, outcomes, folder)
@@ -99,14 +99,14 @@ def export(
     name = material_name(Path(material.name.removesuffix(".fit.json")))
     path = or_default(output, name + TARGETS[target or "gltf"].suffix)
     chosen = target_of(target, path)
-    atomic.require_writable(path)
+    disk.require_writable(path)
     with progress.shown("Exporting"):
         stages = Stages({"": 8, "evaluating the target's model": 2})
         stages.begin("")
-        subject = exports.subject_of_source(material, against)
+        subject = exporting.subject_of_source(material, against)
         stages.begin("evaluating the target's model")
         drawn = path.with_suffix(".png") if picture else None
-        outcome = exports.export(subject, chosen, path, is_mapped=mapped, picture=drawn)
+        outcome = exporting.export(subject, chosen, path, is_mapped=mapped, picture=drawn)
     _show(results, outcome, drawn)
 
 

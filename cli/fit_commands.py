@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from manifold import progress
 from manifold.errors import FileFormatError, UsageError
-from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -17,8 +17,8 @@ from .outputs import or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
-    from manifold.workflows.batch import Outcome
-    from manifold.workflows.sources import MaterialSource
+    from manifold.batch import Outcome
+    from manifold.estimate.sources import MaterialSource
 
 
 Method = Literal["gauss-newton", "adam", "swarm"]
@@ -84,10 +84,11 @@ def fit(
     how well the samples determine each parameter. Fits that are up to date are kept. Several materials are fitted into
     a folder, with a table and a sheet of balls.
     """
-    from manifold.fitting.bsdf_parameters import principled
+    from manifold.estimate import inputs
+    from manifold.estimate.sources import FileSource, PlaceSource
+    from manifold.fit import fits
     from manifold.formats import registry
-    from manifold.workflows import fits, inputs
-    from manifold.workflows.sources import FileSource, PlaceSource
+    from manifold.render.bsdf_parameters import principled
 
     materials = options.material_sources(
         sources or [], [] if latent is None else [latent], model, library,
@@ -157,8 +158,8 @@ def fit(
 
 def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSource) -> None:
     """A picture beside the JSON of a fit."""
-    from manifold.workflows.fit_pictures import picture_of_fit
-    from manifold.workflows.sources import source_file
+    from manifold.estimate.sources import source_file
+    from manifold.fit.pictures import picture_of_fit
 
     target = outcome.path.with_suffix(".png")
     with progress.shown("Drawing"), source_file(source) as path:
@@ -167,8 +168,8 @@ def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSour
 
 
 def _rows(content: dict[str, Any]) -> dict[str, object]:
-    from manifold.fitting.fit_metrics import BallDifference
-    from manifold.fitting.identifiability import ParameterIdentifiability
+    from manifold.fit.fit_metrics import BallDifference
+    from manifold.fit.identifiability import ParameterIdentifiability
 
     rows: dict[str, object] = {}
     for statement in content["statements"]:

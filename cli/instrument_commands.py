@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from manifold.system import progress
+from manifold import progress
 
 from . import options, terminal
 from .application import app
@@ -79,10 +79,10 @@ def convert(
     pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3, recognised by their content. The result is read back
     and compared at the file's own nodes. Several are written into a folder, with a table and a sheet of balls.
     """
-    from manifold.workflows import conversion
-    from manifold.workflows.conversion_targets import Options
-    from manifold.workflows.inputs import is_rgl
-    from manifold.workflows.samples import is_readings
+    from manifold.convert import conversion
+    from manifold.convert.targets import Options
+    from manifold.estimate.inputs import is_rgl
+    from manifold.estimate.samples import is_readings
 
     results = terminal.Results(json)
     sources = options.several_materials(inputs, model, library)
@@ -90,10 +90,10 @@ def convert(
     if sample is None and not merge and (not output.suffix or is_many(sources, output)):
         found = inputs_of(sources, output, lambda path: is_rgl(path) or is_readings(path), samples=True)
     if found is not None:
-        from manifold.workflows import many_files
+        from manifold.many import tasks
 
-        batch = many_files.conversions_in(folder_or_default(output, "conversions"))
-        all_made = many_files.convert_all(
+        batch = tasks.conversions_in(folder_or_default(output, "conversions"))
+        all_made = tasks.convert_all(
             found, to or "rgl", batch, correction=correction, options=Options(resolution, incidences),
             workers=workers_of(processes, scheduler),
         )  # fmt: skip

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from manifold import progress
 from manifold.errors import LibraryError, UsageError
-from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -68,10 +68,10 @@ def corpus(
     With --neural: published neural fits of about 150 measured materials (Sztrajman et al. 2021), which must be
     downloaded separately.
     """
-    from manifold.brdf.analytic import instruments
-    from manifold.brdf.analytic.corpus import write
-    from manifold.brdf.analytic.neural import write_neural
-    from manifold.library.location import require_outside_libraries
+    from manifold.analytic import instruments
+    from manifold.analytic.corpus import write
+    from manifold.analytic.neural import write_neural
+    from manifold.library.identity import require_outside_libraries
 
     if instrument is not None and (neural is not None or anisotropic or rgb or spectral):
         raise UsageError(
@@ -190,7 +190,7 @@ def import_(
     """
     from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.importing import import_files
-    from manifold.system.workers import THREADS
+    from manifold.work import THREADS
 
     if tolerance is not None and not compact:
         raise UsageError(
@@ -310,15 +310,15 @@ def info(
     Files may be RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, ASTM tables
     (Mini-Diff), pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3; they are recognised by their content.
     """
-    from manifold.workflows import inspection
+    from manifold import info
 
     results = terminal.Results(json)
     with progress.shown("Verifying" if verify else "Reading"):
         if renderer:
-            shown = inspection.inspect_renderer()
+            shown = info.inspect_renderer()
         else:
             source = options.material_source(path, model, library)
-            shown = inspection.inspect_source(source, library=library, verify=verify)
+            shown = info.inspect_source(source, library=library, verify=verify)
     results.rows(shown.title, shown.rows)
     for columns, rows in shown.tables:
         if rows:
@@ -356,9 +356,9 @@ def find(
 
     Distances are CIEDE2000 in the geometry 45/0, and gloss in steps of a fifth, about as visible as a CIEDE2000 of 1.
     """
-    from manifold.completion.attributes import find as find_materials
+    from manifold.estimate.attributes import find as find_materials
+    from manifold.estimate.completions import parse_gloss, parse_lab
     from manifold.library.store import Library
-    from manifold.workflows.completions import parse_gloss, parse_lab
 
     if lab is None and not gloss:
         raise UsageError("found no --lab and no --gloss, expected at least one of them")

@@ -16,8 +16,8 @@ import typer
 
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
-from manifold.system.names import printable
-from manifold.system.progress import display_with
+from manifold.names import printable
+from manifold.progress import display_with
 
 from . import terminal
 from .application import app

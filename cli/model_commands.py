@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from manifold import progress
 from manifold.errors import ManifoldError, UsageError
-from manifold.system import progress
 
 from . import options, photo_options, terminal
 from .application import app
@@ -18,9 +18,9 @@ from .outputs import or_default
 from .worker_options import OneWorkerOption, SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
+    from manifold.estimate.sources import MaterialSource
     from manifold.model.diagnostics import Prediction
     from manifold.model.located import Reconstruction
-    from manifold.workflows.sources import MaterialSource
 
 AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # that is worth a word
@@ -127,9 +127,9 @@ def embed(
 
     It runs in this process, on all cores; with --scheduler, as one task of one worker.
     """
+    from manifold.evaluate import pipeline
     from manifold.model.manifold import Settings
-    from manifold.system.workers import HERE
-    from manifold.workflows import pipeline
+    from manifold.work import HERE
 
     results = terminal.Results(json)
     given = {
@@ -150,7 +150,7 @@ def embed(
     )  # fmt: skip
     settings = fitted.settings
     if candidates:
-        from manifold.experiments.evaluation.selection import PAYS
+        from manifold.evaluate.selection import PAYS
 
         results.text(
             "Held-out errors, median / 90th percentile; the first, a mean, makes the choice;\n"
@@ -273,11 +273,11 @@ def predict(
     manifold, whose latent describes structure only (gloss, layers), it is that of the nearest material. With --gloss,
     --lightness, --chroma or --hue, the nearest place and colour that have them.
     """
-    from manifold.completion.attributes import Attributes
+    from manifold.estimate import predictions
+    from manifold.estimate.attributes import Attributes
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.model.output_file import OutputOptions
-    from manifold.system.workers import HERE
-    from manifold.workflows import prediction
+    from manifold.work import HERE
 
     results = terminal.Results(json)
     colour, attributes = (
@@ -296,13 +296,10 @@ def predict(
             raise UsageError(
                 "found --from and a latent, colour or gloss; write these into columns of the table"
             )
-        from manifold.workflows import (  # with Mitsuba, which one prediction does without
-            many_points,
-            point_table,
-        )
+        from manifold.many import places, point_table
 
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
-        outcomes = many_points.predict_all(
+        outcomes = places.predict_all(
             model, table, folder, library=library, options=written,
             workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
@@ -314,7 +311,7 @@ def predict(
             "gloss alone, `manifold complete --lab L,a,b --gloss 60=UNITS` makes a material"
         )
     with progress.shown("Reading materials"):
-        made = prediction.predict(
+        made = predictions.predict(
             model,
             latent if place is None else options.material_source(latent, model, library),
             or_default(output, "predicted.bsdf"),
@@ -383,9 +380,9 @@ def locate(
     Its colours are in the JSON. The predictions of several are written into a folder, with a table and a sheet of
     balls. With --photo and --light, the material is that of a photographed ball.
     """
+    from manifold.estimate import reconstructions
     from manifold.model.diagnostics import in_words
     from manifold.model.output_file import OutputOptions
-    from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
     if photo:
@@ -394,7 +391,7 @@ def locate(
         request = photo_options.photo_request(
             photo, light, circle, turn, elevation, distance, exposure, camera
         )
-        from manifold.workflows import photographs
+        from manifold.estimate import photographs
 
         with progress.shown("Comparing pixels"):
             seen = photographs.locate_photographs(
@@ -416,17 +413,17 @@ def locate(
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold.workflows import many_files
+        from manifold.many import tasks
 
-        batch = many_files.locations_in(folder_or_default(output, "locations"))
-        located = many_files.locate_all(
+        batch = tasks.locations_in(folder_or_default(output, "locations"))
+        located = tasks.locate_all(
             several, model, batch, library=library, options=written, workers=workers_of(processes, scheduler),
         )  # fmt: skip
         show_batch(results, batch, located)
         return
     source = sources[0]
     with progress.shown("Reading materials"):
-        found = reconstruction.locate(model, source, output, library=library, options=written)
+        found = reconstructions.locate(model, source, output, library=library, options=written)
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
@@ -470,17 +467,17 @@ def reconstruct(
     lobes, with weights that are never negative. It needs no model, and has no latent. Several are written into a
     folder, with a table and a sheet of balls.
     """
+    from manifold.estimate import reconstructions
     from manifold.model.output_file import OutputOptions
-    from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold.workflows import many_files
+        from manifold.many import tasks
 
-        batch = many_files.reconstructions_in(folder_or_default(output, "reconstructions"))
-        all_made = many_files.reconstruct_all(
+        batch = tasks.reconstructions_in(folder_or_default(output, "reconstructions"))
+        all_made = tasks.reconstruct_all(
             several, library, batch, without=without or (), numbers=numbers, options=written,
             workers=workers_of(processes, scheduler),
         )  # fmt: skip
@@ -488,7 +485,7 @@ def reconstruct(
         return
     source, target = sources[0], or_default(output, "reconstructed.bsdf")
     with progress.shown("Reading materials"):
-        made = reconstruction.reconstruct(
+        made = reconstructions.reconstruct(
             library, source, target, without=without or (), numbers=numbers,
             options=written,
         )  # fmt: skip

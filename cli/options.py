@@ -12,8 +12,8 @@ import typer
 from manifold.errors import UsageError
 
 if TYPE_CHECKING:
+    from manifold.estimate.sources import MaterialSource
     from manifold.model.colours import ColourChoice
-    from manifold.workflows.sources import MaterialSource
 
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
@@ -108,7 +108,7 @@ def material_source(text: str, model: Path, library: Path | None) -> MaterialSou
     Raises:
         UsageError: it is no file, no material of the library, and no place.
     """
-    from manifold.workflows.sources import parse_source
+    from manifold.estimate.sources import parse_source
 
     return parse_source(text, model, library or (None if model.exists() else DEFAULT_LIBRARY))
 
@@ -119,7 +119,7 @@ def several_materials(texts: Sequence[str], model: Path, library: Path | None) -
     Raises:
         UsageError: one is no file, no material of the library, and no place.
     """
-    from manifold.system.reading import matching
+    from manifold.disk import matching
 
     return [material_source(each, model, library) for text in texts for each in matching(text)]
 
@@ -133,7 +133,7 @@ def material_sources(
     Raises:
         UsageError: one means nothing, or a colour is given where nothing is predicted.
     """
-    from manifold.workflows.sources import PlaceSource
+    from manifold.estimate.sources import PlaceSource
 
     found = several_materials(texts, model, library)
     found += [PlaceSource(model, latent.strip(), library) for latent in latents]

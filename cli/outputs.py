@@ -36,7 +36,7 @@ def checked(path: Path, name: str = "output") -> Path:
     Raises:
         UsageError: it is another file of the command, or lies in a library.
     """
-    from manifold.library.location import require_outside_libraries
+    from manifold.library.identity import require_outside_libraries
 
     if str(path) == "-":
         raise UsageError("-: this command writes a file; name one (only --json takes -)")

@@ -12,7 +12,7 @@ from manifold.errors import UsageError
 from . import terminal
 
 if TYPE_CHECKING:
-    from manifold.workflows.photographs import FromPhotographs, PhotoRequest
+    from manifold.estimate.photographs import FromPhotographs, PhotoRequest
 
 PhotoOption = Annotated[
     list[Path] | None,
@@ -90,7 +90,7 @@ def photo_request(
     Raises:
         UsageError: there is no light, or the exposure is no number.
     """
-    from manifold.workflows.photographs import PhotoRequest
+    from manifold.estimate.photographs import PhotoRequest
 
     if not light:
         raise UsageError(

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from manifold import progress
 from manifold.errors import UsageError
-from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -43,13 +43,13 @@ def latent_map(
 
     Balls are rendered once and cached in the library.
     """
-    from manifold.workflows import ball_pictures
+    from manifold.pictures import maps
 
     results = terminal.Results(json)
     refused = "--mark; materials have their own colours" if mark is None else None
     colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     with progress.shown("Rendering"):
-        marked, left_out = ball_pictures.latent_map(
+        marked, left_out = maps.latent_map(
             model,
             output,
             library=library,
@@ -90,12 +90,12 @@ def walk(
     of latents shows what `predict` makes of the surrounding materials on the straight line between the two.
     `manifold predict FROM:TO:T -o FILE.bsdf` and `manifold export FROM:TO:T` write a step of the walk.
     """
-    from manifold.workflows import ball_pictures
+    from manifold.pictures import maps
 
     results = terminal.Results(json)
     ends = [options.material_source(text, model, library) for text in (start, end)]
     with progress.shown("Rendering"):
-        between = ball_pictures.walk(model, ends[0], ends[1], output, steps=steps, library=library)
+        between = maps.walk(model, ends[0], ends[1], output, steps=steps, library=library)
     diagnosed = tuple(f"t = {t:.2g}: {said}" for t, made in between.items() for said in made.diagnostics)
     expected = [
         f"t = {t:.2g}: {made.expected.ball:.1f}" for t, made in between.items() if made.expected is not None
@@ -145,8 +145,8 @@ def slices(
     json: options.JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
+    from manifold.pictures import slices
     from manifold.plots import figures
-    from manifold.workflows import pictures
 
     results = terminal.Results(json)
     figures.require_writable(output)
@@ -154,8 +154,8 @@ def slices(
     materials = options.material_sources(
         names or [], latent or [], model, library, like=like, reflectance=reflectance, srgb=srgb
     )
-    drawn = pictures.sources(materials)
-    pictures.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
+    drawn = slices.sources(materials)
+    slices.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})
     predictions = {source.label: source.prediction for source in drawn if source.prediction is not None}

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from manifold import progress
 from manifold.errors import UsageError
-from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -17,8 +17,8 @@ from .outputs import or_default
 from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 if TYPE_CHECKING:
-    from manifold.rendering.image_metrics import Summary
-    from manifold.workflows.renders import Rendered
+    from manifold.pictures.renders import Rendered
+    from manifold.render.image_metrics import Summary
 
 IlluminantOption = Annotated[
     str,
@@ -83,9 +83,9 @@ def render(
 
     Spectral materials are rendered spectrally, RGB ones in RGB. Colours are chromatically adapted (Bradford).
     """
-    from manifold.rendering.ball import make_settings
-    from manifold.system.workers import HERE
-    from manifold.workflows import renders
+    from manifold.pictures import renders
+    from manifold.render.ball import make_settings
+    from manifold.work import HERE
 
     results = terminal.Results(json)
     settings = make_settings(
@@ -94,16 +94,16 @@ def render(
     if points is not None:
         if materials or (latent, like, reflectance, srgb) != (None,) * 4:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
-        from manifold.workflows import many_points, point_table
+        from manifold.many import places, point_table
 
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
-        outcomes = many_points.render_all(
+        outcomes = places.render_all(
             model, table, folder, settings, library=library, direct=direct,
             workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
-    from manifold.workflows.inputs import is_rendered
+    from manifold.estimate.inputs import is_rendered
 
     sources = options.material_sources(
         materials or [], [] if latent is None else [latent], model, library,
@@ -117,12 +117,10 @@ def render(
     if (several := inputs_of(sources, output, is_rendered)) is not None:
         if direct:
             raise UsageError("--direct goes with one place, or with --from")
-        from manifold.workflows import many_files
+        from manifold.many import tasks
 
-        batch = many_files.renders_in(folder_or_default(output, "renders"))
-        all_made = many_files.render_all(
-            several, settings, batch, workers=workers_of(processes, scheduler, HERE)
-        )
+        batch = tasks.renders_in(folder_or_default(output, "renders"))
+        all_made = tasks.render_all(several, settings, batch, workers=workers_of(processes, scheduler, HERE))
         show_batch(results, batch, all_made)
         return
     with progress.shown("Rendering"):
@@ -177,8 +175,8 @@ def compare(
     difference side by side. FLIP ranges from 0 to 1 and ignores detail too fine to be visible. All three include
     the noise of the renders, which decreases with --samples.
     """
-    from manifold.rendering.ball import make_settings
-    from manifold.workflows import renders
+    from manifold.pictures import renders
+    from manifold.render.ball import make_settings
 
     results = terminal.Results(json)
     settings = make_settings(

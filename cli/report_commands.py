@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from manifold.system import progress
+from manifold import progress
 
 from . import options, terminal
 from .application import app
@@ -59,9 +59,9 @@ def report(
 
     --workers and --scheduler share out the models that are fitted without each material.
     """
-    from manifold.experiments.evaluation.report_text import format_report
-    from manifold.system.workers import HERE
-    from manifold.workflows import pipeline
+    from manifold.evaluate import pipeline
+    from manifold.evaluate.report_text import format_report
+    from manifold.work import HERE
 
     results = terminal.Results(json)
     with progress.shown("Evaluating"):
@@ -85,8 +85,8 @@ def demo(
 
     Takes about four minutes on two cores. FOLDER/index.html shows what was made, and what to do next.
     """
-    from manifold.experiments.evaluation.report_text import format_report
-    from manifold.workflows import demo
+    from manifold import demo
+    from manifold.evaluate.report_text import format_report
 
     results = terminal.Results()
     result = demo.run(folder)

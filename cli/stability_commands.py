@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from manifold.system import progress
+from manifold import progress
 
 from . import options, terminal
 from .application import app
@@ -39,11 +39,11 @@ def stability(
     wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program and make
     the exit status 1. Outcomes are listed in order of severity.
     """
-    from manifold.experiments.stability import conclusions
-    from manifold.experiments.stability.catalogue import MODES
-    from manifold.experiments.stability.trials import run_modes, select_modes
-    from manifold.plots import figures, plot_stability
-    from manifold.system.workers import HERE
+    from manifold.evaluate.stability import conclusions, stability_figure
+    from manifold.evaluate.stability.catalogue import MODES
+    from manifold.evaluate.stability.trials import run_modes, select_modes
+    from manifold.plots import figures
+    from manifold.work import HERE
 
     results = terminal.Results(json)
     modes = select_modes(MODES, only or ())
@@ -52,7 +52,7 @@ def stability(
     with progress.shown("Failure modes"):
         made = run_modes(modes, workers_of(processes, scheduler, HERE))
     if picture is not None:
-        figures.save(plot_stability.panels(made, modes), picture)
+        figures.save(stability_figure.panels(made, modes), picture)
     results.sentence(conclusions.conclusion(made))
     results.table(conclusions.COLUMNS, conclusions.table(made))
     results.text(conclusions.summary(made) + "\n")

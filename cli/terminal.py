@@ -26,11 +26,10 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from manifold import __version__
-from manifold.system import atomic, tables
-from manifold.system.names import first_few, printable
-from manifold.system.progress import PROGRESS_VARIABLE
-from manifold.system.progress import Progress as Listener
+from manifold import __version__, disk, text_tables
+from manifold.names import first_few, printable
+from manifold.progress import PROGRESS_VARIABLE
+from manifold.progress import Progress as Listener
 
 _is_strict = False
 warned: list[str] = []
@@ -162,7 +161,7 @@ class Results:
         self._target = json_target
         self._only_json = json_target is not None and str(json_target) == "-"
         if json_target is not None and not self._only_json:
-            atomic.require_writable(json_target)
+            disk.require_writable(json_target)
 
     def text(self, text: str) -> None:
         """Print lines as they are."""
@@ -192,7 +191,7 @@ class Results:
         if not rows or self._only_json:
             return
         cells = [[printable(str(cell)) for cell in row] for row in rows]
-        sys.stdout.writelines(f"{line}\n" for line in tables.table_lines(columns, cells, bold=True))
+        sys.stdout.writelines(f"{line}\n" for line in text_tables.table_lines(columns, cells, bold=True))
 
     def document(self, document: Mapping[str, Any]) -> None:
         """Write the results as JSON where they were asked for.
@@ -207,7 +206,7 @@ class Results:
         if self._only_json:
             sys.stdout.write(text)
         else:
-            atomic.write_text(self._target, text)
+            disk.write_text(self._target, text)
 
 
 def _filled(text: str, first: str, others: str) -> str:

@@ -9,7 +9,7 @@ import typer
 from manifold.errors import UsageError
 
 if TYPE_CHECKING:
-    from manifold.system.workers import Workers
+    from manifold.work import Workers
 
 
 def workers_option(by_default: str) -> Any:
@@ -41,12 +41,12 @@ def workers_of(count: int | None, scheduler: str | None, default: Workers | None
     Raises:
         UsageError: both are given, or Dask is not installed.
     """
-    from manifold.system.workers import Processes
+    from manifold.work import Processes
 
     if scheduler is None:
         return Processes(count) if count is not None or default is None else default
     if count is not None:
         raise UsageError(f"found --workers {count} and --scheduler {scheduler}, expected one of them")
-    from manifold.system.cluster import Cluster
+    from manifold.cluster import Cluster
 
     return Cluster(scheduler)

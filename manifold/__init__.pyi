@@ -1,14 +1,13 @@
-from . import colour, directions, errors, latent, mapping, metrics
-from .brdf import analytic
+from . import analytic, colour, directions, dls, errors, gplvm, gpr, mapping, metrics
 from .brdf.measured import MeasuredBRDF
-from .fitting.principled import fit_bsdf
+from .fit.principled import fit_bsdf
 from .io_rgl import read_bsdf, write_bsdf
 from .library.importing import import_files
 from .library.store import Library
 from .model.manifold import Manifold
 from .model.settings import Settings
 from .records import Bands
-from .rendering.ball import render_ball
+from .render.ball import render_ball
 
 __version__: str
 
@@ -21,10 +20,12 @@ __all__ = [
     "analytic",
     "colour",
     "directions",
+    "dls",
     "errors",
     "fit_bsdf",
+    "gplvm",
+    "gpr",
     "import_files",
-    "latent",
     "mapping",
     "metrics",
     "read_bsdf",

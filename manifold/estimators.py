@@ -9,7 +9,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import ShapeError
 from manifold.gpr import GaussianProcess, LengthScaleBound
-from manifold.latent.kernels import Kernel, first_equal_row, kernel_named
+from manifold.kernels import Kernel, first_equal_row, kernel_named
 from manifold.records import Array
 
 

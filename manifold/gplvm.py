@@ -2,7 +2,7 @@
 
 The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of outputs D. It
 starts from principal components, and is minimised by the direct local search of `manifold.dls`, as Hikichi & Iwasaki
-publish it (sections 3.3 and 3.4), or by L-BFGS. The likelihood itself is `manifold.latent.objective.LatentObjective`.
+publish it (sections 3.3 and 3.4), or by L-BFGS. The likelihood itself is `manifold.likelihood.LatentObjective`.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.dls import STOPPED, direct_local_search
+from manifold.encoding import Encoder
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
-from manifold.latent.encoder import Encoder
-from manifold.latent.incremental import IncrementalObjective
-from manifold.latent.kernels import Kernel, kernel_named, require_mu
-from manifold.latent.objective import (
+from manifold.kernels import Kernel, kernel_named, require_mu
+from manifold.likelihood import (
+    IncrementalObjective,
     LatentObjective,
     blas_threads,
     centre_gram,

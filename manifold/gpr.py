@@ -16,10 +16,10 @@ from scipy.linalg import cho_solve, cholesky, eigvalsh, solve_triangular
 from scipy.spatial.distance import cdist
 
 from manifold.errors import NumericalError
-from manifold.latent.kernels import Kernel, equal_rows, first_equal_row
-from manifold.latent.objective import centre_gram
+from manifold.kernels import Kernel, equal_rows, first_equal_row
+from manifold.likelihood import centre_gram
+from manifold.names import first_few
 from manifold.records import Array, Indices, Mask
-from manifold.system.names import first_few
 
 _FIRST_JITTER = 1e-12
 _LAST_JITTER = 1e-2
@@ -170,7 +170,7 @@ class GaussianProcess:
         Args:
             X_new: latents, shape (M, Q).
 
-        >>> from manifold.latent.kernels import SquaredExponential
+        >>> from manifold.kernels import SquaredExponential
         >>> gp = GaussianProcess(np.array([[0.0], [1.0]]), SquaredExponential())
         >>> gp.weights(np.array([[0.5], [1.0]]))
         array([[0.5, 0.5],

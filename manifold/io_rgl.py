@@ -12,12 +12,12 @@ from types import MappingProxyType
 
 import numpy as np
 
+from manifold.disk import begins_with
 from manifold.errors import FileFormatError, UsageError
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.tensor_file import MAGIC, read_tensors, shape_text, write_tensors
+from manifold.formats.text import ErrorContext
+from manifold.names import printable
 from manifold.records import AnyArray, BsdfFile, Mask
-from manifold.system.names import printable
-from manifold.system.reading import begins_with
 
 # What an RGL file must hold: dtype and axes per field; an axis is a number, or a letter that all fields share.
 _FIELDS: dict[str, tuple[str, tuple[str | int, ...] | None]] = {

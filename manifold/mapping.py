@@ -20,8 +20,8 @@ from typing import Protocol
 import numpy as np
 
 from manifold.errors import ShapeError, UnknownNameError
+from manifold.names import names_like
 from manifold.records import Array
-from manifold.system.names import names_like
 
 
 class Mapping(Protocol):

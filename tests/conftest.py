@@ -71,7 +71,7 @@ def library(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def atoms(library):
     """The atoms of which readings are completed."""
-    from manifold.completion import LibraryAtoms
+    from manifold.estimate import LibraryAtoms
     from manifold.library.store import Library
 
     return LibraryAtoms.of_library(Library.open(library))

@@ -9,14 +9,14 @@ import warnings
 
 import numpy as np
 
-from manifold.brdf.analytic import corpus, fresnel
+from manifold.analytic import corpus, fresnel
 from manifold.brdf.goniometer import remeasure
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
-from manifold.brdf.valleys import profile_pairs, valley_depth
-from manifold.brdf.weighted_sums import WeightedSum
+from manifold.brdf.plausibility import profile_pairs, valley_depth
+from manifold.brdf.sums import WeightedSum
 from manifold.gplvm import GPLVM
-from manifold.latent.nonnegative import nonnegative_weights
+from manifold.nonnegative import nonnegative_weights
 
 
 def compile_rendering() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from balls import show
 
 import manifold as mf
-from manifold.brdf.analytic import GGX, Plastic
+from manifold.analytic import GGX, Plastic
 
 base, index = np.array([0.5, 0.05, 0.1]), np.full(3, 1.5)
 show(

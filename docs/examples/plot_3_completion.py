@@ -13,7 +13,7 @@ import numpy as np
 from balls import show
 
 import manifold as mf
-from manifold.completion import LibraryAtoms, complete
+from manifold.estimate import LibraryAtoms, complete
 from manifold.formats import Readings, geometry_ma_t12
 
 work = Path(os.environ["MANIFOLD_DOCS_WORK"])

@@ -12,7 +12,7 @@ from pathlib import Path
 from balls import show
 
 import manifold as mf
-from manifold.brdf.analytic import corpus
+from manifold.analytic import corpus
 
 rgb = mf.MeasuredBRDF(mf.read_bsdf(Path(os.environ["MANIFOLD_DOCS_WORK"]) / "corpus/syn_satin_gold_rgb.bsdf"))
 recipes = {material.name: material for material in corpus.isotropic_materials()}

@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import manifold as mf
-from manifold.rendering import backend, scenes
-from manifold.rendering.render import rgb_film
+from manifold.render import backend, scenes
+from manifold.render.render import rgb_film
 
 path = Path(os.environ["MANIFOLD_DOCS_WORK"]) / "model.h5"
 model = mf.Manifold.load(path)

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 import manifold as mf
-from manifold.rendering import backend, images, scenes
-from manifold.rendering.render import rgb_film
+from manifold.render import backend, images, scenes
+from manifold.render.render import rgb_film
 
 
 def covered_share(height: int, width: int, seed: int = 7) -> np.ndarray:

@@ -1,4 +1,4 @@
-from . import analytic, goniometer
+from . import goniometer
 from .measured import BRDF, MeasuredBRDF
 from .pairs import DirectionPairs
 from .physical import ReciprocalBRDF, physical_file
@@ -9,7 +9,6 @@ __all__ = [
     "DirectionPairs",
     "MeasuredBRDF",
     "ReciprocalBRDF",
-    "analytic",
     "fill_unmeasured",
     "goniometer",
     "physical_file",

@@ -11,7 +11,7 @@ import numpy as np
 
 from manifold.brdf import warp
 from manifold.brdf.pairs import LEVEL, elevation, locate, phi_to_u, signs, theta_to_u
-from manifold.system.parallel import serialised
+from manifold.threads import serialised
 
 
 @nb.njit(cache=True, inline="always")

@@ -10,8 +10,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from manifold.brdf import lookup
+from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.pairs import DirectionPairs, Symmetry, flat_samples
-from manifold.brdf.picture import NotebookPicture
 from manifold.brdf.warp import Warp
 from manifold.directions import require_directions, rotate_z
 from manifold.errors import UsageError

@@ -19,7 +19,7 @@ import numpy as np
 from numba.core import options
 
 from manifold.records import Array
-from manifold.system.parallel import serialised
+from manifold.threads import serialised
 
 WITHOUT_REFERENCE_COUNTS: dict[str, Any] = {"cache": True}
 if hasattr(options.DefaultOptions, "_nrt"):  # not documented

@@ -1,6 +1,6 @@
 """Colours of a material's ball under the studio light, by quadrature: a fast substitute for a render.
 
-The ball floats in the studio of `manifold.colour.studio`, with the light of the floor from below, and is seen from
+The ball floats in the studio of `manifold.colour.lights`, with the light of the floor from below, and is seen from
 afar. Each pixel shows one point of it, where the incident light is summed over half vectors, densest around the
 normal: so sharp highlights are as well resolved as soft ones. What is evaluated are BRDF values at fixed direction
 pairs.
@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from manifold.colour import difference, studio
+from manifold.colour import difference, lights
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
 from manifold.directions import from_spherical, normalize, rotate_z
@@ -33,9 +33,9 @@ def environment() -> Array:
     Returns:
         Radiance, float32, laid out as `studio.studio` does, shape (20, 40, 3).
     """
-    fine = studio.studio(_ENVIRONMENT_ROWS * _BLUR)
+    fine = lights.studio(_ENVIRONMENT_ROWS * _BLUR)
     image: Array = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
-    image[_ENVIRONMENT_ROWS // 2 :] = studio.FLOOR_REFLECTANCE
+    image[_ENVIRONMENT_ROWS // 2 :] = lights.FLOOR_REFLECTANCE
     return image
 
 

@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__
+from manifold import __version__, disk
 from manifold.colour.conversion import interpolation_matrix, to_srgb
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow
 from manifold.colour.tables import colour_science
+from manifold.disk import read_json
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array, Bands, Indices, Mask
-from manifold.system import atomic
-from manifold.system.reading import read_json
 
 _DARK = 1e-3  # of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"
@@ -168,7 +167,7 @@ def write_correction(path: Path, correction: ColourCorrection) -> None:
         "source_wavelengths_nm": correction.source.wavelengths_nm,
         "wavelengths_nm": correction.reference.wavelengths_nm,
     }
-    atomic.write_text(path, json.dumps(content | correction.to_json(), indent=1) + "\n")
+    disk.write_text(path, json.dumps(content | correction.to_json(), indent=1) + "\n")
 
 
 def read_correction(path: Path) -> ColourCorrection:

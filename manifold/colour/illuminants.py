@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour.columns import read_columns
-from manifold.colour.tables import standard_tables
+from manifold.colour.tables import read_columns, standard_tables
 from manifold.errors import FileFormatError, UnknownNameError
+from manifold.names import names_like
 from manifold.records import Array, Bands
-from manifold.system.names import names_like
 
 _MOST_POWER = 1e30  # renders are in single precision
 

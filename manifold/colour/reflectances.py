@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour.columns import read_columns
 from manifold.colour.conversion import decode_srgb, to_srgb
-from manifold.colour.tables import colour_science, distribution, frozen
+from manifold.colour.tables import colour_science, distribution, frozen, read_columns
 from manifold.errors import FileFormatError, ShapeError, UnknownNameError, UsageError
+from manifold.names import names_like
 from manifold.records import Array, Bands
-from manifold.system.names import names_like
 
 _VISIBLE_NM = (400.0, 700.0)
 

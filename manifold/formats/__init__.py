@@ -1,4 +1,4 @@
-"""File formats."""
+"""Files of other programs and of instruments, one format a module."""
 
 import lazy_loader
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.formats.column_heads import RELATIVE
-from manifold.formats.error_context import ErrorContext
+from manifold.formats.text import ErrorContext
 from manifold.records import Array
 
 _ROUNDING = 0.01  # radians

@@ -11,17 +11,24 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import disk
 from manifold.errors import ShapeError
 from manifold.formats.angles import directions, exceed_radians
 from manifold.formats.column_heads import Quantity, angle_name, angle_unit, quantity, value_head, wavelength
 from manifold.formats.csv_table import angles_deg, band_heads
-from manifold.formats.error_context import MOST_ROWS, ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import data_lines, decode, find_separator, read_lines, split_cells
+from manifold.formats.text import (
+    MOST_ROWS,
+    ErrorContext,
+    data_lines,
+    decode,
+    find_separator,
+    read_lines,
+    split_cells,
+)
 from manifold.formats.values import as_brdf, bands_of, named_wavelength, nanometres
+from manifold.names import in_one_line
 from manifold.records import Array
-from manifold.system import atomic
-from manifold.system.names import in_one_line
 
 _REMEDY = "export the table again"
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
@@ -205,7 +212,7 @@ def write(path: Path, readings: Readings) -> None:
     ]  # fmt: skip
     table = np.hstack([np.deg2rad(angles_deg(readings)), readings.values])
     lines += [",".join(f"{value:.9g}" for value in row) for row in table]
-    atomic.write_text(path, "\n".join(lines) + "\n")
+    disk.write_text(path, "\n".join(lines) + "\n")
 
 
 def _quoted(name: str) -> str:

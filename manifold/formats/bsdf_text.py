@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.formats.error_context import ErrorContext
-from manifold.formats.text import data_lines, read_lines
+from manifold.formats.text import ErrorContext, data_lines, read_lines
 from manifold.records import Array, Indices
 
 _MOST_ANGLES = 20_000

@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import GLOSS_ANGLES_DEG
+from manifold.formats.text import ErrorContext
 
 Quantity = Literal["f", "f_cos", "factor"]
 """BRDF in 1/sr; BRDF times cos theta_o; reflectance factor, pi times the BRDF."""

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import disk
 from manifold.directions import to_spherical
 from manifold.formats.column_heads import gloss_angle
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
 from manifold.formats.tables import (
     HEADERS,
@@ -28,10 +28,9 @@ from manifold.formats.tables import (
     read_table,
     resembles_header,
 )
-from manifold.formats.text import decode, number, read_bytes
+from manifold.formats.text import ErrorContext, decode, number, read_bytes
+from manifold.names import in_one_line
 from manifold.records import Array
-from manifold.system import atomic
-from manifold.system.names import in_one_line
 
 _REMEDY = f"give the table a header such as {HEADERS}"
 _SEPARATORS = (";", "\t", ",", None)  # None: blanks
@@ -143,7 +142,7 @@ def write(path: Path, readings: Readings) -> None:
     writer.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", *band_heads(readings)])
     for angles, row in zip(angles_deg(readings), readings.values, strict=True):
         writer.writerow([*(f"{a:.9g}" for a in angles), *("" if np.isnan(v) else f"{v:.9g}" for v in row)])
-    atomic.write_text(path, out.getvalue())
+    disk.write_text(path, out.getvalue())
 
 
 def angles_deg(readings: Readings) -> Array:

@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import disk
 from manifold.formats.angles import directions
 from manifold.formats.dense import DenseTable
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import data_lines, decode, read_lines
+from manifold.formats.text import ErrorContext, data_lines, decode, read_lines
 from manifold.formats.values import unnamed_band
-from manifold.system import atomic
 
 _TYPE, _FORMAT = "type bsdf_data", "format angles=deg bsdf=value scale=1"
 _REMEDY = f"write it with the lines '{_TYPE}' and '{_FORMAT}'"
@@ -79,4 +78,4 @@ def write(path: Path, table: DenseTable) -> None:
         for theta, row in zip(theta_o, block, strict=True):
             azimuths = phi_o if theta > 0.0 else phi_o[:1]
             lines += [f"{theta:.6g}\t{phi:.6g}\t{v:.7g}" for phi, v in zip(azimuths, row, strict=False)]
-    atomic.write_text(path, "\n".join(lines) + "\n")
+    disk.write_text(path, "\n".join(lines) + "\n")

@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import aspecular_pair
+from manifold.formats.text import ErrorContext
 from manifold.records import Array
 
 _LONGEST = 40  # letters; names of geometries are shorter

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import disk
 from manifold.directions import from_spherical
 from manifold.formats.bsdf_text import (
     Block,
@@ -26,7 +27,6 @@ from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 from manifold.records import Array
-from manifold.system import atomic
 
 _PADDING_FROM = 75.0  # degrees, of a Mini-Diff
 _USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tell
@@ -226,4 +226,4 @@ def write(path: Path, table: DenseTable) -> None:
                 rows = np.vstack([rows, rows[:1]])
                 tis = total_scatter(rows, np.deg2rad(closed), table.axes[2], np.cos(table.axes[2]))
                 lines += [f"TIS {tis:.6g}", *(" ".join(f"{v:.7g}" for v in row) for row in rows)]
-    atomic.write_text(path, "\n".join([*lines, "DataEnd"]) + "\n")
+    disk.write_text(path, "\n".join([*lines, "DataEnd"]) + "\n")

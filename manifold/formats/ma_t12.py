@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from manifold import disk
 from manifold.errors import FileFormatError
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.tables import HEADERS, Cell, Columns, Table, find_columns, in_one_unit, read_table
-from manifold.formats.text import read_bytes
-from manifold.system import atomic
+from manifold.formats.text import ErrorContext, read_bytes
 
 _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
@@ -257,5 +256,5 @@ def write(path: Path, readings: Readings) -> None:
     for row_number, (caption, picture) in enumerate(readings.texture.get("images", {}).items(), start=2):
         images.cell(row_number, 1, caption)
         images.add_image(Image(io.BytesIO(picture)), f"B{row_number}")
-    with atomic.replacing(path) as partial:
+    with disk.replacing(path) as partial:
         book.save(partial)

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import disk
 from manifold.formats.dense import DenseTable
-from manifold.formats.error_context import ErrorContext
-from manifold.formats.text import read_bytes
+from manifold.formats.text import ErrorContext, read_bytes
 from manifold.records import Array
-from manifold.system import atomic
 
 SHAPE = (90, 90, 180)
 SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0
@@ -75,4 +74,4 @@ def write(path: Path, table: DenseTable) -> None:
     measured = np.isfinite(table.values).all(axis=-1, keepdims=True)
     # What is measured is not negative in a MERL file, where that says "not measured"; colours may be out of gamut.
     planes = np.where(measured, np.maximum(table.values, 0.0) / SCALES, -1.0)
-    atomic.write_bytes(path, _HEADER.pack(*SHAPE) + np.moveaxis(planes, -1, 0).astype("<f8").tobytes())
+    disk.write_bytes(path, _HEADER.pack(*SHAPE) + np.moveaxis(planes, -1, 0).astype("<f8").tobytes())

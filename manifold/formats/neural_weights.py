@@ -18,9 +18,9 @@ from pathlib import Path, PurePosixPath
 import h5py
 import numpy as np
 
+from manifold import disk
 from manifold.errors import FileFormatError, MissingFileError
 from manifold.records import Array
-from manifold.system import reading
 
 _INPUTS, _OUTPUTS = 6, 3
 _MOST_BYTES = 16 << 20  # of one network; the published ones have some tens of kilobytes
@@ -72,7 +72,7 @@ def _files(path: Path) -> Iterator[tuple[Path, str, bytes]]:
             if inner.suffix in (".h5", ".zip") and inner.is_file():
                 yield from _files(inner)
     elif path.suffix == ".h5":
-        yield path.parent, path.stem, reading.read_bytes(path, advice=_REMEDY, most=_MOST_BYTES)
+        yield path.parent, path.stem, disk.read_bytes(path, advice=_REMEDY, most=_MOST_BYTES)
     else:
         try:
             with zipfile.ZipFile(path) as archive:

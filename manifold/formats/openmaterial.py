@@ -16,15 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from manifold import disk
 from manifold.formats.angles import directions, exceed_radians
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.dense import DenseTable
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import decode, read_bytes
+from manifold.formats.text import ErrorContext, decode, read_bytes
+from manifold.names import in_one_line
 from manifold.records import Array
-from manifold.system import atomic
-from manifold.system.names import in_one_line
 
 _REMEDY = "export the look-up table again"
 _LARGEST = 60_000_000  # bytes: more than a million rows as this module writes them
@@ -124,4 +123,4 @@ def write(path: Path, table: DenseTable) -> None:
     head = json.dumps({"$schema": _SCHEMA, "metadata": metadata}, indent=1)[:-2]
     rows = ",\n".join(lines)
     brdf = f'"brdf": {{"wavelengths": {json.dumps(wavelengths)}, "lookupTable": [\n{rows}\n]}}'
-    atomic.write_text(path, f"{head},\n {brdf}\n}}\n")
+    disk.write_text(path, f"{head},\n {brdf}\n}}\n")

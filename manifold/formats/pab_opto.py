@@ -11,9 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import data_lines, decode, find_separator, number, read_lines, split_cells
+from manifold.formats.text import (
+    ErrorContext,
+    data_lines,
+    decode,
+    find_separator,
+    number,
+    read_lines,
+    split_cells,
+)
 from manifold.formats.values import converted, nanometres, unnamed_band
 from manifold.records import Array
 

@@ -35,7 +35,7 @@ from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import read_bytes
-from manifold.system.names import first_few, names_like, printable
+from manifold.names import first_few, names_like, printable
 
 Record = Readings | DenseTable
 _SNIFFED = 16384

@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings, mean_of_repeats
-from manifold.formats.text import read_bytes
+from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
 from manifold.records import Array
 

@@ -15,16 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from manifold import disk
 from manifold.directions import from_spherical
 from manifold.formats.bsdf_text import Words, total_scatter, unique_directions
 from manifold.formats.dense import DenseTable
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import read_bytes
+from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
+from manifold.names import in_one_line
 from manifold.records import Array
-from manifold.system import atomic
-from manifold.system.names import in_one_line
 
 _REMEDY = "open the file in Speos' BSDF viewer and save it as text again"
 _HEADER = re.compile(r"OPTIS - (brdf|anisotropic bsdf) surface file v(\d{1,3})", re.IGNORECASE)
@@ -209,7 +208,7 @@ def write(path: Path, table: DenseTable) -> None:
         for f in np.moveaxis(block, -1, 0):
             reflected, rows = _table_lines(theta, phi, f)
             lines += [f"{100.0 * reflected:.9g}", *rows]
-    atomic.write_text(path, "\n".join([*lines, "End of file"]) + "\n")
+    disk.write_text(path, "\n".join([*lines, "End of file"]) + "\n")
 
 
 def write_anisotropic(path: Path, table: DenseTable) -> None:
@@ -238,7 +237,7 @@ def write_anisotropic(path: Path, table: DenseTable) -> None:
     lines += [f"{theta_i[0]:.6g}\t{turns[order[0]]:.6g}", "Reflection", "2"]
     lines += [f"{nm}\t{percent:.9g}" for nm in _FLAT_NM]
     lines += [line for _, rows in blocks for line in rows]
-    atomic.write_text(path, "\n".join([*lines, "End of file"]) + "\n")
+    disk.write_text(path, "\n".join([*lines, "End of file"]) + "\n")
 
 
 def _head(kind: str, name: str) -> list[str]:

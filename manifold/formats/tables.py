@@ -16,7 +16,6 @@ import numpy as np
 from manifold.formats import column_heads
 from manifold.formats.angles import directions, exceed_radians
 from manifold.formats.column_heads import Quantity, angle_name, channel, gloss_angle, wavelength
-from manifold.formats.error_context import ErrorContext
 from manifold.formats.geometry_names import (
     directions_of,
     is_geometry,
@@ -25,7 +24,7 @@ from manifold.formats.geometry_names import (
     resolve,
 )
 from manifold.formats.readings import Readings, gloss_fault, mean_of_repeats
-from manifold.formats.text import number, plain_float
+from manifold.formats.text import ErrorContext, number, plain_float
 from manifold.formats.values import (
     TAKEN_AS_FACTORS,
     TAKEN_AS_PERCENT,

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.formats.error_context import ErrorContext
+from manifold import disk
 from manifold.formats.foreign import name_format
+from manifold.formats.text import ErrorContext
 from manifold.records import AnyArray
-from manifold.system import atomic
 
 MAGIC = b"tensor_file\0"
 _PREAMBLE = struct.Struct("<12sBBI")
@@ -141,7 +141,7 @@ def write_tensors(path: Path | str, fields: Mapping[str, AnyArray]) -> None:
             known = ", ".join(dtype.name for dtype in _CODES)
             raise context.error(f"has dtype {array.dtype.str}, expected little-endian {known}", field=name)
     offset = _aligned(_PREAMBLE.size + sum(len(_header(name, array, 0)) for name, array in fields.items()))
-    with atomic.replacing(path) as partial, open(partial, "wb") as out:
+    with disk.replacing(path) as partial, open(partial, "wb") as out:
         out.write(_PREAMBLE.pack(MAGIC, 1, 0, len(fields)))
         for name, array in fields.items():
             out.write(_header(name, array, offset))

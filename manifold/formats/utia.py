@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import disk
 from manifold.formats.dense import DenseTable
-from manifold.formats.error_context import ErrorContext
-from manifold.formats.text import read_bytes
+from manifold.formats.text import ErrorContext, read_bytes
 from manifold.records import Array
-from manifold.system import atomic
 
 SHAPE = (6, 48, 6, 48)
 SIZE = 8 * 3 * 288 * 288
@@ -90,4 +89,4 @@ def write(path: Path, table: DenseTable) -> None:
         UsageError: the file cannot be written.
     """
     planes = np.nan_to_num(np.moveaxis(table.values, -1, 0))
-    atomic.write_bytes(path, planes.astype("<f8").tobytes())
+    disk.write_bytes(path, planes.astype("<f8").tobytes())

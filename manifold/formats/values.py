@@ -8,8 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from manifold.formats.column_heads import Quantity, channel, wavelength
-from manifold.formats.error_context import ErrorContext
-from manifold.formats.text import number
+from manifold.formats.text import ErrorContext, number
 from manifold.records import Array
 
 TAKEN_AS_FACTORS = "no unit given: taken as reflectance factors, 1 being the perfect diffuser"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import disk
 from manifold.directions import from_spherical, rotate_z
 from manifold.formats.bsdf_text import (
     Block,
@@ -24,9 +25,8 @@ from manifold.formats.bsdf_text import (
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
+from manifold.names import in_one_line
 from manifold.records import Array, Mask
-from manifold.system import atomic
-from manifold.system.names import in_one_line
 
 # of zeros: instruments end at 75 to 85 degrees, tables at the horizon
 _PADDING_FROM = np.cos(np.deg2rad(75.0))
@@ -150,4 +150,4 @@ def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, 
             lines.append(f"TIS {total_scatter(block, azimuth, radial, wo[..., 2]):.6g}")
             lines += [" ".join(f"{v:.7g}" for v in row) for row in block]
         lines.append("DataEnd")
-    atomic.write_text(path, "\n".join(lines) + "\n")
+    disk.write_text(path, "\n".join(lines) + "\n")

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
+from manifold.encoding import EncodingPairs
 from manifold.errors import LibraryError
-from manifold.latent.decoder import EncodingPairs
 from manifold.library import staging, visible_normals
 from manifold.library.compact import EXTRA, Compact, decode
 from manifold.library.identity import (
@@ -26,12 +27,11 @@ from manifold.library.identity import (
 )
 from manifold.library.reading import read_material
 from manifold.library.schema import COEFFICIENTS, TABLES
+from manifold.library.staging import write_material
 from manifold.library.store import Library
-from manifold.library.writing import write_material
 from manifold.library.zarr_arrays import open_group
 from manifold.metrics import RusinkiewiczGrid, cube_root_error
 from manifold.records import AnyArray, Array, BsdfFile
-from manifold.system import progress
 
 CUBE_ROOT_PER_BALL = 0.05
 """The cube-root error that is allowed per CIEDE2000 of the ball that is: 1 % at 0.2."""

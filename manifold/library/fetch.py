@@ -2,21 +2,67 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from urllib.parse import quote, urlsplit
 
 import pooch
 import requests
 
-from manifold import __version__
-from manifold.errors import FetchError, FileFormatError, UsageError
+from manifold import __version__, progress
+from manifold.errors import FetchError, FileFormatError, UnknownNameError, UsageError
 from manifold.io_rgl import read_bsdf
-from manifold.library.location import require_outside_libraries
-from manifold.library.rgl_table import Entry, rgl_table, select
-from manifold.system import progress
-from manifold.system.names import first_few
+from manifold.library.identity import require_outside_libraries
+from manifold.names import first_few, names_like
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file's entry in the table of the database.
+
+    Attributes:
+        name: of the material.
+        size_bytes: of the file, or None.
+        sha256: of the file in hexadecimal, or None.
+        is_isotropic: whether one incident azimuth was measured.
+    """
+
+    name: str
+    size_bytes: int | None
+    sha256: str | None
+    is_isotropic: bool = True
+
+
+@cache
+def rgl_table() -> Mapping[str, Entry]:
+    """The database's spectral files by name: 51 isotropic ones, and 11 anisotropic ones without checksums."""
+    data = resources.files("manifold.library")
+    with (data / "rgl_isotropic.tsv").open(encoding="utf-8") as lines:
+        rows = list(csv.DictReader(lines, delimiter="\t"))
+    entries = [Entry(row["material"], int(row["size_bytes"]), row["sha256"]) for row in rows]
+    names = (data / "rgl_anisotropic.txt").read_text(encoding="utf-8").split()
+    entries += [Entry(name, None, None, is_isotropic=False) for name in names]
+    return MappingProxyType({entry.name: entry for entry in entries})
+
+
+def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic: bool) -> list[Entry]:
+    """The entries of some names, or all isotropic ones, and with `anisotropic` those too.
+
+    Raises:
+        UsageError: an unknown name.
+    """
+    if names is None:
+        return [entry for entry in table.values() if entry.is_isotropic or anisotropic]
+    for name in names:
+        if name not in table:
+            raise UnknownNameError(f"{name}: no such material in the RGL database; {names_like(table, name)}")
+    return [table[name] for name in dict.fromkeys(names)]
+
 
 BASE_URL = "https://d38rqfq1h7iukm.cloudfront.net/media/materials"
 _MOST_BYTES = 1 << 30  # of files whose size no table knows; the largest in the database have 111 MB

@@ -13,17 +13,21 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
+from manifold import progress
 from manifold.brdf.orientation import rotation_of
 from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
-from manifold.library.identity import file_sha256, require_material_name, require_tolerance
-from manifold.library.location import require_outside_libraries
+from manifold.library.identity import (
+    file_sha256,
+    require_material_name,
+    require_outside_libraries,
+    require_tolerance,
+)
+from manifold.library.staging import make_store, write_material
 from manifold.library.store import Library
-from manifold.library.writing import make_store, write_material
 from manifold.records import Bands
-from manifold.system import progress
-from manifold.system.workers import THREADS, Workers
+from manifold.work import THREADS, Workers
 
 _MANY_TASKS = 64  # from which on tasks have several files
 _MOST_TOGETHER = 16  # files of a task

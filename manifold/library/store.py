@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from manifold import progress
 from manifold.errors import (
     FileFormatError,
     LibraryError,
@@ -24,19 +27,78 @@ from manifold.errors import (
     UsageError,
 )
 from manifold.io_rgl import require_sound
-from manifold.library import cache, staging
-from manifold.library.identity import MaterialInfo, info_of, is_material_name
-from manifold.library.location import require_outside_libraries
+from manifold.library import staging
+from manifold.library.identity import (
+    MaterialInfo,
+    hash_arrays,
+    info_of,
+    is_material_name,
+    require_outside_libraries,
+)
 from manifold.library.reading import read_material
-from manifold.library.schema import READABLE_VERSIONS, SCHEMA
-from manifold.library.writing import make_store
-from manifold.library.zarr_arrays import open_group, read_array, read_attributes
+from manifold.library.schema import READABLE_VERSIONS, SCHEMA, StoredArray
+from manifold.library.staging import make_store
+from manifold.library.zarr_arrays import open_group, read_array, read_attributes, write_array, write_group
+from manifold.names import names_like
 from manifold.records import Array, Bands, BsdfFile
-from manifold.system import progress
-from manifold.system.names import names_like
 
 if TYPE_CHECKING:
     import zarr
+
+MOST_BYTES = 1 << 30
+"""Of all entries of a library together; those that were used longest ago go first."""
+
+
+def get(library: Path, key: str) -> dict[str, Array] | None:
+    """Arrays that `put` stored under a key, or None if there are none or they are damaged."""
+    folder = library / "cache" / key
+    if not folder.is_dir():
+        return None
+    try:
+        group = open_group(folder)
+        attributes: dict[str, Any] = dict(group.attrs)
+        arrays = {name: read_array(group, name) for name in attributes["names"]}
+        if attributes["sha256"] != hash_arrays(arrays):
+            return None
+        with suppress(OSError):  # of another user, or on read-only media
+            os.utime(folder)
+        return arrays
+    except Exception:  # A cache never stops the work: whatever is wrong with it, compute again.
+        return None
+
+
+def put(library: Path, key: str, arrays: Mapping[str, Array]) -> None:
+    """Store arrays under a key, atomically; no effect if the library cannot be written.
+
+    Args:
+        library: its folder.
+        key: letters, digits, - and _.
+        arrays: by name.
+    """
+    target = library / "cache" / key
+    try:
+        with staging.writing(library) as staged:
+            folder = staged / key
+            write_group(folder, {"names": list(arrays), "sha256": hash_arrays(arrays)})
+            for name, array in arrays.items():
+                write_array(folder / name, StoredArray(np.asarray(array)))
+            staging.publish(folder, target)
+            _prune(target.parent)
+    except (OSError, LibraryError):
+        return
+
+
+def _prune(folder: Path) -> None:
+    """Remove the entries that were used longest ago, until the rest is no more than `MOST_BYTES`."""
+    entries = sorted(
+        ((entry.stat().st_mtime_ns, entry.path) for entry in os.scandir(folder) if entry.is_dir()),
+        reverse=True,
+    )
+    total = 0
+    for _, path in entries:
+        total += sum(file.stat().st_size for file in Path(path).rglob("*") if file.is_file())
+        if total > MOST_BYTES:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 class Library:
@@ -210,11 +272,11 @@ class Library:
 
     def cache_get(self, key: str) -> dict[str, Array] | None:
         """Arrays that `cache_put` stored under a key, or None if there are none or they are damaged."""
-        return cache.get(self.path, key)
+        return get(self.path, key)
 
     def cache_put(self, key: str, arrays: Mapping[str, Array]) -> None:
         """Store arrays under a key, atomically; no effect if the library cannot be written."""
-        cache.put(self.path, key, arrays)
+        put(self.path, key, arrays)
 
     def _folder(self, name: str) -> Path:
         """Where a material stands, or would."""

@@ -1,4 +1,4 @@
-"""The fitted manifold: latents of a library's materials, predictions, colours, completion, its file."""
+"""The fitted manifold: places on the map, predictions, colours, walks, expected errors, its file."""
 
 import lazy_loader
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF
 from manifold.colour import ball_colours
-from manifold.latent.decoder import EncodingPairs
+from manifold.encoding import EncodingPairs
 from manifold.records import Array
 
 OF_BALL = slice(None, None, 7)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.brdf.valleys import (
+from manifold.brdf.plausibility import (
     LAYOUT_AZIMUTHS_DEG,
     profile_pairs,
     squared_valleys,
@@ -19,17 +20,15 @@ from manifold.brdf.valleys import (
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
-from manifold.latent.blending import Layout, blend_layout
-from manifold.latent.colour_paths import ColourPaths, fit_paths, sample_rows
-from manifold.latent.decoder import EncodingPairs
-from manifold.latent.kernels import Kernel
-from manifold.latent.landmark_layout import Comparison, farthest_samples, landmark_layout
+from manifold.encoding import EncodingPairs
+from manifold.kernels import Kernel
 from manifold.model.appearance import OF_BALL, AppearancePairs, appearance_pairs, roots_at
 from manifold.model.blend_space import BlendSpace
+from manifold.model.blending import Layout, blend_layout
+from manifold.model.colour_paths import ColourPaths, fit_paths, sample_rows
 from manifold.model.decoding import integrating_sphere
-from manifold.model.landmark_search import SIGNATURE, signatures
+from manifold.model.landmarks import SIGNATURE, Comparison, farthest_samples, landmark_layout, signatures
 from manifold.records import Array, Indices, evenly_spaced
-from manifold.system import progress
 
 _BANDS = 12  # in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black

@@ -13,15 +13,15 @@ from scipy.optimize import minimize
 from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 
+from manifold.encoding import Decoder, EncodingPairs
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
-from manifold.latent.blending import NEIGHBOURS, blend_weights, widest_gap
-from manifold.latent.colour_paths import ColourPaths, between, interpolate, sample_rows
-from manifold.latent.decoder import Decoder, EncodingPairs
-from manifold.latent.kernels import Kernel, first_equal_row
+from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
 from manifold.model.appearance import appearance_pairs, roots_at
+from manifold.model.blending import NEIGHBOURS, blend_weights, widest_gap
+from manifold.model.colour_paths import ColourPaths, between, interpolate, sample_rows
 from manifold.model.combination import Combination
 from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_bands, require_shapes
 from manifold.model.material_table import MaterialTable

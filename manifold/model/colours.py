@@ -13,7 +13,7 @@ from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, 
 from manifold.errors import UsageError
 from manifold.library.identity import file_sha256
 from manifold.model.latent_space import fixed_colours
-from manifold.model.latents import PlaceLike
+from manifold.model.places import PlaceLike
 from manifold.records import Array
 
 if TYPE_CHECKING:

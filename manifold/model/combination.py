@@ -12,13 +12,13 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.errors import ShapeError
-from manifold.latent.dictionary import Dictionary
-from manifold.latent.lobes import Lobes
 from manifold.mapping import Mapping
 from manifold.metrics import cosine_weight
+from manifold.model.dictionary import Dictionary
 from manifold.records import Array, Indices
 
 

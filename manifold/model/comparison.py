@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from manifold.brdf.measured import BRDF, all_isotropic, require_brdf
 from manifold.colour import ball_colours
-from manifold.latent.decoder import EncodingPairs
+from manifold.encoding import EncodingPairs
 from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
 
 

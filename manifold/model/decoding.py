@@ -9,7 +9,7 @@ import numpy as np
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_spherical
-from manifold.latent.decoder import Decoder, EncodingPairs
+from manifold.encoding import Decoder, EncodingPairs
 from manifold.mapping import mapping_named
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache

@@ -10,15 +10,15 @@ from manifold import __version__
 from manifold.brdf.measured import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
-from manifold.latent.expected_error import COARSE_BELOW
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
 from manifold.model.comparison import BRDFErrors
+from manifold.model.expected_error import COARSE_BELOW
 from manifold.records import Array
 
 if TYPE_CHECKING:
-    from manifold.model.latents import Place, PlaceLike
     from manifold.model.left_out import ExpectedErrors
     from manifold.model.manifold import Manifold
+    from manifold.model.places import Place, PlaceLike
 
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too

@@ -11,10 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from manifold.encoding import Decoder, EncodingPairs
 from manifold.errors import ShapeError, UsageError
 from manifold.gpr import GaussianProcess
-from manifold.latent.decoder import Decoder, EncodingPairs
-from manifold.latent.kernels import Kernel, first_equal_row
+from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import Mapping
 from manifold.model.combination import Combination
 from manifold.model.material_table import MaterialTable

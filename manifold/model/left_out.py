@@ -9,18 +9,59 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import KDTree
 
-from manifold.latent.blending import widest_gap
-from manifold.latent.expected_error import ExpectedError
-from manifold.latent.landmark_layout import farthest_samples
+from manifold import progress
+from manifold.colour import ball_colours
+from manifold.mapping import CubeRoot
+from manifold.metrics import cube_root_error
+from manifold.model.appearance import roots_at
 from manifold.model.blend_fitting import BlendSamples
 from manifold.model.blend_space import BlendSpace
-from manifold.model.landmark_left_out import landmark_left_out
-from manifold.model.latent_space import LatentSpace, require_shapes
+from manifold.model.blending import blend_weights, widest_gap
+from manifold.model.combination import Combination
+from manifold.model.expected_error import ExpectedError
+from manifold.model.landmarks import LandmarkSearch, combined, farthest_samples
+from manifold.model.latent_space import LatentSpace, LeftOutErrors, LeftOutSearch, require_shapes
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.records import Array, Indices, Mask, evenly_spaced
-from manifold.system import progress
+
+
+def landmark_left_out(
+    space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
+) -> tuple[LeftOutSearch, LeftOutErrors]:
+    """A search for a material among the others, and what tells the errors of its prediction in some bands (B',).
+
+    The errors are those of `MaterialTable.errors`; only materials that are left out are read.
+    """
+    at, pairs, ball = np.searchsorted(bands, space.bands), samples.pairs, ball_colours.ball()
+    search, grid = LandmarkSearch(space, samples.roots, bands), slice(None, samples.pairs.n_grid)
+
+    def find(i: int) -> tuple[Array, Combination, float]:
+        (brdf,) = materials.filled([materials.names[i]])
+        target = roots_at([brdf.select_bands(bands.tolist())], pairs.pairs)
+        x, colours, residual = search.find(target, at, without=i)
+        others = np.delete(np.arange(len(space.X)), i)
+        u = np.zeros(len(space.X))
+        u[others] = blend_weights(x[None], space.X[others], space.kernel.length_scale)[0]
+        weights = space.paths.weights(u, colours[0]) * colours[1][:, None]
+        return x, Combination(CubeRoot(), weights, at), residual
+
+    def measure(i: int, combination: Combination) -> tuple[float, float]:
+        (brdf,) = materials.with_negative_values(names=[materials.names[i]])
+        truth = brdf.select_bands(bands.tolist())
+        on_ball, in_grid = (
+            np.maximum(combined(combination.weights, table), 0.0).T ** 3
+            for table in (samples.on_ball, samples.roots[:, grid])
+        )
+        at_grid = truth.eval(pairs.pairs.wi[grid], pairs.pairs.wo[grid])
+        return (
+            ball.difference(truth.eval(ball.wi, ball.wo), on_ball, truth.bands),
+            cube_root_error(at_grid, in_grid, pairs.pairs.cosines[grid]),
+        )
+
+    return find, measure
+
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
 _PREFIX, _ARRAYS = "left_out_", ("places", "ball", "cube_root", "residual", "materials")

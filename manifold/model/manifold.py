@@ -13,29 +13,27 @@ from typing import Any, overload
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
-from manifold.latent.expected_error import LEAST_MATERIALS
 from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
 from manifold.model.blend_space import BlendSpace
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
+from manifold.model.expected_error import LEAST_MATERIALS
 from manifold.model.fitting import fit_space
-from manifold.model.landmark_search import LandmarkSearch, SamplesOnDemand
-from manifold.model.latent_map import LatentMap
+from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, LatentSpace
-from manifold.model.latents import PlaceLike, require_between
 from manifold.model.left_out import LeftOut, leave_out
-from manifold.model.map_picture import map_svg
+from manifold.model.map import LatentMap, map_svg
 from manifold.model.materials import MaterialCache, names_among
-from manifold.model.model_file import ModelRecord, read_model, write_model
+from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
+from manifold.model.places import PlaceLike, require_between
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.reflectance import ReflectanceColours
-from manifold.model.restoring import SPACES, open_library, restore
 from manifold.model.settings import Settings
 from manifold.model.walks import Walk, Walked
 from manifold.records import Array, Bands, evenly_spaced
-from manifold.system.parallel import one_blas_thread
+from manifold.threads import one_blas_thread
 
 _ONE = np.ones(1)
 _DEFAULTS = Settings()

@@ -7,7 +7,7 @@ from functools import cached_property
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.pairs import DirectionPairs
 from manifold.colour import ball_colours
-from manifold.latent.decoder import EncodingPairs
+from manifold.encoding import EncodingPairs
 from manifold.metrics import cube_root_error
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Indices

@@ -11,14 +11,14 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.errors import UnknownNameError
 from manifold.library.store import Library
+from manifold.names import names_like
 from manifold.records import BsdfFile
-from manifold.system import progress
-from manifold.system.names import names_like
 
 _MOST_KEPT = 1000  # materials in memory, those read last
 _AT_ONCE = 16  # materials read together where none are kept

@@ -10,13 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.encoding import Decoder
 from manifold.errors import ShapeError, UsageError
-from manifold.latent.decoder import Decoder
 from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import decoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace, fixed_colours
-from manifold.model.latents import require_latent
 from manifold.model.materials import MaterialCache
+from manifold.model.places import require_latent
 from manifold.model.settings import Settings
 from manifold.records import Array
 

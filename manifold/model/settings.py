@@ -7,7 +7,7 @@ from numbers import Integral
 from typing import Any, cast
 
 from manifold.errors import UsageError
-from manifold.latent.kernels import Kernel, kernel_named, require_mu
+from manifold.kernels import Kernel, kernel_named, require_mu
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 

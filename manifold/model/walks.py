@@ -13,12 +13,12 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from manifold.analytic.free_lobes import cos_theta_d, microfacet_lobe
 from manifold.brdf.measured import BRDF
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.colour.ball_colours import ball
 from manifold.colour.conversion import srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000_lab, to_lab
-from manifold.latent.lobes import cos_theta_d, microfacet_lobe
 from manifold.mapping import Identity
 from manifold.metrics import cosine_weight
 from manifold.model.appearance import appearance_pairs

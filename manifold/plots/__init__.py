@@ -1,4 +1,4 @@
-"""Figures, and the interactive map. These modules alone import matplotlib; none shows a window."""
+"""Figures of maps, balls and slices; those of other subjects lie in their folders. None shows a window."""
 
 import lazy_loader
 

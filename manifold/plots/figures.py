@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.text import Annotation
 
+from manifold import disk
 from manifold.errors import UsageError
+from manifold.names import without_controls
 from manifold.records import Array
-from manifold.system import atomic
-from manifold.system.names import without_controls
 
 _SUFFIXES = (".png", ".pdf", ".svg")
 # Installed ones draw the characters that the default font lacks.
@@ -118,7 +118,7 @@ def require_writable(path: Path) -> None:
     """
     if path.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{path}: no picture format '{path.suffix}'; expected one of {', '.join(_SUFFIXES)}")
-    atomic.require_writable(path)
+    disk.require_writable(path)
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -128,5 +128,5 @@ def save(figure: Figure, path: Path) -> None:
         UsageError: the file cannot be written, or the suffix is unknown.
     """
     require_writable(path)
-    with atomic.replacing(path) as partial:
+    with disk.replacing(path) as partial:
         figure.savefig(partial)

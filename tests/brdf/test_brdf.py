@@ -13,8 +13,8 @@ from helpers.sample_files import sample_file
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from manifold.analytic import corpus
 from manifold.brdf import goniometer
-from manifold.brdf.analytic import corpus
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.warp import Warp
 from manifold.directions import from_spherical, hemisphere_quadrature

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.directions import from_spherical, rotate_z

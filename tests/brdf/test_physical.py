@@ -9,15 +9,16 @@ import pytest
 from helpers.paths import real_rgl_files
 from helpers.small_library import small_library
 
+from manifold.analytic.base import Lambert
 from manifold.brdf import goniometer, physical
-from manifold.brdf.analytic.base import Lambert
-from manifold.brdf.cells import Cells
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.physical import AlbedoScaledBRDF, ReciprocalBRDF, physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file, quadrature_albedo
+from manifold.brdf.unmeasured import Cells
 from manifold.brdf.warp import Warp
 from manifold.directions import HORIZON, from_spherical
 from manifold.errors import UsageError
+from manifold.estimate.predictions import predict
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
@@ -25,7 +26,6 @@ from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.settings import Settings
 from manifold.records import Bands
-from manifold.workflows.prediction import predict
 
 BANDS = Bands((500.0, 600.0))
 

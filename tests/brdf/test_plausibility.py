@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.brdf.analytic.base import Lambert
+from manifold.analytic.base import Lambert
 from manifold.brdf.plausibility import mirror_difference, plausibilities
 from manifold.records import Bands
 

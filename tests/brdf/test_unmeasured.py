@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from helpers.paths import real_rgl_files
 
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic
 from manifold.brdf import goniometer
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.directions import from_spherical

@@ -20,9 +20,9 @@ from helpers.small_library import NAMES, measured, small_library, small_model
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
+from manifold.encoding import EncodingPairs
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.latent.decoder import EncodingPairs
 from manifold.metrics import relative_error
 from manifold.model.manifold import Manifold
 
@@ -56,7 +56,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def quick_balls(monkeypatch):
     """Balls of few samples, for tests that do not look at them."""
-    from manifold.rendering import thumbnails
+    from manifold.render import thumbnails
 
     monkeypatch.setattr(thumbnails, "SAMPLES", 4)
 
@@ -155,8 +155,8 @@ def test_an_empty_folder_gives_one_line_that_says_what_to_do(run, tmp_path, argu
 
 @pytest.mark.parametrize("command", [["report"], ["chart", "-L", "library.zarr"]])
 def test_a_mistyped_anchor_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
-    from manifold.experiments.chart.held_out import HeldOut
-    from manifold.experiments.evaluation import refits
+    from manifold.evaluate import refits
+    from manifold.evaluate.held_out import HeldOut
 
     small_model(tmp_path) if command == ["report"] else small_library(tmp_path)
 
@@ -242,8 +242,8 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
     def fail(*_, **__):
         pytest.fail("the work was done first")
 
-    monkeypatch.setattr("manifold.experiments.evaluation.report.make_report", fail)
-    monkeypatch.setattr("manifold.workflows.pipeline.Manifold.fit", fail)
+    monkeypatch.setattr("manifold.evaluate.report.make_report", fail)
+    monkeypatch.setattr("manifold.evaluate.pipeline.Manifold.fit", fail)
     status, out, err = run(*arguments, cwd=folder)
     assert (status, out) == (2, "")
     reasons = ("expected one of .png", "cannot write this file", "in the library", "ends in .bsdf")
@@ -489,7 +489,7 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
     def fail(*_, **__):
         raise RuntimeError("first line\nsecond line")
 
-    monkeypatch.setattr("manifold.workflows.pipeline.report", fail)
+    monkeypatch.setattr("manifold.evaluate.pipeline.report", fail)
     status, _, err = run("report", cwd=folder)
     assert status == 1
     assert "RuntimeError: first line second line; run again with --debug" in one_line(err)

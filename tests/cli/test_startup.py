@@ -17,7 +17,7 @@ for words in json.loads(sys.argv[1]):
         run(words)
     print(json.dumps([module for module in json.loads(sys.argv[2]) if module in sys.modules]))
 """
-HEAVY = ["sklearn", "scipy.stats", "mitsuba", "drjit", "manifold.experiments", "manifold.fitting.principled"]
+HEAVY = ["sklearn", "scipy.stats", "mitsuba", "drjit", "manifold.evaluate", "manifold.fit.principled"]
 PREDICT = ["predict", "--latent", "0.1,0.1", "-o", "made.bsdf"]
 
 
@@ -47,7 +47,7 @@ def test_maps_and_renders_load_no_scikit_learn(folder):
     pytest.importorskip("mitsuba")
     render = ["render", "--latent", "0.1,0.1", "--size", "16", "--samples", "1", "-o", "made.png"]
     loaded = _loaded(folder, ["map", "-o", "map.png"], render)
-    assert [("sklearn" in modules, "manifold.experiments" in modules) for modules in loaded] == [
+    assert [("sklearn" in modules, "manifold.evaluate" in modules) for modules in loaded] == [
         (False, False)
     ] * 2
     assert (folder / "map.png").is_file()

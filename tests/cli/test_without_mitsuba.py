@@ -88,7 +88,7 @@ def test_the_metals_of_the_corpus_need_no_mitsuba():
         "import sys; from importlib.machinery import PathFinder\n"
         "find = PathFinder.find_spec\n"
         "PathFinder.find_spec = classmethod(lambda cls, name, *a: None if name == 'mitsuba' else find(name, *a))\n"
-        "from manifold.brdf.analytic import corpus; from manifold.records import Bands\n"
+        "from manifold.analytic import corpus; from manifold.records import Bands\n"
         "every = (*corpus.isotropic_materials(), *corpus.anisotropic_materials())\n"
         "print(len([material.truth(Bands((450.0, 550.0, 650.0))) for material in every]))"
     )

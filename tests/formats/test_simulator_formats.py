@@ -11,18 +11,18 @@ import pytest
 from helpers.instrument_files import dense, lighttools_axes, smooth, write_every_format, write_rt300s
 from helpers.paths import REPOSITORY
 
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.instruments import MINI_DIFF_BANDS
-from manifold.brdf.analytic.microfacet import Plastic
-from manifold.brdf.tabulated import ReadingsBRDF
+from manifold.analytic.ggx import GGX
+from manifold.analytic.instruments import MINI_DIFF_BANDS
+from manifold.analytic.microfacet import Plastic
 from manifold.cli.main import run
 from manifold.colour.conversion import luminance
+from manifold.convert.conversion import convert
+from manifold.convert.tabulated import ReadingsBRDF
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats import openmaterial, registry, speos
 from manifold.formats.dense import DenseTable
 from manifold.records import Bands
-from manifold.workflows.conversion import convert
 
 REAL = REPOSITORY.parent / "shared" / "files"
 needs_real_files = pytest.mark.skipif(not REAL.is_dir(), reason="the files of instruments are not here")

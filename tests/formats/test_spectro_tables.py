@@ -11,7 +11,7 @@ from helpers.instrument_files import smooth
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manifold.brdf.analytic.instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
+from manifold.analytic.instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
 from manifold.errors import FileFormatError
 from manifold.formats import registry
 from manifold.formats.geometry_names import parse_aspecular, parse_geometry

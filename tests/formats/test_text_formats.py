@@ -11,10 +11,10 @@ from helpers.instrument_files import dense, lighttools_axes, smooth, write_every
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from manifold.brdf.analytic.corpus import isotropic_materials
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings
-from manifold.brdf.analytic.microfacet import Plastic
+from manifold.analytic.corpus import isotropic_materials
+from manifold.analytic.ggx import GGX
+from manifold.analytic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings
+from manifold.analytic.microfacet import Plastic
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats import astm, csv_table, lighttools, registry, utia

@@ -9,8 +9,8 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from manifold.fitting.exports import gltf
-from manifold.fitting.exports.materialx import NODES
+from manifold.fit.exports import gltf
+from manifold.fit.exports.materialx import NODES
 
 
 def read_glb(path):

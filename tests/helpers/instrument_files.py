@@ -9,14 +9,10 @@ import numpy as np
 import xlwt
 from colour_cxf import cxf3
 
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.instruments import (
-    MA_T12_BANDS,
-    MINI_DIFF_BANDS,
-    ma_t12_readings,
-    write_mini_diff,
-)
-from manifold.brdf.analytic.microfacet import Plastic
+from manifold import disk
+from manifold.analytic.ggx import GGX
+from manifold.analytic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_mini_diff
+from manifold.analytic.microfacet import Plastic
 from manifold.directions import from_spherical
 from manifold.formats import (
     astm,
@@ -34,7 +30,6 @@ from manifold.formats.csv_table import angles_deg
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.records import Array, Bands
-from manifold.system import atomic
 
 RGB = Bands(None)
 
@@ -115,7 +110,7 @@ def write_cxf(path: Path, readings: Readings) -> None:
             color_specification_collection=cxf3.ColorSpecificationCollection(specifications),
         )
     )
-    atomic.write_text(path, colour_cxf.write_cxf(document).decode("utf-8"))
+    disk.write_text(path, colour_cxf.write_cxf(document).decode("utf-8"))
 
 
 def write_pab_opto(path: Path, readings: Readings) -> None:
@@ -132,7 +127,7 @@ def write_pab_opto(path: Path, readings: Readings) -> None:
     values = readings.values[rows, 0] * readings.wo[rows, 2]
     for (theta, phi), value in zip(angles_deg(readings)[rows, 2:], values, strict=True):
         lines.append(f"{theta:.9g}\t{phi:.9g}\t{value:.9g}")
-    atomic.write_text(path, "\n".join(lines) + "\n")
+    disk.write_text(path, "\n".join(lines) + "\n")
 
 
 def write_rt300s(
@@ -152,7 +147,7 @@ def write_rt300s(
             for column, cell in enumerate([head, *cells]):
                 table.write(row, column, cell if isinstance(cell, str) else float(cell))
     book.add_sheet("empty")
-    with atomic.replacing(path) as partial:
+    with disk.replacing(path) as partial:
         book.save(str(partial))
 
 

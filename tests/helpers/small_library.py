@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from manifold.brdf.analytic import corpus
+from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files

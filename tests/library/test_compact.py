@@ -14,8 +14,8 @@ from helpers.paths import real_rgl_files
 from helpers.sample_files import assert_same, assert_same_array, sample_file, write_samples
 from helpers.small_library import measured, small_library, small_model, spectral_materials
 
+from manifold.analytic import corpus
 from manifold.brdf import goniometer
-from manifold.brdf.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import unmeasured_cells
 from manifold.errors import LibraryError, UsageError

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from helpers.sample_files import write_samples
 
+from manifold import progress
 from manifold.errors import FetchError, UsageError
-from manifold.library.fetch import IncompleteFetchError, fetch
-from manifold.library.rgl_table import Entry, rgl_table
-from manifold.system import progress
+from manifold.library.fetch import Entry, IncompleteFetchError, fetch, rgl_table
 
 CONTENT = np.random.default_rng(7).integers(0, 256, 300_000, dtype=np.uint8).tobytes()
 HASH = hashlib.sha256(CONTENT).hexdigest()

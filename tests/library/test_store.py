@@ -24,14 +24,14 @@ import zarr
 from helpers.sample_files import WAVELENGTHS_NM, assert_same, assert_same_array, sample_file, write_samples
 from zarr.storage import LocalStore
 
+from manifold import progress
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.library import cache, staging, writing
+from manifold.library import staging, store
 from manifold.library.identity import is_material_name
 from manifold.library.importing import ImportResult, import_files
 from manifold.library.store import Library
 from manifold.records import Bands, BsdfFile
-from manifold.system import progress
 
 
 @pytest.fixture
@@ -491,7 +491,7 @@ def test_shapes_that_disagree_are_refused_whatever_the_hash_says(library: Librar
     values = getattr(file, field)
     forged = dataclasses.replace(file, **{field: np.concatenate([values, values[-1:]])})
     shutil.rmtree(library.path / "materials" / "m00")
-    writing.write_material(library.path / "materials" / "m00", forged, "m00_spec.bsdf", "0" * 64)
+    staging.write_material(library.path / "materials" / "m00", forged, "m00_spec.bsdf", "0" * 64)
     with pytest.raises(
         LibraryError, match=r"^m00: damaged in the library \(m00: field .* expected .*import its"
     ):
@@ -575,14 +575,14 @@ def test_a_full_disk_keeps_what_is_finished(
 ) -> None:
     write_bsdf(folder / "n0_spec.bsdf", sample_file("n0", 9))
     write_bsdf(folder / "n1_spec.bsdf", sample_file("n1", 10))
-    write = writing.write_array
+    write = staging.write_array
 
     def full(folder: Path, *arguments: object, **named: object) -> None:
         if "n1" in folder.parts:
             raise OSError(28, "No space left on device")
         write(folder, *arguments, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(writing, "write_array", full)
+    monkeypatch.setattr(staging, "write_array", full)
     with pytest.raises(LibraryError, match=r"No space left on device.*import again"):
         import_files(library.path, [folder])
     assert "n1" not in library
@@ -692,8 +692,8 @@ def test_a_library_may_be_a_mount_point(tmp_path, monkeypatch):
     monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == volume)
     for file in (first, second):  # into an empty volume, and into one with a library
         assert len(import_files(volume, [file]).imported) == 1
-    cache.put(volume, "key", {"numbers": np.arange(3.0)})  # as fits of models do
-    np.testing.assert_array_equal(cache.get(volume, "key")["numbers"], np.arange(3.0))
+    store.put(volume, "key", {"numbers": np.arange(3.0)})  # as fits of models do
+    np.testing.assert_array_equal(store.get(volume, "key")["numbers"], np.arange(3.0))
     assert len(Library(volume)) == 2
     assert {path.name for path in volume.iterdir()} == {"zarr.json", "materials", "cache", ".volume.lock"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["files", "volume"]

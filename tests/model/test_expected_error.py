@@ -7,9 +7,9 @@ import pytest
 from helpers.small_library import small_library
 from scipy.stats import spearmanr
 
-from manifold.latent.expected_error import ExpectedError
 from manifold.library.store import Library
 from manifold.model.diagnostics import in_words, predict
+from manifold.model.expected_error import ExpectedError
 from manifold.model.left_out import LeftOut
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings

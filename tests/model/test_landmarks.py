@@ -10,14 +10,14 @@ from matplotlib.collections import PathCollection
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
-from manifold.experiments.evaluation.report import make_report
+from manifold.evaluate.report import make_report
 from manifold.library.store import Library
-from manifold.model import fitting, landmark_search, latent_map, left_out
+from manifold.model import fitting, landmarks, left_out, map
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.plots import plot_latents
-from manifold.plots.explorer.tables import tabulate, to_document
+from manifold.page.tables import tabulate, to_document
+from manifold.plots import map_figure
 
 MORE = ("syn_paint_sand", "syn_paper_red", "syn_satin_white", "syn_gloss_green")
 
@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
 def model(folder):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(left_out, "_SAMPLE", 6)
-        patch.setattr(landmark_search, "_AROUND", 6)
+        patch.setattr(landmarks, "_AROUND", 6)
         library = Library.open(small_library(folder, names=NAMES + MORE))
         return Manifold.fit(library, Settings(landmarks=5))
 
@@ -85,8 +85,8 @@ def test_a_page_blends_the_landmarks_and_shows_the_others_as_points(model):
 
 
 def test_a_picture_shows_few_landmarks_in_detail_and_all_others_as_points(model, monkeypatch):
-    monkeypatch.setattr(latent_map, "_PICTURED", 3)
-    axes = plot_latents.latent_map(model).axes[0]
+    monkeypatch.setattr(map, "_PICTURED", 3)
+    axes = map_figure.latent_map(model).axes[0]
     counts = [len(drawn.get_offsets()) for drawn in axes.collections if isinstance(drawn, PathCollection)]
     assert sorted(counts) == [3, 7]
 

@@ -14,7 +14,8 @@ import pytest
 from helpers.small_library import NAMES, measured, small_library
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from manifold.brdf.analytic.base import Lambert
+from manifold import progress
+from manifold.analytic.base import Lambert
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import (
@@ -29,13 +30,12 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse
-from manifold.model import gram, model_file
+from manifold.model import fitting, model_file
 from manifold.model.fitting import BrightMaterialWarning
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
 from manifold.records import Bands
-from manifold.system import progress
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_nearest_material_of_a_latent_is_the_nearest(model):
 def test_gram_matrix_agrees_with_a_loop(library, model):
     materials = model.materials.filled()
     grid = RusinkiewiczGrid(6, 5, 4)
-    found = gram.gram_matrix(materials, mapping_named("cube-root"), grid)
+    found = fitting.gram_matrix(materials, mapping_named("cube-root"), grid)
     S = np.zeros((len(materials), len(materials)))
     wi, wo, above = grid.directions()
     for k in np.flatnonzero(above):
@@ -102,7 +102,7 @@ def test_gram_matrix_agrees_with_a_loop(library, model):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_gram_matrix_is_remembered_by_the_library(library, monkeypatch, kind):
     first = Manifold.fit(library, Settings(kind=kind), calibrate=False)
-    monkeypatch.setattr(gram, "gram_matrix", lambda *_, **__: pytest.fail("computed again"))
+    monkeypatch.setattr(fitting, "gram_matrix", lambda *_, **__: pytest.fail("computed again"))
     np.testing.assert_array_equal(Manifold.fit(library, Settings(kind=kind), calibrate=False).X, first.X)
 
 

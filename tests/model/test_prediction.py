@@ -9,21 +9,20 @@ import pytest
 from helpers.chi_square import chi_square_p_value
 from helpers.small_library import measured
 
+from manifold.analytic.base import Lambert
+from manifold.analytic.free_lobes import Lobes
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf import goniometer
-from manifold.brdf.analytic.base import Lambert
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import Plastic, RoughConductor
-from manifold.brdf.cube_root import cube_root
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature, plausibility
-from manifold.brdf.weighted_sums import WeightedSum
+from manifold.brdf.sums import WeightedSum, cube_root
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
-from manifold.latent.dictionary import Dictionary
-from manifold.latent.lobes import Lobes
 from manifold.mapping import mapping_named
 from manifold.model.combination import Combination, Values
+from manifold.model.dictionary import Dictionary
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.records import Bands
 

@@ -7,10 +7,10 @@ import pytest
 from helpers.paths import real_rgl_files
 from helpers.small_library import NAMES, measured, small_library
 
+from manifold.analytic.base import Lambert
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
-from manifold.brdf.analytic.base import Lambert
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.directions import from_spherical, half_vector

@@ -7,14 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
-from manifold.completion.attributes import Attributes, Wanted
-from manifold.completion.gloss import gloss_units
 from manifold.directions import rotate_z
+from manifold.estimate.attributes import Attributes, Wanted
+from manifold.estimate.gloss import gloss_units
+from manifold.estimate.predictions import predict
+from manifold.estimate.sources import FileSource
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
@@ -22,8 +24,6 @@ from manifold.model.located import locate, reconstruct_file
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.records import Bands, BsdfFile
-from manifold.workflows.prediction import predict
-from manifold.workflows.sources import FileSource
 
 PAIRS = RusinkiewiczGrid(20, 11, 7, is_turned=True).directions()[:2]
 EXTINCTIONS = {

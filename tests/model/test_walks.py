@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from helpers.small_library import small_library
 
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import Plastic, RoughConductor
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
-from manifold.latent.decoder import EncodingPairs
+from manifold.encoding import EncodingPairs
 from manifold.metrics import cosine_weight, cube_root_error
 from manifold.model.manifold import Manifold
 from manifold.model.walks import RoughenedBRDF, Walked, fit_highlight, roughness_at, step_of

@@ -10,12 +10,12 @@ from matplotlib.offsetbox import AnnotationBbox
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
+from manifold.estimate.sources import LibrarySource
 from manifold.model import diagnostics
 from manifold.model.manifold import Manifold, Settings
-from manifold.plots.plot_balls import ball_map, spread, walk_strip
-from manifold.rendering import thumbnails
-from manifold.workflows import ball_pictures
-from manifold.workflows.sources import LibrarySource
+from manifold.pictures import maps
+from manifold.plots.ball_figures import ball_map, spread, walk_strip
+from manifold.render import thumbnails
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def ends(folder):
 
 
 def test_a_walk_begins_and_ends_with_the_materials(folder, model, coarse, tmp_path):
-    ball_pictures.walk(folder / "model.h5", *ends(folder), tmp_path / "walk.png", steps=3)
+    maps.walk(folder / "model.h5", *ends(folder), tmp_path / "walk.png", steps=3)
     picture = imread(tmp_path / "walk.png")[..., :3]
     assert picture.std() > 0.1
     drawn = thumbnails.of_material(model.interpolate("syn_felt_green", "syn_gloss_red", 0.0))
@@ -130,9 +130,7 @@ def test_strips_mark_the_steps_that_the_data_do_not_support(balls):
 
 def test_a_walk_says_what_speaks_against_its_steps(folder, coarse, tmp_path, monkeypatch):
     monkeypatch.setattr(diagnostics, "plausibility", lambda brdf: Plausibility(0.3, 0.0, 0.5, 0.0))
-    ((t, made),) = ball_pictures.walk(
-        folder / "model.h5", *ends(folder), tmp_path / "walk.png", steps=3
-    ).items()
+    ((t, made),) = maps.walk(folder / "model.h5", *ends(folder), tmp_path / "walk.png", steps=3).items()
     assert t == 0.5
     assert "30 % of the values were negative; the data do not support this point" in made.diagnostics
 

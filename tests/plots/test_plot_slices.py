@@ -10,18 +10,18 @@ import pytest
 from helpers.small_library import measured, small_model
 from matplotlib import rc_context
 
+from manifold.analytic.base import Lambert
 from manifold.brdf import goniometer
-from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, UsageError
+from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource
 from manifold.io_rgl import write_bsdf
+from manifold.pictures.comparison_figure import comparison
+from manifold.pictures.slices import slices, sources
 from manifold.plots import figures
-from manifold.plots.plot_comparison import comparison
-from manifold.plots.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
+from manifold.plots.slice_figures import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands
-from manifold.workflows.pictures import slices, sources
-from manifold.workflows.sources import FileSource, LibrarySource, PlaceSource
 
 BANDS = Bands((450.0, 550.0, 650.0))
 

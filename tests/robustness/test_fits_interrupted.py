@@ -13,12 +13,12 @@ import pytest
 from helpers.small_library import measured
 
 from manifold.errors import ManifoldError
+from manifold.estimate.inputs import find_inputs
+from manifold.estimate.sources import FileSource
+from manifold.fit import fits
+from manifold.fit.fits import FitSettings
 from manifold.io_rgl import write_bsdf
-from manifold.system.workers import Processes
-from manifold.workflows import fits
-from manifold.workflows.fits import FitSettings
-from manifold.workflows.inputs import find_inputs
-from manifold.workflows.sources import FileSource
+from manifold.work import Processes
 
 pytestmark = pytest.mark.slow
 

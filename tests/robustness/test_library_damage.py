@@ -16,7 +16,7 @@ from helpers.sample_files import WAVELENGTHS_NM, sample_file, write_samples
 
 from manifold.errors import LibraryError, UsageError
 from manifold.io_rgl import write_bsdf
-from manifold.library import cache
+from manifold.library import store
 from manifold.library.identity import require_material_name
 from manifold.library.importing import import_files
 from manifold.library.store import Library
@@ -147,7 +147,7 @@ def test_names_that_differ_by_case_only_are_not_imported_together(tmp_path):
 
 
 def test_the_cache_forgets_what_was_used_longest_ago(library, monkeypatch):
-    monkeypatch.setattr(cache, "MOST_BYTES", 30_000)
+    monkeypatch.setattr(store, "MOST_BYTES", 30_000)
     for key in ("a", "b", "c"):
         library.cache_put(key, {"x": np.zeros(1000)})
         os.utime(library.path / "cache" / key, (1.0 + ord(key), 1.0 + ord(key)))

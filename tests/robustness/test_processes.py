@@ -14,9 +14,9 @@ from helpers.small_library import measured
 
 from manifold.errors import RendererError
 from manifold.plots import figures
-from manifold.rendering import backend
-from manifold.rendering.ball import render_material
-from manifold.rendering.render import RenderSettings
+from manifold.render import backend
+from manifold.render.ball import render_material
+from manifold.render.render import RenderSettings
 
 FORK = """
 import os, signal, sys

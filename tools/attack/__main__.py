@@ -125,17 +125,6 @@ def _import_everything() -> None:
     """What tasks use, so that a fork begins at once."""
     import helpers.small_library  # noqa: F401
 
-    import manifold.experiments.budget.scene_document
-    import manifold.fitting.fit_json
-    import manifold.library.fetch
-    import manifold.library.importing
-    import manifold.model.manifold
-    import manifold.plots.plot_slices
-    import manifold.workflows.fits
-    import manifold.workflows.inspection
-    import manifold.workflows.pictures
-    import manifold.workflows.pipeline
-    import manifold.workflows.prediction  # noqa: F401
     from manifold.cli import main  # noqa: F401
 
 

@@ -46,9 +46,9 @@ def prepare(base: Path) -> None:
     from helpers.sample_files import write_samples
     from helpers.small_library import small_model
 
-    from manifold.fitting import bsdf_parameters
+    from manifold.fit import fits
     from manifold.library.importing import import_files
-    from manifold.workflows import fits
+    from manifold.render import bsdf_parameters
 
     write_samples(base / "small", 2)
     import_files(base / "small.zarr", [base / "small"])
@@ -77,7 +77,7 @@ def prepare(base: Path) -> None:
     )
     from PIL import Image
 
-    from manifold.rendering import images
+    from manifold.render import images
 
     for suffix in (".png", ".exr"):
         images.write_image(base / f"picture{suffix}", np.linspace(0, 1, 300).reshape(10, 10, 3))
@@ -177,13 +177,13 @@ def scenes(base: Path, folder: Path, rng: random.Random) -> Case:
     scene = folder / ("s.json" if name == "s.json" else "s.xml")
 
     def task() -> None:
-        from manifold.experiments.budget.scene_document import SceneDocument
+        from manifold.evaluate.budget.scene_document import SceneDocument
 
         document = SceneDocument.read(scene)
         _ = document.film_size
         document.write(folder / "out", {})
         if min(document.film_size) <= 512:
-            from manifold.rendering import backend
+            from manifold.render import backend
 
             mi = backend.mitsuba("rgb")
             document.load(mi, {}, {"type": "hdrfilm", "width": 16, "height": 16})
@@ -198,7 +198,7 @@ def fits(base: Path, folder: Path, rng: random.Random) -> Case:
     (folder / "a.fit.json").write_text(text, errors="replace")
 
     def task() -> None:
-        from manifold.fitting import fit_json
+        from manifold.render import fit_json
 
         fit_json.read(Path("a.fit.json"))
 
@@ -214,7 +214,7 @@ def texts(base: Path, folder: Path, rng: random.Random) -> Case:
 
     def task() -> None:
         from manifold.colour.illuminants import Illuminant
-        from manifold.rendering import images
+        from manifold.render import images
 
         if name == "light.txt":
             Illuminant.read(folder / name)
@@ -252,8 +252,7 @@ def servers(base: Path, folder: Path, rng: random.Random) -> Case:
                     time.sleep(pace)
 
     def task() -> None:
-        from manifold.library.fetch import fetch
-        from manifold.library.rgl_table import Entry
+        from manifold.library.fetch import Entry, fetch
 
         listening = socket.create_server(("127.0.0.1", 0))
         threading.Thread(target=serve, args=(listening,), daemon=True).start()

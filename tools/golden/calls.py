@@ -83,7 +83,7 @@ def python_analytic(folder: Path) -> dict[str, Any]:
 
 def python_completion(folder: Path) -> dict[str, Any]:
     """Readings at directions of one's own completed."""
-    from manifold.completion import LibraryAtoms, calibrate, complete, suggest
+    from manifold.estimate import LibraryAtoms, calibrate, complete, suggest
     from manifold.formats import Readings, geometry_ma_t12
 
     library = mf.Library.open(folder / "corpus.zarr")
@@ -132,19 +132,20 @@ def python_mappings(folder: Path) -> dict[str, Any]:
 
 def python_latent_models(folder: Path) -> dict[str, Any]:
     """Gaussian-process latent variables, regression, direct search, kernels and non-negative weights."""
+    from manifold import estimators, nonnegative
+    from manifold.kernels import kernel_named
+
     t = np.linspace(0.0, 3.0, 12)
     Y = np.stack([np.sin(t), np.cos(2 * t), t * t / 9, np.exp(-t)], axis=1)
     made: dict[str, Any] = {}
     for optimizer in ("dls", "l-bfgs"):
-        model = mf.latent.GPLVM(2, optimizer=optimizer).fit(Y)
+        model = mf.gplvm.GPLVM(2, optimizer=optimizer).fit(Y)
         made[optimizer] = {"latents": model.embedding_, "objective": model.objective_}
-    regressor = mf.latent.GPRegressor().fit(t[:, None], Y)
+    regressor = estimators.GPRegressor().fit(t[:, None], Y)
     mean, std = regressor.predict(t[:, None] + 0.1, return_std=True)
-    kernels = {
-        name: mf.latent.kernel_named(name).smooth(t[:, None], t[:, None] + 0.1) for name in ("se", "matern52")
-    }
-    least = mf.latent.hooke_jeeves(lambda x: float((x[0] - 1) ** 2 + 3 * (x[1] + 2) ** 2), np.zeros(2))
-    weights = mf.latent.nonnegative_weights(Y.T @ Y + np.eye(4), np.abs(Y[:3]))
+    kernels = {name: kernel_named(name).smooth(t[:, None], t[:, None] + 0.1) for name in ("se", "matern52")}
+    least = mf.dls.hooke_jeeves(lambda x: float((x[0] - 1) ** 2 + 3 * (x[1] + 2) ** 2), np.zeros(2))
+    weights = nonnegative.nonnegative_weights(Y.T @ Y + np.eye(4), np.abs(Y[:3]))
     return made | {"mean": mean, "std": std, "kernels": kernels, "least": least.x, "weights": weights}
 
 
@@ -161,7 +162,7 @@ def python_fit(folder: Path) -> dict[str, Any]:
 
 def python_report(folder: Path) -> dict[str, Any]:
     """Errors of a map in 3 dimensions."""
-    from manifold.experiments.evaluation import make_report
+    from manifold.evaluate import make_report
 
     model = mf.Manifold.fit(folder / "corpus.zarr", mf.Settings(latent_dim=3))
     return make_report(model).to_json()

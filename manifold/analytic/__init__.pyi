@@ -1,0 +1,27 @@
+from . import corpus
+from .base import Lambert, Sheen
+from .diffuse import RoughDiffuse
+from .ggx import GGX
+from .ggx_mixture import GGXMixture
+from .layers import Immersed, Layered, MixedBRDF, Retroreflection
+from .microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
+from .neural import NeuralBRDF, read_neural_fits
+
+__all__ = [
+    "GGX",
+    "GGXMixture",
+    "Immersed",
+    "Lambert",
+    "Layered",
+    "MixedBRDF",
+    "NeuralBRDF",
+    "Plastic",
+    "Retroreflection",
+    "RoughConductor",
+    "RoughDielectric",
+    "RoughDiffuse",
+    "Sheen",
+    "ThinFilm",
+    "corpus",
+    "read_neural_fits",
+]

@@ -1,0 +1,409 @@
+"""Many files of one command: what is missing is made, in several processes, then a table and a sheet of balls.
+
+The folder of the files holds an index, which says what each was made of: a later run makes only what is missing or has
+changed. A file is noted there as soon as it is whole. One run at a time writes to a folder (`.manifold.lock`).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar, cast
+
+from filelock import FileLock, Timeout
+
+from manifold import __version__, disk, progress
+from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
+from manifold.errors import FileFormatError, ManifoldError, UsageError
+from manifold.estimate.attributes import lab_of
+from manifold.estimate.gloss import gloss_units
+from manifold.estimate.inputs import FIT
+from manifold.io_rgl import read_bsdf
+from manifold.library.identity import alike, file_sha256, require_material_name
+from manifold.names import printable
+from manifold.render import backend, thumbnails
+from manifold.work import HERE, Workers
+
+_MOST = 1 << 30  # bytes of an index: a row has about two thousand
+_ENTRY = '{"file": '  # every line of an index begins so
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class Task(Generic[S]):
+    """One file to be made.
+
+    Attributes:
+        name: of the material.
+        path: of the file.
+        source: what it is made of; small enough to be sent to another process.
+    """
+
+    name: str
+    path: Path
+    source: S
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[S]):
+    """One of the outputs of a run.
+
+    Attributes:
+        name: of the material.
+        path: of the file, which is there where nothing failed.
+        source: what it is made of.
+        content: what is known of it, plain values; None where it failed, unless its file alone was refused.
+        was_there: whether an earlier run had made it.
+        failure: why there is none, else None.
+        notes: what a user should know of it.
+    """
+
+    name: str
+    path: Path
+    source: S
+    content: dict[str, Any] | None = None
+    was_there: bool = False
+    failure: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The files of one command in a folder.
+
+    Attributes:
+        folder: where to; made if missing.
+        what: they are, in the plural: the name of index, table and sheet.
+        columns: of the table, by title: from the content of a file.
+        under: the column that stands under the balls of the sheet.
+        has_balls: whether there is a sheet, of the balls that `appearance` draws or of the files, if they are pictures.
+    """
+
+    folder: Path
+    what: str
+    columns: dict[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
+    under: str | None = None
+    has_balls: bool = False
+
+    @property
+    def sheet(self) -> Path:
+        """The picture of all balls, where there are any."""
+        return self.folder / f"{self.what}.png"
+
+    @property
+    def tables(self) -> tuple[Path, Path]:
+        """The table as CSV, and all that is known as JSON."""
+        return self.folder / f"{self.what}.csv", self.folder / f"{self.what}.json"
+
+    def run(
+        self,
+        todo: Sequence[Task[S]],
+        make: Callable[[S, Path], dict[str, Any]],
+        made_of: Callable[[S], dict[str, Any]],
+        *,
+        workers: Workers = HERE,
+        prepare: Callable[[], None] | None = None,
+    ) -> list[Outcome[S]]:
+        """Make the files that an earlier run has not made of the same; one that fails does not stop the others.
+
+        Args:
+            todo: a task per file.
+            make: writes the file of a source and says what is known of it; pickled, but for workers that are `HERE`.
+            made_of: all that the file of a source depends on, plain values.
+            workers: who makes them.
+            prepare: called once in this process, if anything is to be made in it.
+        Returns:
+            An outcome per task, in their order.
+        Raises:
+            UsageError: the folder cannot be made, is a file, or another run writes to it.
+            FileFormatError: there is another file of the index's name.
+            ManifoldError: a process was killed.
+        """
+        with ExitStack() as at_end:
+            at_end.enter_context(_only_run_in(self.folder, self.what))
+            index = OutputIndex(self.folder, self.what)
+            outcomes, keys = self._known(index, todo, made_of)
+            missing = list(keys)
+            if missing and prepare is not None and workers == HERE:
+                with progress.shown("Reading materials"):
+                    prepare()
+            at_end.callback(self._conclude, outcomes)  # also when it is interrupted
+            at_end.enter_context(progress.shown("Writing files"))
+            begin = _begin if self.has_balls else None
+            finished = workers.run(partial(_make, make), [todo[k] for k in missing], begin)
+            for done, (i, made, failure) in enumerate(finished, start=1):
+                k = missing[i]
+                name, path, source = todo[k].name, todo[k].path, todo[k].source
+                if made is None:
+                    outcomes[k] = Outcome(printable(name), path, source, failure=failure)
+                elif made.sha256 is None:
+                    outcomes[k] = Outcome(name, path, source, made.content, failure=made.content["refusal"])
+                elif not _is_there(path):
+                    unseen = (
+                        f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
+                    )
+                    outcomes[k] = Outcome(name, path, source, failure=unseen)
+                else:
+                    index.add(path, keys[k], made.content, made.sha256)
+                    outcomes[k] = Outcome(name, path, source, made.content)
+                progress.report(done, len(missing), name)
+        return [outcomes[k] for k in range(len(todo))]
+
+    def _known(
+        self, index: OutputIndex, todo: Sequence[Task[S]], made_of: Callable[[S], dict[str, Any]]
+    ) -> tuple[dict[int, Outcome[S]], dict[int, dict[str, Any]]]:
+        """Outcomes of the tasks that need nothing to be made, and keys of the others, by index."""
+        outcomes: dict[int, Outcome[S]] = {}
+        keys: dict[int, dict[str, Any]] = {}
+        taken: dict[str, Task[S]] = {}
+        for k, task in enumerate(todo):
+            try:
+                require_material_name(task.name)
+                if self.what in (alike(task.name), alike(task.path.stem)):
+                    raise UsageError("has the name of the table of all; rename it")
+                first = taken.setdefault(alike(task.path.name), task)
+                if first is not task:
+                    raise UsageError(
+                        f"{task.source} and {first.source} have the same name, {task.path.name}; use two folders"
+                    )
+                key = made_of(task.source)
+                content = index.result(task.path, key)
+                if content is not None and (not self.has_balls or _has_ball(task.path)):
+                    outcomes[k] = Outcome(task.name, task.path, task.source, content, was_there=True)
+                else:
+                    keys[k] = key
+            except (ManifoldError, OSError) as error:
+                outcomes[k] = Outcome(printable(task.name), task.path, task.source, failure=str(error))
+        return outcomes, keys
+
+    def row(self, outcome: Outcome[Any]) -> dict[str, Any]:
+        """The cells of an outcome in the table, by title."""
+        content = outcome.content
+        cells = {} if content is None else {title: of(content) for title, of in self.columns.items()}
+        return {"name": outcome.name, "file": outcome.path.name, **cells}
+
+    def document(self, outcomes: Iterable[Outcome[Any]]) -> dict[str, Any]:
+        """All that is known of the files, plain values."""
+        every = list(outcomes)
+        return {
+            self.what: [
+                {"name": o.name, "file": o.path.name, "kept": o.was_there} | o.content
+                for o in every
+                if o.content is not None
+            ],
+            "failed": [f"{o.name}: {o.failure}" for o in every if o.failure is not None],
+        }
+
+    def _conclude(self, outcomes: dict[int, Outcome[Any]]) -> None:
+        """Write the table, and draw the sheet."""
+        every = [outcomes[k] for k in sorted(outcomes)]
+        text = json.dumps({"program": f"manifold {__version__}", **self.document(every)}, indent=1)
+        of_rows, of_all = self.tables
+        disk.write_text(of_all, text + "\n")
+        titles = ["name", "file", *self.columns, "notes", "failed"]
+        table = io.StringIO()
+        writer = csv.DictWriter(table, titles)
+        writer.writeheader()
+        for o in every:
+            writer.writerow(self.row(o) | {"notes": "; ".join(notes_of(o)), "failed": o.failure})
+        disk.write_text(of_rows, table.getvalue())
+        if self.has_balls and any(ball_path(o.path).is_file() for o in every):
+            from manifold.plots import figures, sheet
+
+            cells = [(o.name, self._under(o), ball_path(o.path)) for o in every]
+            figures.save(sheet.contact_sheet(cells, self.under), self.sheet)
+
+    def _under(self, outcome: Outcome[Any]) -> str:
+        if outcome.failure is not None:
+            return "failed"
+        value = None if self.under is None else self.row(outcome)[self.under]
+        return "" if value is None else cell(value)
+
+
+def cell(value: Any) -> str:
+    """A value of a table for people."""
+    return f"{value:.3g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def notes_of(outcome: Outcome[Any]) -> list[str]:
+    """What a user should know of a file, in sentences."""
+    content = outcome.content or {}
+    return [*outcome.notes, *content.get("diagnostics", ()), *content.get("notes", ())]
+
+
+def ball_path(path: Path) -> Path:
+    """Where the ball of a file is drawn; a picture is its own."""
+    return path if path.suffix.lower() == ".png" else path.parent / "balls" / f"{path.stem}.png"
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is a file, which another machine may just have written."""
+    if not path.is_file():
+        os.scandir(path.parent).close()  # a network file system then forgets that there was none
+    return path.is_file()
+
+
+def _has_ball(path: Path) -> bool:
+    return ball_path(path).is_file() or not backend.is_available()
+
+
+def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
+    """Colour and gloss of a material that was written, for the table; its ball is drawn for the sheet.
+
+    Args:
+        path: an RGL file, the JSON of a fit, or another file.
+        brdf: what it holds; read if None.
+    """
+    ball = ball_path(path)
+    brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
+    if backend.is_available():
+        if path.name.endswith((".bsdf", FIT)):
+            image = thumbnails.of_file(path)
+        else:
+            image = thumbnails.of_material(cast(BRDF, brdf))
+        ball.parent.mkdir(exist_ok=True)
+        thumbnails.write(ball, image)
+    units = gloss_units(brdf)
+    return {
+        "appearance": {"lab": lab_of(brdf).tolist(), "gloss": {f"{a:g}": u for a, u in units.items()}},
+    }
+
+
+def _of_lab(k: int) -> Callable[[dict[str, Any]], Any]:
+    return lambda content: content["appearance"]["lab"][k] if "appearance" in content else None
+
+
+APPEARANCE: dict[str, Callable[[dict[str, Any]], Any]] = {
+    **{title: _of_lab(k) for k, title in enumerate(("L", "a", "b"))},
+    "gloss 60": lambda content: content["appearance"]["gloss"]["60"] if "appearance" in content else None,
+}
+"""Columns of a table: CIELAB in the geometry 45/0 under D65, and gloss units at 60 degrees."""
+
+
+class _Made(NamedTuple):
+    """What is known of a file that was written, and its hash then; None where it was refused."""
+
+    content: dict[str, Any]
+    sha256: str | None
+
+
+def _make(make: Callable[[S, Path], dict[str, Any]], task: Task[S]) -> _Made:
+    content = make(task.source, task.path)
+    return _Made(content, file_sha256(task.path) if content.get("refusal") is None else None)
+
+
+def _begin() -> None:
+    """In a process beside others, Dr.Jit keeps to one thread."""
+    if backend.is_available():
+        backend.drjit().set_thread_count(0)
+
+
+def make_folder(folder: Path, what: str) -> None:
+    """Make the folder of many outputs, `what` in words.
+
+    Raises:
+        UsageError: it is a file, or cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = "is a file" if folder.is_file() else f"cannot be made ({error.strerror})"
+        raise UsageError(f"{folder}: {reason}, expected a folder for {what}; name another") from error
+
+
+@contextmanager
+def _only_run_in(folder: Path, what: str) -> Iterator[None]:
+    """Make a folder, and hold its lock: results of two runs would be mixed.
+
+    Raises:
+        UsageError: another run holds it, or the folder cannot be written to.
+    """
+    make_folder(folder, what)
+    lock = FileLock(folder / ".manifold.lock")
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise UsageError(
+            f"{folder}: another run writes to it; wait until it is done, or name another"
+        ) from None
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}); name another folder") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+class OutputIndex:
+    """What the files of a folder were made of: a line of JSON per file, appended when it is whole; the last one counts.
+
+    Args:
+        folder: of the outputs.
+        what: they are, in the plural; `exports` makes `exports.jsonl`.
+    Raises:
+        FileFormatError: there is another file of the index's name.
+    """
+
+    def __init__(self, folder: Path, what: str) -> None:
+        self._path = folder / f"{what}.jsonl"
+        self._entries: dict[str, Any] = {}
+        if not self._path.is_file():
+            return
+        content = disk.read_bytes(self._path, advice="name another folder", most=_MOST).decode(
+            errors="replace"
+        )
+        *lines, torn = content.split("\n")
+        try:
+            if not all(line.startswith(_ENTRY[: len(line)]) for line in (*lines, torn)):
+                raise ValueError
+            for entry in map(json.loads, lines):
+                self._entries[entry["file"]] = entry
+        except (ValueError, KeyError):
+            raise FileFormatError(
+                f"{self._path}: not an index of {what}; name another folder, or remove it"
+            ) from None
+        if torn:  # by a killed run
+            disk.write_text(self._path, content.removesuffix(torn))
+
+    def result(self, path: Path, made_of: dict[str, Any]) -> dict[str, Any] | None:
+        """What is known of an existing, unchanged file that this version made from the same inputs, else None."""
+        entry = self._entries.get(path.name)
+        if entry is None or entry.get("made_of") != _stamped(made_of):
+            return None
+        if not path.is_file() or entry.get("file_sha256") != file_sha256(path):
+            return None
+        result = entry.get("result")
+        return result if isinstance(result, dict) else None
+
+    def add(self, path: Path, made_of: dict[str, Any], result: dict[str, Any], sha256: str) -> None:
+        """Note a file that was written, what is known of it, and its hash: all plain values of JSON.
+
+        Raises:
+            UsageError: the index cannot be written.
+        """
+        entry = {
+            "file": path.name,
+            "made_of": _stamped(made_of),
+            "file_sha256": sha256,
+            "result": result,
+        }
+        self._entries[path.name] = entry
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(entry, allow_nan=False) + "\n")
+        except OSError as error:
+            raise UsageError(
+                f"{self._path}: cannot be written ({error.strerror}); check the folder"
+            ) from error
+
+
+def _stamped(made_of: dict[str, Any]) -> dict[str, Any]:
+    return dict(json.loads(json.dumps(made_of | {"program": f"manifold {__version__}"})))

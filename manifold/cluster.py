@@ -1,0 +1,185 @@
+"""The workers of a Dask scheduler, on machines that share a file system.
+
+Scheduler and workers import little of this package: tasks travel as bytes, which the worker that runs them unpickles.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import pickle
+import queue
+import re
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from manifold.errors import ManifoldError, UsageError
+from manifold.work import Finished, attempt
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_PACKAGES = ("brdf-manifold", "numpy", "scipy", "numba", "mitsuba")  # on which results depend
+_CONNECT_S = 8.0
+_ADDRESS = re.compile(r"inproc://\S+|((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.%]+\]|[^\s:/\[\]]+):\d{1,5}")
+# Of workers with several threads: the folder and the renderer are the process's.
+_one_at_a_time = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """The workers of a Dask scheduler; those that join later take part. Dask runs the tasks of lost workers again.
+
+    Tasks run in the folder of this process, in which relative paths mean the same there.
+
+    Attributes:
+        address: of the scheduler, such as `tcp://10.0.0.1:8786`.
+    Raises:
+        UsageError: Dask is not installed.
+    """
+
+    address: str
+
+    def __post_init__(self) -> None:
+        if find_spec("distributed") is None:
+            raise UsageError(
+                f"{self.address}: needs Dask, which is not installed; pip install brdf-manifold[cluster]"
+            )
+
+    def run(
+        self, function: Callable[[T], R], tasks: Sequence[T], begin: Callable[[], object] | None = None
+    ) -> Iterator[Finished[R]]:
+        """Run tasks, see `Workers`.
+
+        Raises:
+            ManifoldError: the scheduler does not answer, lacks this package, or was lost; several workers were lost at
+                one task; or a worker has other versions of packages, or not the folder.
+        """
+        if not tasks:
+            return
+        from distributed import KilledWorker, as_completed
+
+        order = _Order(os.getcwd(), versions(), pickle.dumps(begin), pickle.dumps(function))
+        with _connected(self.address) as client:
+            pickled = [pickle.dumps(task) for task in tasks]
+            waiting = set(client.map(partial(_run, order), range(len(tasks)), pickled, pure=False))
+            try:
+                for future in as_completed(set(waiting), loop=client.loop):
+                    yield future.result()
+                    waiting.remove(future)  # results are not collected here
+            except KilledWorker:
+                raise ManifoldError(
+                    f"{self.address}: several workers were lost at one task (out of memory?); give them more, and run "
+                    "again: finished results are kept"
+                ) from None
+            except CancelledError:
+                raise ManifoldError(
+                    f"{self.address}: the scheduler was lost; run again: finished results are kept"
+                ) from None
+            except RuntimeError as error:
+                if "deserialization of the task graph" not in str(error):
+                    raise
+                raise ManifoldError(
+                    f"{self.address}: the scheduler lacks this package; start it in the environment of this command"
+                ) from error
+            finally:
+                client.cancel(list(waiting))
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Client]:
+    from distributed import Client
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is said in one line here
+    if not _ADDRESS.fullmatch(address):
+        raise UsageError(f"scheduler '{address}', expected an address such as tcp://10.0.0.1:8786")
+    found: queue.Queue[Client | Exception] = queue.Queue()
+
+    def connect() -> None:
+        try:
+            found.put(Client(address, timeout=_CONNECT_S, set_as_default=False))
+        except Exception as error:
+            found.put(error)
+
+    # In a thread of its own: at a peer that accepts and says nothing, the client waits for ever.
+    threading.Thread(target=connect, daemon=True).start()
+    try:
+        client = found.get(timeout=_CONNECT_S + 1.0)
+    except queue.Empty:
+        client = TimeoutError(f"nothing was heard in {_CONNECT_S + 1.0:g} s")
+    if isinstance(client, Exception):
+        raise ManifoldError(
+            f"{address}: no Dask scheduler answers ({client}); start one, or check the address"
+        ) from client
+    with client:
+        yield client
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What all tasks of a run have in common.
+
+    Attributes:
+        folder: in which they run.
+        versions: of packages.
+        begin, function: pickled.
+    """
+
+    folder: str
+    versions: dict[str, str]
+    begin: bytes
+    function: bytes
+
+
+@lru_cache
+def versions() -> dict[str, str]:
+    """Versions of the packages here that results depend on."""
+    found = {}
+    for package in _PACKAGES:
+        with contextlib.suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
+def _run(order: _Order, index: int, task: bytes) -> Finished[Any]:
+    """Run one task in a worker."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    for package, known in versions().items():
+        if order.versions.get(package) != known:
+            raise ManifoldError(
+                f"worker {worker.address}: found {package} {known}, expected {order.versions.get(package)}; install "
+                "the same versions everywhere"
+            )
+    if "numba" not in sys.modules:
+        os.environ.setdefault("NUMBA_NUM_THREADS", str(worker.state.nthreads))
+    with _one_at_a_time:
+        try:
+            with contextlib.chdir(order.folder):
+                _begin(order.begin)
+                return attempt(pickle.loads(order.function), index, pickle.loads(task))
+        except OSError as error:  # not of the task, whose failures are results
+            raise ManifoldError(
+                f"worker {worker.address}: cannot work in {order.folder} ({error.strerror}); start in a folder "
+                "that all machines share"
+            ) from error
+
+
+@lru_cache
+def _begin(pickled: bytes) -> None:
+    begin: Any = pickle.loads(pickled)
+    if begin is not None:
+        begin()

@@ -1,0 +1,5 @@
+from .conversion import convert
+
+__all__ = [
+    "convert",
+]

@@ -1,0 +1,203 @@
+"""The work behind `manifold convert`: between files of BRDFs and of instruments, with the conversion error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from manifold import disk
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.colour.correction import read_correction
+from manifold.convert.source import (
+    LEAST_COSINE,
+    Source,
+    in_luminance,
+    open_source,
+    source_of_prediction,
+    with_estimated_spectra,
+)
+from manifold.convert.targets import TARGETS, Options, target_of
+from manifold.errors import UsageError
+from manifold.estimate.predictions import predict
+from manifold.estimate.sources import MaterialSource, PlaceSource, source_file
+from manifold.formats.readings import Readings
+from manifold.io_rgl import read_bsdf
+from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.records import Array, Bands, BsdfFile
+
+_SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
+_DARK = 1e-3  # of the brightest value: darker ones are compared with this
+_FEW = 20  # readings per incidence, of spectrophotometers rather than of goniometers
+
+
+@dataclass(frozen=True)
+class ConversionError:
+    """What a conversion costs at the file's own nodes, measured by reading the result back.
+
+    Attributes:
+        nodes: how many were compared.
+        linear: `||w (f* - f)|| / ||w f||`, w being both cosines.
+        cube_root: the same of cube roots.
+        median, percentile_95: of `|f* - f| / |f|` over nodes and bands.
+    """
+
+    nodes: int
+    linear: float
+    cube_root: float
+    median: float
+    percentile_95: float
+
+    @classmethod
+    def between(cls, nodes: Readings, f_star: Array) -> ConversionError:
+        """Errors of values f_star (P, B) at nodes."""
+        f, weight = nodes.values, cosine_weight(nodes.wi, nodes.wo)
+        floor = _DARK * float(np.max(np.abs(f), initial=1e-300))
+        deviation = np.abs(f_star - f) / np.maximum(np.abs(f), floor)
+        median, high = np.percentile(deviation, [50, 95])
+        linear, cube_root = relative_error(f, f_star, weight), cube_root_error(f, f_star, weight)
+        return cls(len(f), linear, cube_root, float(median), float(high))
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What was written.
+
+    Attributes:
+        name: of the material.
+        source: what was read, in words.
+        target: format, in words.
+        bands: of the result.
+        error: at the file's own nodes.
+        notes: of reading and writing.
+    """
+
+    name: str
+    source: str
+    target: str
+    bands: Bands
+    error: ConversionError
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {**vars(self), "bands": str(self.bands), "error": vars(self.error), "notes": list(self.notes)}
+
+
+def convert(
+    paths: Sequence[Path] | PlaceSource,
+    output: Path,
+    *,
+    to: str | None = None,
+    sample: str | None = None,
+    correction: Path | None = None,
+    options: Options | None = None,
+    merge: bool = False,
+) -> Conversion:
+    """Convert a file of a BRDF or of readings into another format.
+
+    Args:
+        paths: one file, or the files of one sample; or a place, whose prediction is converted itself.
+        output: what to write; its suffix chooses the format.
+        to: one of `TARGETS`, where the suffix does not tell.
+        sample: which of a file's samples.
+        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
+        options: of RGL files.
+        merge: whether several files are of one sample although they name it differently.
+    Raises:
+        UsageError: the format is unknown, the output cannot be written, readings do not make a BRDF, or files are of
+            different samples.
+        FileFormatError: a file is not what it should be.
+        BandMismatchError: the correction was learned in other bands.
+    """
+    target = target_of(output, to)
+    disk.require_writable(output)
+    name = str(paths) if isinstance(paths, PlaceSource) else str(paths[0])
+    files = () if isinstance(paths, PlaceSource) else paths
+    if any(path.exists() and output.exists() and path.samefile(output) for path in files):
+        raise UsageError(f"{output}: is the file to be converted; name another output")
+    learned = None if correction is None else read_correction(correction)
+    opened: Callable[..., Source] = partial(open_source, files, sample, learned, merge=merge)
+    if isinstance(paths, PlaceSource):
+        if sample is not None or learned is not None:
+            raise UsageError(
+                f"{paths}: a prediction, expected an instrument's readings to correct or to choose from"
+            )
+        opened = partial(source_of_prediction, *_predicted(paths))
+    source, notes = opened(), list[str]()
+    is_single, is_rgb = source.nodes.bands.count == 1, source.nodes.bands.is_rgb
+    if target.holds == "wavelengths" and is_rgb:
+        raise UsageError(
+            f"{name}: linear sRGB, but {target.title} has wavelengths; convert a file with spectral bands"
+        )
+    if target.holds.startswith("RGB") and not is_rgb and not (target.holds == "RGB or one" and is_single):
+        if is_single:
+            notes.append(f"{source.nodes.bands} is written to all three channels")
+        source = opened(rgb=True)
+    elif target.holds == "one" and not is_single:
+        notes.append(f"luminance (CIE Y under D65) is written: {target.title} holds one band")
+        source = in_luminance(source if is_rgb else opened(rgb=True))
+    elif target is TARGETS["rgl"]:
+        source = with_estimated_spectra(source)
+    notes += target.write(output, source, options or Options())
+    nodes, back = source.nodes, open_source([output])
+    if source.is_readings and len(back.nodes) > len(nodes):
+        notes += _gaps(source)
+    error = _error(source, back)
+    return Conversion(
+        nodes.name, nodes.instrument, target.title, back.nodes.bands, error, (*nodes.notes, *notes)
+    )
+
+
+@contextmanager
+def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Path] | PlaceSource]:
+    """What `convert` takes of what a user names; files written for it are there during the block."""
+    if len(sources) == 1 and isinstance(sources[0], PlaceSource):
+        yield sources[0]
+        return
+    with ExitStack() as files:
+        yield [files.enter_context(source_file(source)) for source in sources]
+
+
+def _predicted(place: PlaceSource) -> tuple[BRDF, BsdfFile]:
+    """The prediction at a place, and its file."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{place.name}.bsdf"
+        made = predict(place.model, place.place, path, library=place.library, colour=place.colour)
+        return made.brdf, read_bsdf(path)
+
+
+def _gaps(source: Source) -> list[str]:
+    """Notes on readings that are sparser than a goniometer's."""
+    theta = np.rad2deg(source.theta_i_rad)
+    if theta.size == 1:
+        return [
+            f"measured at an incidence of {theta[0]:.4g} degrees only: all others are extrapolated from it"
+        ]
+    if len(source.nodes) < _FEW * theta.size:
+        return [
+            f"{len(source.nodes)} readings, interpolated between; `manifold complete` takes a library, too"
+        ]
+    return []
+
+
+def _error(source: Source, back: Source) -> ConversionError:
+    """Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes."""
+    nodes = source.nodes.select_pairs(np.flatnonzero(source.nodes.measured.all(axis=1)))
+    has_no_brdf = isinstance(back.interpolated, UsageError)
+    if back.is_readings and source.is_readings and (has_no_brdf or len(back.nodes) >= len(nodes)):
+        tree = cKDTree(np.hstack([back.nodes.wi, back.nodes.wo]))
+        distance, row = tree.query(np.hstack([nodes.wi, nodes.wo]))
+        if np.all(distance < _SAME_PAIR):
+            return ConversionError.between(nodes, back.nodes.values[row])
+    is_high = np.minimum(nodes.wi[:, 2], nodes.wo[:, 2]) > LEAST_COSINE
+    if isinstance(back.brdf, MeasuredBRDF) and np.any(is_high):
+        nodes = nodes.select_pairs(np.flatnonzero(is_high))
+    return ConversionError.between(nodes, back.brdf.eval(nodes.wi, nodes.wo))

@@ -1,0 +1,214 @@
+"""Sources of `manifold convert`: an RGL file or an instrument's, as a BRDF and as values at its own nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.unmeasured import cells_of, fill_unmeasured
+from manifold.brdf.wrapped import WrappedBRDF
+from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
+from manifold.colour.correction import ColourCorrection
+from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow, with_spectra
+from manifold.convert.tabulated import DenseBRDF, ReadingsBRDF
+from manifold.disk import begins_with
+from manifold.errors import UsageError
+from manifold.estimate.instruments import correct_colours
+from manifold.formats import registry
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import Readings
+from manifold.formats.tensor_file import MAGIC
+from manifold.io_rgl import read_bsdf
+from manifold.model.prediction import ClippedBRDF
+from manifold.names import first_few
+from manifold.records import Array, Bands, BsdfFile, evenly_spaced
+
+MOST_NODES = 100_000
+"""Nodes at which the error of a conversion is measured; an even choice where a file has more."""
+_LUMINANCE = Bands((550.0,))
+LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
+"""Of both directions: f = f_cos / cos of RGL files says nothing nearer to the horizon."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A BRDF to be converted.
+
+    Attributes:
+        nodes: values at the file's own nodes, at most `MOST_NODES` of them.
+        interpolated: what interpolates them, or the error that says why readings do not make a BRDF.
+        theta_i_rad: the file's own incidences, increasing; none where it has no such nodes.
+        is_readings: whether the nodes are all that the file holds.
+        file: the RGL file, where it is one.
+    """
+
+    nodes: Readings
+    interpolated: BRDF | UsageError
+    theta_i_rad: Array
+    is_readings: bool
+    file: BsdfFile | None = None
+
+    @property
+    def brdf(self) -> BRDF:
+        """The BRDF. Raises UsageError where readings do not make one."""
+        if isinstance(self.interpolated, UsageError):
+            raise self.interpolated
+        return self.interpolated
+
+
+class SrgbBRDF(WrappedBRDF):
+    """A spectral BRDF in linear sRGB under D65, through colour-science."""
+
+    def __init__(self, brdf: BRDF) -> None:
+        """Wrap a spectral BRDF."""
+        super().__init__(brdf)
+        self.bands = Bands(None)
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., 3)."""
+        return to_srgb(self._brdf.eval(wi, wo), self._brdf.bands)
+
+
+class LuminanceBRDF(WrappedBRDF):
+    """The luminance (CIE Y under D65) of a BRDF in linear sRGB, as one band."""
+
+    def __init__(self, brdf: BRDF) -> None:
+        """Wrap a BRDF in linear sRGB."""
+        super().__init__(brdf)
+        self.bands = _LUMINANCE
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., 1)."""
+        return luminance(self._brdf.eval(wi, wo), self._brdf.bands)[..., None]
+
+
+class EstimatedSpectraBRDF(WrappedBRDF):
+    """A BRDF in three narrow bands as spectra, see `colour.narrow_bands`."""
+
+    def __init__(self, brdf: BRDF) -> None:
+        """Wrap a BRDF in three narrow bands."""
+        super().__init__(brdf)
+        self.bands = SPECTRUM
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, at least 0, shape (..., 31)."""
+        return estimate_spectra(self._brdf.eval(wi, wo), self._brdf.bands)
+
+
+def open_source(
+    paths: Sequence[Path],
+    sample: str | None = None,
+    correction: ColourCorrection | None = None,
+    *,
+    rgb: bool = False,
+    merge: bool = False,
+) -> Source:
+    """Read what is to be converted.
+
+    Args:
+        paths: one file, or the files of one sample (pab-opto's, one per incidence).
+        sample: which of a file's samples.
+        correction: of colours of readings, before anything else.
+        rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
+        merge: whether several files are of one sample although they name it differently.
+    Raises:
+        UsageError: a file cannot be read, has no such sample, or is a whole BRDF, which cannot be corrected; or
+            several name different samples.
+        FileFormatError: a file is not what it should be.
+        BandMismatchError: the correction was learned in other bands.
+    """
+    of_rgl = [path for path in paths if begins_with(path, MAGIC)]
+    if of_rgl and len(paths) > 1:
+        raise UsageError(f"{of_rgl[0]}: an RGL file among {len(paths)} files; convert it alone")
+    if of_rgl and sample is not None:
+        raise UsageError(f"{paths[0]}: holds one material, expected no name of a sample")
+    record: BsdfFile | registry.Record
+    if of_rgl:
+        record = read_bsdf(paths[0])
+    else:
+        parts = [registry.read(path, sample) for path in paths]
+        names = list(dict.fromkeys(part.name for part in parts))
+        if len(names) > 1 and not merge:
+            raise UsageError(
+                f"{len(paths)} files of different samples, {first_few(names)}; convert them into a folder, or merge "
+                "them if they are one sample's"
+            )
+        record = registry.merge(parts)
+    if correction is not None and not isinstance(record, Readings):
+        raise UsageError(f"{paths[0]}: a table of a BRDF, expected an instrument's readings to correct")
+    if isinstance(record, BsdfFile):
+        return _of_rgl(file_to_srgb(record) if rgb else record)
+    if isinstance(record, DenseTable):
+        theta_i = record.axes[0] if record.coordinates == "incident-outgoing" else np.zeros(0)
+        source = Source(record.readings(MOST_NODES), DenseBRDF(record), theta_i, is_readings=False)
+    else:
+        source = _of_readings(record if correction is None else correct_colours(record, correction))
+    return _in_srgb(source) if rgb else source
+
+
+def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> Source:
+    """What a model predicts, to be converted itself; at the nodes of a file that was measured from it."""
+    of_file = _of_rgl(file)
+    clipped = ClippedBRDF(brdf)
+    nodes = replace(of_file.nodes, values=clipped.eval(of_file.nodes.wi, of_file.nodes.wo))
+    source = replace(of_file, nodes=nodes, interpolated=clipped)
+    return replace(_in_srgb(source), file=file_to_srgb(file)) if rgb else source
+
+
+def in_luminance(source: Source) -> Source:
+    """The luminance of a source in linear sRGB, as one band."""
+    nodes, brdf = source.nodes, source.interpolated
+    values = luminance(nodes.values, nodes.bands)[:, None]
+    nodes = replace(nodes, wavelengths_nm=np.array(_LUMINANCE.wavelengths_nm), values=values)
+    return replace(
+        source, nodes=nodes, interpolated=brdf if isinstance(brdf, UsageError) else LuminanceBRDF(brdf)
+    )
+
+
+def with_estimated_spectra(source: Source) -> Source:
+    """A source in three narrow bands as one of spectra, with a note; others as they are."""
+    if not is_narrow(source.nodes.bands):
+        return source
+    brdf = source.interpolated
+    estimated = brdf if isinstance(brdf, UsageError) else EstimatedSpectraBRDF(brdf)
+    return replace(source, nodes=with_spectra(source.nodes), interpolated=estimated)
+
+
+def _in_srgb(source: Source) -> Source:
+    if source.nodes.bands.is_rgb:
+        return source
+    source = with_estimated_spectra(source)
+    values = to_srgb(source.nodes.values, source.nodes.bands)
+    nodes = replace(source.nodes, wavelengths_nm=None, values=values)
+    brdf = source.interpolated
+    return replace(source, nodes=nodes, interpolated=brdf if isinstance(brdf, UsageError) else SrgbBRDF(brdf))
+
+
+def _of_rgl(file: BsdfFile) -> Source:
+    brdf = MeasuredBRDF(fill_unmeasured(file))
+    wi, wo = [], []
+    for p, t, cells in cells_of(file):
+        keep = cells.is_above & file.measured_mask[p, t] & (cells.wo[..., 2] > LEAST_COSINE)
+        keep &= cells.wi[2] > LEAST_COSINE
+        wo.append(cells.wo[keep])
+        wi.append(np.broadcast_to(cells.wi, wo[-1].shape))
+    all_wi, all_wo = np.concatenate(wi), np.concatenate(wo)
+    chosen = evenly_spaced(len(all_wi), MOST_NODES)
+    nodes = Readings(
+        file.name, "RGL goniometer", all_wi[chosen], all_wo[chosen], file.wavelengths_nm,
+        brdf.eval(all_wi[chosen], all_wo[chosen]),
+    )  # fmt: skip
+    return Source(nodes, brdf, file.theta_i_rad.astype(np.float64), is_readings=False, file=file)
+
+
+def _of_readings(readings: Readings) -> Source:
+    theta = np.unique(np.round(np.arccos(np.clip(readings.wi[:, 2], 0.0, 1.0)), 5))
+    try:
+        brdf: BRDF | UsageError = ReadingsBRDF(readings)
+    except UsageError as error:
+        brdf = error
+    return Source(readings, brdf, np.asarray(theta, dtype=np.float64), is_readings=True)

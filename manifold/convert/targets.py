@@ -1,0 +1,296 @@
+"""Targets of `manifold convert`: a BRDF sampled at the nodes of each format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from manifold import __version__
+from manifold.brdf import goniometer
+from manifold.brdf.pairs import LEVEL
+from manifold.convert.source import LEAST_COSINE, Source
+from manifold.directions import from_spherical, rotate_z
+from manifold.errors import UsageError
+from manifold.formats import astm, csv_table, fred, lighttools, merl, openmaterial, speos, utia, zemax
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import Readings
+from manifold.io_rgl import write_bsdf
+from manifold.metrics import RusinkiewiczGrid
+from manifold.records import Array
+
+_BLOCK = 65536  # pairs evaluated at once
+_TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
+_MOST_INCIDENCES = 40
+_MEASURED_WITHIN = np.deg2rad(0.5)  # of a measured incidence: half a step of MERL's
+_STEEPEST = np.deg2rad(85.0)
+_FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of elevation and azimuth
+_USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
+
+
+Holds = Literal["any", "RGB", "RGB or one", "one", "wavelengths"]
+"""The bands that a format holds."""
+
+
+class Target(NamedTuple):
+    """A format to write: its title, suffixes that stand for it, the bands that it holds, and a function.
+
+    The function writes a source; its notes say what was left out.
+    """
+
+    title: str
+    suffixes: tuple[str, ...]
+    holds: Holds
+    write: Callable[[Path, Source, Options], list[str]]
+
+
+class Options(NamedTuple):
+    """How an RGL file is sampled.
+
+    Attributes:
+        resolution: nodes per axis of its outgoing grid, by default 64.
+        n_theta_i: incident elevations over the hemisphere, beside the file's own; by default 16, and 48 where a file
+            has none of its own.
+
+    Without any, an RGL file stays as it is, byte for byte.
+    """
+
+    resolution: int | None = None
+    n_theta_i: int | None = None
+
+
+def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
+    if source.file is not None and options == Options():
+        write_bsdf(path, source.file)
+        return []
+    brdf = source.brdf
+    own = source.theta_i_rad[source.theta_i_rad < np.deg2rad(89.0)]
+    if own.size > _MOST_INCIDENCES:
+        own = own[:0]
+    spread: Array = goniometer.default_theta_i(options.n_theta_i or (16 if own.size else 48))
+    # The file's own incidences stay; others fill the gaps, none so near that it adds nothing.
+    others = [t for t in spread if not own.size or np.min(np.abs(own - t)) > 0.4 * (spread[1] - spread[0])]
+    theta_i: Array = np.unique(np.concatenate([own, others, spread[[0, -1]]]))
+    file = goniometer.measure(
+        brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument} by manifold {__version__}",
+        resolution=options.resolution or 64, theta_i_rad=theta_i, compensate=False,
+        bend=goniometer.SOFT_BEND,
+    )  # fmt: skip
+    write_bsdf(path, file)
+    return []
+
+
+def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
+    brdf, notes = source.brdf, []
+    turns: Array = np.zeros(1)
+    if not brdf.is_isotropic:
+        turns = np.arange(float(_TURNS)) * (2.0 * np.pi / _TURNS)
+        notes.append(f"MERL is isotropic: {_TURNS} rotations of the sample are averaged")
+    values = np.full((np.prod(merl.SHAPE), 3), np.nan)
+    start = 0
+    for wi, wo, above in RusinkiewiczGrid(*merl.SHAPE, squared_theta_h=True, offset=0.0).blocks(_BLOCK):
+        block = np.zeros((int(above.sum()), 3))
+        for turn in turns:
+            a, b = (rotate_z(w[above], turn) for w in (wi, wo))
+            # One node stands for both directions of the light; the one nearer to a measured incidence counts more.
+            share = _share(a, b, source)[:, None]
+            block += (share * _eval(source, a, b) + (1.0 - share) * _eval(source, b, a)) / turns.size
+        values[start : start + len(wi)][above] = block
+        start += len(wi)
+    negative = int(np.any(values < 0.0, axis=1).sum())
+    if negative:
+        notes.append(f"{negative} nodes have a negative channel (colours outside sRGB, noise), stored as 0")
+    table = DenseTable(
+        source.nodes.name, "MERL", "half-difference", merl.axes(), None, values.reshape(*merl.SHAPE, 3)
+    )
+    merl.write(path, table)
+    return notes
+
+
+def _share(a: Array, b: Array, source: Source) -> Array:
+    """Weight (n,) of f(a, b) beside f(b, a) for pairs (n, 3): half, but for readings by how near an incidence is."""
+    if not source.is_readings:
+        return np.full(len(a), 0.5)
+    to_a, to_b = (
+        np.min(np.abs(np.arccos(np.clip(w[:, 2:], 0.0, 1.0)) - source.theta_i_rad), axis=1) ** 2
+        + _MEASURED_WITHIN**2
+        for w in (a, b)
+    )
+    return np.asarray(to_b / (to_a + to_b))
+
+
+def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
+    utia.write(path, _sampled(source, utia.axes()))
+    lowest = np.cos(utia.axes()[0][-1]) - 1e-6
+    beyond = (np.minimum(source.nodes.wi[:, 2], source.nodes.wo[:, 2]) < lowest).mean()
+    note = f"UTIA ends at 75 degrees: {beyond:.0%} of the nodes lie beyond and take its last values"
+    return [note] if beyond else []
+
+
+def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]:
+    lighttools.write(path, _about_the_normal(source, _FINE if source.nodes.bands.count <= 31 else _MEDIUM))
+    return []
+
+
+def _write_fred(path: Path, source: Source, options: Options) -> list[str]:
+    fred.write(path, _about_the_normal(source, _FINE, one_turn=True))
+    return _one_turn(source)
+
+
+def _write_speos(path: Path, source: Source, options: Options) -> list[str]:
+    steps = _FINE if source.nodes.bands.count <= 31 else _MEDIUM
+    speos.write(path, _about_the_normal(source, steps, one_turn=True))
+    return _one_turn(source)
+
+
+def _write_speos_anisotropic(path: Path, source: Source, options: Options) -> list[str]:
+    speos.write_anisotropic(path, _about_the_normal(source, _FINE))
+    return []
+
+
+def _write_openmaterial(path: Path, source: Source, options: Options) -> list[str]:
+    count = source.nodes.bands.count  # a row per value: a million of them are 45 MB
+    steps = _FINE if count <= 3 else _MEDIUM if count <= 31 else _COARSE
+    openmaterial.write(path, _about_the_normal(source, steps, one_turn=True))
+    return [
+        *_one_turn(source),
+        "copyright, license and authors are to be filled in: 'not stated' stands there",
+    ]
+
+
+def _one_turn(source: Source) -> list[str]:
+    return (
+        [] if source.brdf.is_isotropic else ["one rotation of the sample is written: the format is isotropic"]
+    )
+
+
+def _about_the_normal(source: Source, steps: tuple[float, float], *, one_turn: bool = False) -> DenseTable:
+    """The BRDF at its incidences and at elevations and azimuths about the normal, by steps in degrees."""
+    radial = np.deg2rad(np.append(np.arange(0.0, 89.0, steps[0]), 89.0))
+    azimuth = np.deg2rad(np.arange(0.0, 360.0, steps[1]))
+    is_one = one_turn or source.brdf.is_isotropic
+    phi_i = np.array([np.pi]) if is_one else np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    return _sampled(source, (_incidences(source), phi_i, radial, azimuth))
+
+
+def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
+    brdf, theta_i = source.brdf, _incidences(source)
+    azimuth = np.deg2rad(np.arange(0.0, 361.0, 5.0))
+    # Dense around the mirror direction.
+    radial = np.deg2rad(
+        np.concatenate([np.arange(0, 20, 0.5), np.arange(20, 90, 1.0), np.arange(90, 176, 5.0)])
+    )
+    values = np.zeros((theta_i.size, azimuth.size, radial.size, brdf.bands.count))
+    for block, theta in zip(values, theta_i, strict=True):
+        block[:] = _eval(source, *zemax.directions(theta, radial[None, :], azimuth[:, None]))
+    zemax.write(path, source.nodes.name, theta_i, azimuth, radial, values)
+    return _one_turn(source)
+
+
+def _write_astm(path: Path, source: Source, options: Options) -> list[str]:
+    rows = _rows(source)
+    whole = np.asarray(rows.measured.all(axis=1))
+    if not np.any(whole):
+        raise UsageError(
+            f"{rows.name}: no direction was measured in all bands, which an ASTM table needs; write CSV"
+        )
+    astm.write(path, rows.select_pairs(whole))
+    left_out = int((~whole).sum())
+    return [f"{left_out} directions not measured in all bands are left out"] if left_out else []
+
+
+def _write_csv(path: Path, source: Source, options: Options) -> list[str]:
+    csv_table.write(path, _rows(source))
+    return []
+
+
+def _rows(source: Source) -> Readings:
+    """The readings themselves, or the BRDF at the directions of a goniometer."""
+    if source.is_readings:
+        return source.nodes
+    brdf = source.brdf
+    theta = np.deg2rad(np.append(np.arange(2.0, 89.0, 2.0), 89.0))
+    phi = np.deg2rad(np.arange(0.0, 360.0, 10.0))
+    grid = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
+    wo = np.concatenate([[[0.0, 0.0, 1.0]], grid])
+    phi_i = [np.pi] if brdf.is_isotropic else np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    wi = np.array([from_spherical(t, p) for t in _incidences(source) for p in phi_i])
+    values = np.concatenate([_eval(source, w, wo) for w in wi])
+    nodes = source.nodes
+    return Readings(
+        nodes.name, nodes.instrument, np.repeat(wi, len(wo), axis=0), np.tile(wo, (len(wi), 1)), nodes.wavelengths_nm,
+        values,
+    )  # fmt: skip
+
+
+def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTable:
+    """The BRDF at the product of incident and outgoing angles."""
+    brdf = source.brdf
+    theta_i, phi_i, theta_o, phi_o = axes
+    wo = from_spherical(theta_o[:, None], phi_o[None, :])
+    values = np.zeros((*(a.size for a in axes), brdf.bands.count))
+    for i, j in np.ndindex(theta_i.size, phi_i.size):
+        values[i, j] = _eval(source, from_spherical(theta_i[i], phi_i[j]), wo)
+    nodes = source.nodes
+    return DenseTable(nodes.name, nodes.instrument, "incident-outgoing", axes, nodes.wavelengths_nm, values)
+
+
+def _incidences(source: Source) -> Array:
+    """The file's own elevations of incidence, or usual ones where it has none or very many."""
+    own = source.theta_i_rad[source.theta_i_rad <= _STEEPEST]
+    return own if 2 <= own.size <= _MOST_INCIDENCES else _USUAL_INCIDENCES
+
+
+def _eval(source: Source, wi: Array, wo: Array) -> Array:
+    """f in 1/sr, shape (..., B). Nearer to the horizon than RGL files say it, what they hold two degrees above it."""
+    if source.file is not None:
+        wi, wo = _off_horizon(wi), _off_horizon(wo)
+    return source.brdf.eval(wi, wo)
+
+
+def _off_horizon(w: Array) -> Array:
+    """Directions (..., 3), those between the horizon, within rounding, and `LEAST_COSINE` lifted to it."""
+    low = (w[..., 2] > -LEVEL) & (w[..., 2] < LEAST_COSINE)
+    lifted = w.copy()
+    lifted[low, :2] *= np.sqrt(1.0 - LEAST_COSINE**2) / np.hypot(w[low, 0], w[low, 1])[:, None]
+    lifted[low, 2] = LEAST_COSINE
+    return lifted
+
+
+TARGETS: Mapping[str, Target] = {
+    "rgl": Target("RGL file", (".bsdf",), "any", _write_rgl),
+    "merl": Target("MERL", (".binary",), "RGB", _write_merl),
+    "utia": Target("UTIA", (".bin",), "RGB", _write_utia),
+    "lighttools": Target("LightTools BSDF text", (), "any", _write_lighttools),
+    "zemax": Target("Zemax BSDF text", (), "RGB or one", _write_zemax),
+    "fred": Target("FRED table", (), "one", _write_fred),
+    "speos": Target("Ansys Speos BRDF", (".brdf",), "wavelengths", _write_speos),
+    "speos-anisotropic": Target(
+        "Ansys Speos anisotropic BSDF", (".anisotropicbsdf",), "one", _write_speos_anisotropic
+    ),
+    "openmaterial": Target("OpenMATERIAL 3D", (".xompt",), "wavelengths", _write_openmaterial),
+    "astm": Target("ASTM table", (".astm",), "any", _write_astm),
+    "csv": Target("CSV table", (".csv",), "any", _write_csv),
+}
+
+
+def target_of(output: Path, to: str | None) -> Target:
+    """The format to write: `to`, one of `TARGETS`, or what the suffix of the output stands for.
+
+    Raises:
+        UsageError: there is no such format, or the suffix is of none.
+    """
+    if to is not None:
+        if to not in TARGETS:
+            raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
+        return TARGETS[to]
+    by_suffix = {suffix: target for target in TARGETS.values() for suffix in target.suffixes}
+    suffix = output.suffix.lower()
+    if suffix not in by_suffix:
+        raise UsageError(
+            f"{output}: suffix '{suffix}', expected one of {', '.join(by_suffix)}; or name one of the formats "
+            + ", ".join(TARGETS)
+        )
+    return by_suffix[suffix]

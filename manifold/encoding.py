@@ -1,0 +1,284 @@
+"""New materials on a map of latents: decoded as `T^-1(V T(F))`, and embedded where that fits best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from scipy.linalg.lapack import dpotrs
+from scipy.optimize import minimize
+
+from manifold.gpr import GaussianProcess
+from manifold.mapping import Mapping
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
+from manifold.records import Array
+
+Criterion = Callable[[Array, float], tuple[float, Array, float]]
+"""From V (n,) and v to the value and its derivatives by V (n,) and by v."""
+
+# Relative to a material's root mean square: the slope of smaller cube roots is that of this one.
+_SMALLEST_ROOT = 1e-3
+_ROUNDING = 1e-14  # relative rounding error of squared distances, which are differences of large numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Inner products of a new material and training materials in the mapped domain, all less the mean of the latter.
+
+    Attributes:
+        S: among the n materials, shape (n, n).
+        cross: of the new one with them, shape (n,).
+        norm: its squared norm.
+    """
+
+    S: Array
+    cross: Array
+    norm: float
+
+    @classmethod
+    def centred(cls, S: Array, cross: Array, norm: float) -> Products:
+        """Of products about any origin: S (n, n), cross (n,), norm."""
+        row_mean, mean, mean_cross = S.mean(axis=1), S.mean(), float(cross.mean())
+        return cls(
+            S - row_mean[:, None] - row_mean[None] + mean,
+            cross - mean_cross - row_mean + mean,
+            max(float(norm - 2.0 * mean_cross + mean), 0.0),
+        )
+
+    @property
+    def distances(self) -> Array:
+        """Squared distances from the training materials, shape (n,)."""
+        return self.norm + np.diag(self.S) - 2.0 * self.cross
+
+    def residual(self, V: Array) -> tuple[float, Array]:
+        """Squared distance `||y - V Y||^2` from the prediction, and its derivative by V (n,)."""
+        VS = V @ self.S
+        squared = self.norm - 2.0 * float(V @ self.cross) + float(VS @ V)
+        floor = _ROUNDING * (self.norm + np.trace(self.S) / len(self.S))
+        return max(squared, floor), 2.0 * (VS - self.cross)
+
+
+def mapped_residual(products: Products) -> Criterion:
+    """`1/2 log ||T(f) - V T(F)||^2`."""
+
+    def criterion(V: Array, v: float) -> tuple[float, Array, float]:
+        squared, slope = products.residual(V)
+        return 0.5 * float(np.log(squared)), 0.5 / squared * slope, 0.0
+
+    return criterion
+
+
+def likelihood(products: Products, scale: float) -> Criterion:
+    """`1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`.
+
+    The residual is relative to the posterior variance, which is then calibrated at the latent found.
+
+    Args:
+        products: of the material.
+        scale: D s^2, outputs times output variance.
+    Source: Lawrence 2005, section 3.1; Rasmussen & Williams 2006, eq. 5.8.
+    """
+
+    def criterion(V: Array, v: float) -> tuple[float, Array, float]:
+        squared, slope = products.residual(V)
+        misfit = 0.5 * squared / (scale * v)
+        return float(0.5 * np.log(v) + misfit), 0.5 * slope / (scale * v), (0.5 - misfit) / v
+
+    return criterion
+
+
+def decoded_error(decoder: Decoder, f: Array) -> Criterion:
+    """`1/2 log ||(w f*)^(1/3) - (w f)^(1/3)||^2` of values f (P,), `w` the cosines."""
+    w = decoder.cosines
+    target = np.cbrt(w * f)
+    floor = _ROUNDING * float(target @ target) + np.finfo(float).tiny
+    # The slope of a cube root is unbounded at 0, where the search would diverge.
+    steepest = 3.0 * _SMALLEST_ROOT**2 * float(np.mean(target * target)) + np.finfo(float).tiny
+
+    def criterion(V: Array, v: float) -> tuple[float, Array, float]:
+        values, slope = (one[0] for one in decoder.combine(V[None]))
+        found = np.cbrt(w * values)
+        difference = found - target
+        squared = max(float(difference @ difference), floor)
+        slope = w * slope / np.maximum(3.0 * found * found, steepest)
+        return 0.5 * float(np.log(squared)), decoder.mapped @ (difference * slope) / squared, 0.0
+
+    return criterion
+
+
+PAIR_STRIDE = 6  # one in this many of a grid's direction pairs is used to find a latent
+
+
+@dataclass(frozen=True, eq=False)
+class EncodingPairs:
+    """The direction pairs at which a material is compared with what latents decode.
+
+    Attributes:
+        wi, wo: unit vectors above the horizon, shape (P, 3).
+    """
+
+    wi: Array
+    wo: Array
+
+    @classmethod
+    def of_grid(cls, grid: RusinkiewiczGrid, stride: int = PAIR_STRIDE) -> EncodingPairs:
+        """The pairs of a grid above the horizon, one in every `stride` of them."""
+        wi, wo, above = grid.directions()
+        return cls(wi[above][::stride], wo[above][::stride])
+
+    @classmethod
+    @cache
+    def default(cls, is_isotropic: bool = True) -> EncodingPairs:
+        """Those of the default grid, at which new materials are compared with predictions; do not write to them.
+
+        Args:
+            is_isotropic: whether all of them are; for others half vectors have all azimuths.
+        """
+        return cls.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic))
+
+    @property
+    def cosines(self) -> Array:
+        """cos(theta_i) cos(theta_o), shape (P,)."""
+        return cosine_weight(self.wi, self.wo)
+
+
+@dataclass(frozen=True, eq=False)
+class Decoder:
+    """Maps latents to BRDF values at P outputs: direction pairs of one band, or pairs and bands.
+
+    Attributes:
+        gp: of the n training samples.
+        mapped: T of the training samples, shape (n, P).
+        mapping: T.
+        cosines: cos(theta_i) cos(theta_o) of each output, shape (P,).
+    """
+
+    gp: GaussianProcess
+    mapped: Array
+    mapping: Mapping
+    cosines: Array
+
+    def decode(self, latents: Array) -> Array:
+        """Values f in 1/sr at latents (R, Q), at least 0, shape (R, P)."""
+        mapped = (self.gp.weights(latents) @ self.mapped)[..., None]
+        return np.maximum(self.mapping.inverse(mapped, self._row_cosines(len(mapped)))[..., 0], 0.0)
+
+    def combine(self, V: Array) -> tuple[Array, Array]:
+        """Values (R, P) of weights V (R, n), possibly negative, and their derivatives by the mapped values, (R, P)."""
+        rows = self._row_cosines(len(V))
+        values = self.mapping.inverse((V @ self.mapped)[..., None], rows)
+        return values[..., 0], self.mapping.slope(values, rows)[..., 0]
+
+    def map(self, f: Array) -> Array:
+        """T of values f (R, P), same shape."""
+        return self.mapping.forward(f[..., None], self._row_cosines(len(f)))[..., 0]
+
+    def relative_error(self, latents: Array, f: Array) -> float:
+        """Error of the values decoded at latents (R, Q) against f (R, P); see `metrics.relative_error`."""
+        return relative_error(f.T, self.decode(latents).T, self.cosines)
+
+    def _row_cosines(self, rows: int) -> Array:
+        return np.broadcast_to(self.cosines, (rows, self.cosines.size))
+
+
+_STARTS = 5  # nearest training materials to start from
+_REFINED = 3  # minima of the first search that the second one starts from
+_APART = 1e-2  # in latents: minima nearer to each other are one
+_MAX_ITER = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Encoder:
+    """Finds the latent (Q,) of a new material: minimises a criterion plus `prior / 2 ||x||^2`.
+
+    Attributes:
+        gp: of the n training materials.
+        S: Gram matrix of the mapped materials, not centred, shape (n, n).
+        n_outputs: D, outputs behind S.
+        prior: weight of the Gaussian prior on the latent, or one per axis, shape (Q,).
+    """
+
+    gp: GaussianProcess
+    S: Array
+    n_outputs: int
+    prior: float | Array = 0.0
+
+    @classmethod
+    def of_decoder(cls, decoder: Decoder, prior: float | Array = 0.0) -> Encoder:
+        """An encoder that compares materials at the outputs of a decoder, weighted by the cosines."""
+        S = (decoder.mapped * decoder.cosines) @ decoder.mapped.T
+        return cls(decoder.gp, S, decoder.mapped.shape[1], prior)
+
+    # -- encoding ------------------------------------------------------------------------------------------
+
+    def by_values(self, decoder: Decoder, f: Array) -> Array:
+        """The latent (Q,) whose decoded values are nearest to f (P,) at the decoder's outputs, in cube roots."""
+        T = decoder.map(f[None])[0]
+        weighted = T * decoder.cosines
+        products = Products.centred(self.S, decoder.mapped @ weighted, float(weighted @ T))
+        first = mapped_residual(products)
+        ends = [self.minimise(first, start) for start in self.starts(products)]
+        return self._best(decoded_error(decoder, f), _best_apart(ends))
+
+    def by_residual(self, cross: Array, norm: float) -> Array:
+        """The latent (Q,) of least residual in the mapped domain, by inner products: see `by_likelihood`."""
+        products = Products.centred(self.S, cross, norm)
+        return self._best(mapped_residual(products), self.starts(products))
+
+    def by_likelihood(self, cross: Array, norm: float) -> Array:
+        """The latent (Q,) of largest likelihood, by inner products with the samples about the origin of S.
+
+        Args:
+            cross: products with the training materials, shape (n,).
+            norm: squared norm.
+        """
+        products = Products.centred(self.S, cross, norm)
+        return self._best(likelihood(products, self.n_outputs * self.output_variance), self.starts(products))
+
+    @cached_property
+    def output_variance(self) -> float:
+        """s^2 of the training materials."""
+        return max(self.gp.output_variance(self.S, self.n_outputs), np.finfo(float).tiny)
+
+    # -- searching -----------------------------------------------------------------------------------------
+
+    def starts(self, products: Products) -> list[Array]:
+        """Latents (Q,) of the nearest training materials."""
+        nearest = np.argsort(products.distances, kind="stable")[:_STARTS]
+        return list(self.gp.X[nearest])
+
+    def _best(self, criterion: Criterion, starts: Sequence[Array]) -> Array:
+        ends = [self.minimise(criterion, start) for start in starts]
+        return min(ends, key=lambda end: end[1])[0]
+
+    def minimise(self, criterion: Criterion, start: Array) -> tuple[Array, float]:
+        """The latent (Q,) at the local minimum of criterion plus prior near a start, and its value."""
+        found = minimize(
+            lambda x: self.value_and_gradient(criterion, x), start, jac=True, method="L-BFGS-B",
+            options={"maxiter": _MAX_ITER},
+        )  # fmt: skip
+        return found.x, float(found.fun)
+
+    def value_and_gradient(self, criterion: Criterion, x: Array) -> tuple[float, Array]:
+        """Criterion and prior at a latent x (Q,), and the gradient (Q,)."""
+        gp, row = self.gp, x[None]
+        k, slope = gp.kernel.smooth_and_slope(row, gp.X)  # [1, n]
+        W = dpotrs(gp.L, k.T, lower=1)[0].T  # as cho_solve, whose checks take longer than solving for so few
+        V = W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples
+        v = gp.kernel.prior_variance - float(k[0] @ W[0])
+        value, dV, dv = criterion(V[0], v)
+        # Pull the derivatives back through the centring, the solve, and the kernel.
+        solved = dpotrs(gp.L, (dV - dV.mean())[:, None], lower=1)[0].T
+        gradient = gp.kernel.pull_back(row, gp.X, solved - 2.0 * dv * W, slope)[0] + self.prior * x
+        return value + 0.5 * float(np.sum(self.prior * x * x)), gradient
+
+
+def _best_apart(ends: list[tuple[Array, float]]) -> list[Array]:
+    """The latents of the `_REFINED` best minima that are `_APART`."""
+    kept: list[Array] = []
+    for latent, _ in sorted(ends, key=lambda end: end[1]):
+        if all(np.abs(latent - other).max() > _APART for other in kept):
+            kept.append(latent)
+    return kept[:_REFINED]

@@ -1,0 +1,384 @@
+"""Materials by attributes: gloss, lightness, chroma and hue.
+
+A material is found on a map: the place nearest to a given one whose material has the gloss, in the colour that is asked
+for or, without one, in the colour of the given material. Gloss is in gloss units (ISO 2813); lightness, chroma
+and hue are CIELAB's under D65 for the geometry 45/0, light at 45 degrees seen along the normal.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares, minimize
+
+from manifold import progress
+from manifold.brdf.measured import EvaluableBRDF, MeasuredBRDF
+from manifold.colour.conversion import luminance, to_xyz, xyz_weights
+from manifold.colour.difference import delta_e_2000_lab, to_lab
+from manifold.colour.reflectances import srgb_spectra
+from manifold.directions import from_spherical, rotate_z
+from manifold.encoding import Decoder, EncodingPairs
+from manifold.errors import UsageError
+from manifold.estimate.gloss import GlossMeter, gloss_meter, gloss_units
+from manifold.formats.readings import Readings, gloss_fault
+from manifold.library.store import Library
+from manifold.model.blend_space import require_blends
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.decoding import decoder_at
+from manifold.model.manifold import Manifold
+from manifold.model.places import Place, PlaceLike
+from manifold.records import Array, Bands
+
+_GLOSS_WEIGHT = 1e3  # of a squared error of log gloss, against squared distance in length scales
+_COLOUR_WEIGHT = 1.0  # of a squared difference in CIELAB, likewise
+_ALONG = np.linspace(0.0, 1.0, 11)[:, None]  # places tried, on the way from the given one to every material
+_REFINED, _EVALUATIONS = 6, 100
+_LEAST_GLOSS = 0.01  # gloss units
+_GREY = 0.2
+_LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
+_LIGHT, _NORMAL = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
+_JUST_VISIBLE = np.log(1.2)  # of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
+GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A value that is asked for.
+
+    Attributes:
+        value: itself, or what is added.
+        is_relative: whether it is added to what the given material has.
+    """
+
+    value: float
+    is_relative: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> Wanted:
+        """Of `30`, `+10` or `-10`; a sign makes it relative.
+
+        Raises:
+            UsageError: it is no finite number.
+        """
+        if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)", text.strip()):
+            raise UsageError(f"found '{text}', expected a number such as 30, or +10 or -10 for a change")
+        return cls(float(text), text.strip()[0] in "+-")
+
+    def of(self, present: float) -> float:
+        """The absolute value, where a material has one at present."""
+        return present + self.value if self.is_relative else self.value
+
+
+@dataclass(frozen=True)
+class Attributes:
+    """What a material should be; None or no entry where it should stay as it is.
+
+    Attributes:
+        gloss: gloss units at 20, 60 or 85 degrees.
+        lightness, chroma: of CIELAB.
+        hue: in degrees.
+    """
+
+    gloss: Mapping[float, Wanted] = field(default_factory=dict)
+    lightness: Wanted | None = None
+    chroma: Wanted | None = None
+    hue: Wanted | None = None
+
+    def lch(self, present: Array) -> Array:
+        """Lightness, chroma and hue in degrees asked for, where those of a material are (3,)."""
+        wanted = (self.lightness, self.chroma, self.hue)
+        lightness, chroma, hue = (
+            now if w is None else w.of(now) for w, now in zip(wanted, present, strict=True)
+        )
+        if not 0.0 <= lightness <= 100.0 or chroma < 0.0:
+            raise UsageError(
+                f"lightness {lightness:.4g} and chroma {chroma:.4g}, expected 0 to 100, and 0 or more"
+            )
+        return np.array([lightness, chroma, hue % 360.0])
+
+    @classmethod
+    def parse(
+        cls,
+        gloss: Iterable[str] = (),
+        lightness: str | None = None,
+        chroma: str | None = None,
+        hue: str | None = None,
+    ) -> Attributes | None:
+        """Of texts such as `60=40` for gloss and `+10` for the others; None where all are missing.
+
+        Raises:
+            UsageError: one of them is of another form.
+        """
+        given = {}
+        for text in gloss:
+            angle, _, units = text.rpartition("=")
+            if angle not in ("20", "60", "85"):
+                raise UsageError(
+                    f"gloss '{text}', expected ANGLE=UNITS at 20, 60 or 85 degrees, such as 60=40"
+                )
+            given[float(angle)] = Wanted.parse(units)
+        colour = [None if text is None else Wanted.parse(text) for text in (lightness, chroma, hue)]
+        return cls(given, *colour) if given or any(colour) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """A material with attributes.
+
+    Attributes:
+        place: where it is on the map, turned as the given one.
+        colours: its colours there, as `Manifold.predict` takes them.
+        gloss: gloss units by angle in degrees, as asked and as reached.
+        lch: lightness, chroma and hue in degrees, as asked and as reached, each (3,).
+        difference: CIEDE2000 between these colours.
+    """
+
+    place: Place
+    colours: Array | None
+    gloss: Mapping[float, tuple[float, float]]
+    lch: tuple[Array, Array]
+    difference: float
+
+    def __str__(self) -> str:
+        lightness, chroma, hue = self.lch[1]
+        words = [f"L {lightness:.1f}, C {chroma:.1f}, h {hue:.0f}"]
+        return ", ".join(
+            words + [f"gloss {found:.3g} at {angle:g} degrees" for angle, (_, found) in self.gloss.items()]
+        )
+
+    @property
+    def shortfalls(self) -> tuple[str, ...]:
+        """What could not be reached, in sentences."""
+        shortfalls = [
+            f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} asked; no material of this map near it in "
+            "this colour has that gloss"
+            for angle, (asked, reached) in self.gloss.items()
+            if abs(reached - asked) > GLOSS_TOLERANCE * asked
+        ]
+        if self.difference > COLOUR_TOLERANCE:
+            asked, reached = ("L {:.1f}, C {:.1f}, h {:.0f}".format(*lch) for lch in self.lch)
+            shortfalls.append(f"colour: {reached} reached, {asked} asked, CIEDE2000 {self.difference:.1f}")
+        return tuple(shortfalls)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        lch = [dict(zip(("lightness", "chroma", "hue_deg"), one.tolist(), strict=True)) for one in self.lch]
+        return {
+            "latent": self.place.latent.tolist(),
+            "asked": lch[0] | {"gloss": {f"{angle:g}": asked for angle, (asked, _) in self.gloss.items()}},
+            "reached": lch[1] | {"gloss": {f"{angle:g}": found for angle, (_, found) in self.gloss.items()}},
+            "ciede2000": self.difference,
+            "shortfalls": list(self.shortfalls),
+        }
+
+
+def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
+    """The place and colours nearest to a material that have some attributes.
+
+    Args:
+        model: a map of blends.
+        x: the material to begin with.
+        attributes: what it should become.
+        colour: its colour at present, as `choose_colour` takes it.
+    Raises:
+        UsageError: colours of the map are fixed, there is no such gloss meter, or no such lightness, chroma or gloss.
+
+    >>> adjust(model, "syn_card_brown", Attributes({60.0: Wanted(40.0)}, hue=Wanted(30.0)))  # doctest: +SKIP
+    """
+    place = model.place(x)
+    chosen = choose_colour(model, place, colour)
+    present = model.predict(place, chosen.colours).turned(place.rotation_rad)
+    search = _Search(model, tuple(attributes.gloss), place.rotation_rad)
+    wanted = attributes.lch(_to_lch(lab_of(present)))
+    factor = _factor(present)
+    if attributes.lightness or attributes.chroma or attributes.hue:
+        factor = tinted(factor, _lab(wanted), model.bands)
+    units = {
+        angle: attributes.gloss[angle].of(now)
+        for angle, now in gloss_units(present, attributes.gloss).items()
+    }
+    for angle, asked in units.items():
+        if (fault := gloss_fault(angle, asked)) is not None:
+            raise UsageError(fault)
+        if asked < _LEAST_GLOSS:
+            raise UsageError(
+                f"gloss of {asked:.4g} units at {angle:g} degrees, expected at least {_LEAST_GLOSS}"
+            )
+    latent = search.nearest(place.latent, factor, units)
+    colours = search.colours(latent, factor)
+    reached = model.predict(latent, colours).turned(place.rotation_rad)
+    found = lab_of(reached)
+    return Adjusted(
+        replace(place, latent=latent, path=None),
+        colours,
+        {angle: (units[angle], found) for angle, found in gloss_units(reached, units).items()},
+        (wanted, _to_lch(found)),
+        float(delta_e_2000_lab(_lab(wanted), found)),
+    )
+
+
+def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -> Readings:
+    """A colour (3,), CIELAB under D65 in the geometry 45/0, and gloss units by angle, as readings of a material.
+
+    The spectrum is the smoothest of that colour, as colours have no other.
+    """
+    values = tinted(np.full(bands.count, _GREY), lab, bands)[None] / np.pi
+    name = "L {:.4g}, a {:.4g}, b {:.4g}".format(*lab)
+    wavelengths = None if bands.is_rgb else np.asarray(bands.wavelengths_nm)
+    return Readings(name, "45/0", _LIGHT[None], _NORMAL[None], wavelengths, values, gloss=gloss)
+
+
+def lab_of(brdf: EvaluableBRDF) -> Array:
+    """CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
+    return _lab_of_factor(_factor(brdf), brdf.bands)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A measured material beside what was looked for.
+
+    Attributes:
+        name: of the material.
+        lab: its CIELAB colour in the geometry 45/0, shape (3,).
+        gloss: its gloss units by angle in degrees.
+        ciede2000: to the colour looked for; None where none was given.
+        distance: root of the summed squares of CIEDE2000 and of gloss in just visible steps.
+    """
+
+    name: str
+    lab: Array
+    gloss: Mapping[float, float]
+    ciede2000: float | None
+    distance: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return vars(self) | {
+            "lab": self.lab.tolist(),
+            "gloss": {f"{a:g}": units for a, units in self.gloss.items()},
+        }
+
+
+def find(
+    library: Library,
+    lab: Array | None,
+    gloss: Mapping[float, float],
+) -> list[Found]:
+    """The materials of a library, those nearest to a colour and gloss first.
+
+    Args:
+        library: of measured materials.
+        lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any.
+        gloss: gloss units by angle in degrees, 20, 60 or 85.
+    Raises:
+        UsageError: gloss meters have no such angle.
+        LibraryError: a material cannot be read.
+    """
+    found = []
+    for k, name in enumerate(library.names):
+        brdf = MeasuredBRDF(library.read(name))
+        own, units = lab_of(brdf), gloss_units(brdf, gloss or (60.0,))
+        difference = None if lab is None else float(delta_e_2000_lab(lab, own))
+        steps = [
+            np.log(max(units[a], _LEAST_GLOSS) / max(asked, _LEAST_GLOSS)) / _JUST_VISIBLE
+            for a, asked in gloss.items()
+        ]
+        found.append(
+            Found(name, own, units, difference, float(np.hypot(difference or 0.0, np.linalg.norm(steps))))
+        )
+        progress.report(k + 1, len(library.names), "materials")
+    return sorted(found, key=lambda one: one.distance)
+
+
+class _Search:
+    """Looks for places of a map by gloss, in a given colour, of a sample that lies turned."""
+
+    def __init__(self, model: Manifold, angles: tuple[float, ...], rotation_rad: float) -> None:
+        self._model, self._space = model, require_blends(model.space)
+        self._angles = angles
+        self._rotation_rad = rotation_rad
+
+    @cached_property
+    def _reflectometer(self) -> Decoder:
+        return self._decoder(_LIGHT[None], _NORMAL[None])
+
+    @cached_property
+    def _meters(self) -> dict[float, tuple[GlossMeter, Decoder]]:
+        meters = {angle: gloss_meter(angle) for angle in self._angles}
+        return {a: (m, self._decoder(m.wi, m.wo)) for a, m in meters.items()}
+
+    def _decoder(self, wi: Array, wo: Array) -> Decoder:
+        model, back = self._model, -self._rotation_rad
+        pairs = EncodingPairs(rotate_z(wi, back), rotate_z(wo, back))
+        return decoder_at(pairs, model.space, model.materials, model.settings)
+
+    def colours(self, x: Array, factor: Array) -> Array:
+        """Colours (B,) at which a place x (Q,) has a reflectance factor (B,) in the geometry 45/0."""
+        return self._space.colours_of(x, factor, self._reflectometer, np.array([np.pi]))[0]
+
+    def nearest(self, start: Array, factor: Array, units: Mapping[float, float]) -> Array:
+        """The place nearest to a start (Q,) with gloss units by angle in degrees, in the colour of a factor (B,)."""
+        if not units:
+            return start
+
+        bands, spot = self._model.bands, np.array([np.pi])
+        lab = _lab_of_factor(factor, bands)
+
+        def cost(x: Array) -> float:
+            colours, reached = self._space.colours_of(x, factor, self._reflectometer, spot)
+            off = _lab_of_factor(reached, bands) - lab
+            penalty = _COLOUR_WEIGHT * float(off @ off)
+            for angle, asked in units.items():
+                meter, decoder = self._meters[angle]
+                collected = self._space.reflectance_of(x, colours, decoder, meter.weights)
+                gloss = 100.0 * float(luminance(collected, self._model.bands)) / meter.full_scale
+                penalty += _GLOSS_WEIGHT * np.log(max(gloss, _LEAST_GLOSS) / asked) ** 2
+            return float(np.sum((x - start) ** 2)) + penalty
+
+        ways = [min(start + _ALONG * (end - start), key=cost) for end in self._model.X]
+        tried = sorted(ways, key=cost)[:_REFINED]
+        found = [
+            minimize(
+                cost, x, method="Nelder-Mead", options={"maxfev": _EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
+            )
+            for x in tried
+        ]
+        return min(found, key=lambda one: one.fun).x
+
+
+def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
+    """A reflectance factor (B,) brought to a colour (3,) by smooth gains, as near to what it was as they are to 1."""
+    primaries = np.eye(3) if bands.is_rgb else srgb_spectra(bands)
+    base = np.maximum(factor, _LEAST_REFLECTANCE)
+
+    def gained(a: Array) -> Array:
+        return base * np.exp(a @ primaries)
+
+    def off(a: Array) -> Array:
+        return _lab_of_factor(gained(a), bands) - lab
+
+    return gained(least_squares(off, np.zeros(3), bounds=(-7.0, 7.0)).x)
+
+
+def _factor(brdf: EvaluableBRDF) -> Array:
+    """Reflectance factor (B,) of the geometry 45/0."""
+    return np.pi * brdf.eval(_LIGHT, _NORMAL)
+
+
+def _lab_of_factor(factor: Array, bands: Bands) -> Array:
+    return to_lab(to_xyz(factor, bands), xyz_weights(bands).sum(axis=0))
+
+
+def _to_lch(lab: Array) -> Array:
+    """Lightness, chroma, hue in degrees."""
+    return np.array([lab[0], np.hypot(lab[1], lab[2]), np.rad2deg(np.arctan2(lab[2], lab[1])) % 360.0])
+
+
+def _lab(lch: Array) -> Array:
+    hue = np.deg2rad(lch[2])
+    return np.array([lch[0], lch[1] * np.cos(hue), lch[1] * np.sin(hue)])

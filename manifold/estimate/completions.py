@@ -1,0 +1,369 @@
+"""The work behind `manifold complete`: readings in, a full BRDF out, with its diagnostics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from manifold import __version__, disk
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
+from manifold.colour.correction import ColourCorrection, read_correction, write_correction
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.attributes import readings_of_colour
+from manifold.estimate.complete import Completion, complete
+from manifold.estimate.expected import calibrate
+from manifold.estimate.instruments import correct_colours, learn_across, merge
+from manifold.estimate.samples import Sample, find_samples, safe_name
+from manifold.estimate.suggest import Suggested, directions_left, suggest
+from manifold.formats import registry
+from manifold.formats.readings import Readings, gloss_fault
+from manifold.library.identity import alike
+from manifold.library.store import Library
+from manifold.model import diagnostics
+from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
+from manifold.progress import Stages
+from manifold.records import Array
+
+_MOST_READINGS = 2000
+_ENOUGH_SAMPLES = 6  # of a colour correction; see docs/explanation/completion.md
+_PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
+_PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Completed:
+    """A completed material, as written.
+
+    Attributes:
+        path: the written file.
+        picture: of its ball; None where none was asked for.
+        completion: before it was written.
+        correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
+        expected: expected errors: ball CIEDE2000, cube-root and linear error.
+        plausibility: of the written file, read back.
+        suggested: the next readings to take; None where none were asked for.
+        diagnostics: what a user should know before trusting it, in sentences.
+        seconds: in all, without reading.
+    """
+
+    path: Path
+    picture: Path | None
+    completion: Completion
+    correction: ColourCorrection | None
+    expected: dict[str, float]
+    plausibility: Plausibility
+    suggested: Suggested | None
+    diagnostics: tuple[str, ...]
+    seconds: float
+
+    @property
+    def residual(self) -> float:
+        """Of the readings, in cube roots: root mean square, or that of gloss if it is larger."""
+        return self.completion.residual_of_readings
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        made = self.completion
+        return {
+            "path": str(self.path),
+            "picture": None if self.picture is None else str(self.picture),
+            "sample": made.readings.name,
+            "instrument": made.readings.instrument,
+            "readings": len(made.readings),
+            "misfits": made.misfits.tolist(),
+            "residual": self.residual,
+            "gloss": {
+                f"{angle:g}": {"read": units, "completed": made.gloss[angle]}
+                for angle, units in made.readings.gloss.items()
+            },
+            "made_of": dict(made.made_of),
+            "alternatives": [vars(a) for a in made.alternatives],
+            "expected": self.expected,
+            "uncertainty": uncertainty(made),
+            "correction": None if self.correction is None else self.correction.to_json(),
+            "plausibility": vars(self.plausibility),
+            "suggested_deg": None if self.suggested is None else self.suggested.angles_deg.tolist(),
+            "diagnostics": list(self.diagnostics),
+            "seconds": self.seconds,
+        }
+
+
+def complete_readings(
+    readings: Readings,
+    library: Path,
+    output: Path,
+    *,
+    correction: ColourCorrection | None = None,
+    picture: Path | None = None,
+    count: int = 0,
+    instrument: str | None = None,
+    options: OutputOptions = DEFAULT_OPTIONS,
+) -> Completed:
+    """Complete readings of one sample through the materials of a library, and write the BRDF as an RGL file.
+
+    Args:
+        readings: of the sample.
+        library: of measured materials.
+        output: the file to write; its name becomes the material's.
+        correction: what `read` learned, to be reported.
+        picture: of the ball, to render.
+        count: how many further readings to suggest.
+        instrument: whose directions to suggest.
+        options: of the file.
+    Raises:
+        BandMismatchError: bands of readings and library do not go together.
+        UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.
+    """
+    start = time.perf_counter()
+    if count:
+        directions_left(count, readings, instrument)
+    require_bsdf_output(output)
+    shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
+    stages = Stages(shares)
+    opened = Library(library)
+    stages.begin("reading materials")
+    atoms = _atoms_of(opened)
+    stages.begin("completing")
+    made = complete(atoms, readings)
+    stages.begin("expected error")
+    calibration = calibrate(atoms, made.readings, opened)
+    suggested = suggest(atoms, count, made, instrument) if count else None
+    stages.begin("writing")
+    written = write_checked(
+        output,
+        made.brdf,
+        options,
+        description=_describe(made),
+        remedy="make it physical, measure more directions near the highlight",
+        keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
+    )
+    if picture is not None:
+        from manifold.render import ball, images
+        from manifold.render.render import RenderSettings
+
+        stages.begin("rendering")
+        images.write_image(picture, ball.read_material(output).render(RenderSettings()))
+    plausibility = written.plausibility
+    if written.file is not None and written.change is not None:
+        made = made.as_written(MeasuredBRDF(written.file))
+    expected = calibration.expected(made)
+    if written.change is not None:
+        changed = written.change._asdict()
+        expected = {kind: float(np.hypot(error, changed[kind])) for kind, error in expected.items()}
+    notes = (
+        *made.notes,
+        *calibration.notes(made),
+        *diagnostics.of_prediction(False, plausibility),
+        *written.projection,
+    )
+    return Completed(
+        output, picture, made, correction, expected, plausibility, suggested, notes,
+        time.perf_counter() - start,
+    )  # fmt: skip
+
+
+_kept: dict[tuple[Path, str], LibraryAtoms] = {}  # of the library that was used last, for the next sample
+
+
+def _atoms_of(library: Library) -> LibraryAtoms:
+    key = library.path, library.content_hash
+    if key not in _kept:
+        _kept.clear()
+        _kept[key] = LibraryAtoms.of_library(library)
+    return _kept[key]
+
+
+def read(
+    paths: Sequence[Path],
+    sample: str | None = None,
+    correction: Path | None = None,
+    gloss: Mapping[float, float] = MappingProxyType({}),
+) -> tuple[Readings, ColourCorrection | None]:
+    """Readings of one sample from its files; those of several instruments are put together.
+
+    Args:
+        paths: of one instrument, or of several, whose colours are right first.
+        sample: which of a file's samples, of every file that holds several.
+        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
+        gloss: of the sample, in gloss units, by angle in degrees; that of the files, where they have some, otherwise.
+    Returns:
+        The readings, and the colour correction that was learned from the files of two instruments, if any.
+    Raises:
+        FileFormatError: a file is of no known format, or damaged.
+        BandMismatchError: bands of the files, or of the correction, do not go together.
+        UsageError: a file cannot be read, or has no such sample.
+    """
+    is_only = len(paths) == 1
+    readings = [registry.read_readings(path, sample, _MOST_READINGS, is_only=is_only) for path in paths]
+    names = list(dict.fromkeys(one.name for one in readings))
+    if sample is not None and sample not in names:
+        raise UsageError(
+            f"no file holds a sample '{sample}', but {' and '.join(names)}; name another, or none"
+        )
+    return _merged(readings, correction, gloss)
+
+
+def read_sample(
+    sample: Sample, correction: Path | None = None, gloss: Mapping[float, float] = MappingProxyType({})
+) -> tuple[Readings, ColourCorrection | None]:
+    """The same of a sample that was found in files, see `samples.find_samples`."""
+    readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
+    merged, learned = _merged(readings, correction, gloss)
+    return merged if sample.note is None else merged.with_note(sample.note), learned
+
+
+def _merged(
+    readings: list[Readings], correction: Path | None, gloss: Mapping[float, float]
+) -> tuple[Readings, ColourCorrection | None]:
+    if correction is not None:
+        known = read_correction(correction)
+        readings = [correct_colours(r, known) if r.bands.count == 3 else r for r in readings]
+    merged, learned = readings[0], None
+    for other in readings[1:]:
+        merged, learned = merge(merged, other)
+    return replace(merged, gloss={**merged.gloss, **gloss}), learned
+
+
+def readings_of_lab(text: str, gloss: Mapping[float, float], library: Path) -> Readings:
+    """A colour `L,a,b` and gloss as readings in the bands of a library. Raises: as `parse_lab`, and `Library`."""
+    return readings_of_colour(parse_lab(text), gloss, Library(library).bands)
+
+
+def parse_lab(text: str) -> Array:
+    """A CIELAB colour (3,) of `L,a,b`.
+
+    Raises:
+        UsageError: there are not three finite numbers, or the lightness is not from 0 to 100.
+    """
+    try:
+        lab = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        lab = np.empty(0)
+    if lab.shape != (3,) or not np.isfinite(lab).all() or not 0.0 <= lab[0] <= 100.0:
+        raise UsageError(f"colour '{text}', expected L,a,b such as 50,20,10, with L from 0 to 100")
+    return lab
+
+
+def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
+    """Gloss units by angle in degrees, of texts such as `60=12.5`.
+
+    Raises:
+        UsageError: a text is none, an angle is none of a gloss meter's, or comes twice.
+    """
+    found: dict[float, float] = {}
+    for text in texts:
+        angle, is_pair, units = text.partition("=")
+        try:
+            pair = float(angle), float(units)
+        except ValueError:
+            pair = np.nan, np.nan
+        if not is_pair or not np.isfinite(pair).all():
+            raise UsageError(f"gloss '{text}', expected an angle and gloss units, such as 60=12.5")
+        if (fault := gloss_fault(*pair)) is not None:
+            raise UsageError(fault)
+        if pair[0] in found:
+            raise UsageError(f"gloss at {pair[0]:g} degrees twice, expected once; give their mean")
+        found[pair[0]] = pair[1]
+    return found
+
+
+def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, int]:
+    """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
+
+    Args:
+        paths: of every sample, or several of the same names, the reference's file, then the other's; or a folder of
+            each instrument's, in which samples of the same names are used.
+        output: a JSON file.
+    Returns:
+        The correction, and from how many samples it was learned.
+    Raises:
+        UsageError: the number of files is odd, no names are the same, or too few directions are shared.
+        BandMismatchError: bands differ between samples, or the other instrument has not three.
+    """
+    disk.require_writable(output)
+    is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)
+    if len(paths) % 2 or not paths:
+        raise UsageError(
+            f"found {len(paths)}, expected pairs of files, of every sample the reference's, then the other's; or two "
+            "folders, the reference's first"
+        )
+    pairs = (
+        _pairs_of_folders(paths[0], paths[1])
+        if is_folders
+        else [
+            pair
+            for reference, other in zip(paths[::2], paths[1::2], strict=True)
+            for pair in registry.read_pairs(reference, other, _MOST_READINGS)
+        ]
+    )
+    learned = learn_across(pairs)
+    write_correction(output, learned)
+    return learned, len(pairs)
+
+
+def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Readings]]:
+    """Readings of the samples that have the same name in two folders."""
+    first, second = ({alike(one.name): one for one in find_samples([path])} for path in (reference, other))
+    shared = [(first[name], second[name]) for name in first if name in second]
+    if not shared:
+        raise UsageError(f"{reference} and {other}: no sample has the same name in both; name pairs of files")
+    return [(read_sample(one)[0], read_sample(two)[0]) for one, two in shared]
+
+
+def calibration_notes(learned: ColourCorrection, n_samples: int) -> tuple[str, ...]:
+    """What a colour correction is good for, by its errors and the number of its samples, in sentences."""
+    notes = []
+    error = learned.errors[learned.form]
+    if error >= learned.uncorrected:
+        notes.append(
+            f"spectra estimated without a correction have a smaller error, {learned.uncorrected:.4f}: do not use it; "
+            "do both files of each pair read one sample?"
+        )
+    if n_samples < _ENOUGH_SAMPLES:
+        few = (
+            "one sample determines the correction of its own colour only: in simulations the error for other colours "
+            "is one half"
+            if n_samples == 1
+            else f"{n_samples} samples determine a correction badly: in simulations the error for other colours is a "
+            "quarter, with six samples a sixth"
+        )
+        notes.append(f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours")
+    return tuple(notes)
+
+
+def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:
+    """The readings to begin with, for a library, before anything is read."""
+    directions_left(count, None, instrument)
+    return suggest(LibraryAtoms.of_library(Library(library)), count, None, instrument)
+
+
+def uncertainty(made: Completion) -> dict[str, Any]:
+    """Standard deviation of f over hypotheses, relative, in the plane of incidence, direction by direction."""
+    profiles: dict[str, list[float]] = {}
+    for incidence in _PROFILE_INCIDENCES_DEG:
+        wi = from_spherical(np.deg2rad(incidence), np.pi)
+        wo = from_spherical(np.deg2rad(_PROFILE_ELEVATIONS_DEG), 0.0)
+        profiles[f"{incidence:g}"] = made.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
+    return {"theta_o_deg": _PROFILE_ELEVATIONS_DEG.tolist(), "by_incidence_deg": profiles}
+
+
+def _describe(made: Completion) -> str:
+    gloss = " and its gloss" if made.readings.gloss else ""
+    return (
+        f"Completed from {len(made.readings)} readings ({made.readings.instrument}) of {made.readings.name}{gloss} "
+        f"through {len(made.atoms.names)} materials by manifold {__version__}"
+    )
+
+
+def file_name(readings: Readings) -> str:
+    """The default name of a completed material's file: that of the sample."""
+    return f"{safe_name(readings.name)}.bsdf"

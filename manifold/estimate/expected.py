@@ -1,0 +1,207 @@
+"""Expected errors of a completion: those of the library's materials, completed from the same directions."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from manifold import __version__
+from manifold.colour import ball_colours
+from manifold.colour.conversion import luminance
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.complete import Completion, complete_at
+from manifold.estimate.gloss import gloss_meter
+from manifold.formats.readings import MOST_GLOSS, Readings
+from manifold.library.store import Library
+from manifold.metrics import cube_root_error, relative_error
+from manifold.model.expected_error import BELOW_TWICE
+from manifold.records import Array, Bands, Mask
+
+KINDS = ("ball", "cube_root", "linear")
+_PRIOR = 0.1  # strength of the prior that errors do not depend on an indicator, in units of its variance
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration:
+    """Errors of left-out materials of a library, completed from the directions of some readings.
+
+    Attributes:
+        errors: ball CIEDE2000, cube-root error and linear error of every material, shape (N, 3).
+        indicators: residual of the readings and spread of hypotheses, from which errors are predicted, shape (N, 2).
+    """
+
+    errors: Array
+    indicators: Array
+
+    def __repr__(self) -> str:
+        medians = ", ".join(
+            f"{kind} {m:.3g}" for kind, m in zip(KINDS, np.median(self.errors, 0), strict=True)
+        )
+        return f"<Calibration: {len(self.errors)} materials left out, median errors {medians}>"
+
+    def expected(self, completion: Completion) -> dict[str, float]:
+        """Expected errors of a completion from these directions, by kind.
+
+        Logarithms of errors are linear in those of the indicators, with non-negative slopes. As for predictions, at
+        least half of the left-out errors are below the expected one, and 90 % below twice that. Where the residual is
+        larger than that of any left-out material, errors grow in proportion to it. The error of colours that were
+        estimated from three bands, or that repeated readings leave open, is added to that of the ball.
+        """
+        ball, *others = self.at(indicators_of(completion)).tolist()
+        ball = float(np.hypot(ball, completion.colour_error))
+        return dict(zip(KINDS, (ball, *others), strict=True))
+
+    def at(self, indicators: Array) -> Array:
+        """Expected errors (3,) of what has these indicators (2,)."""
+        return self._line(indicators, np.ones(len(self.indicators), bool))
+
+    def notes(self, completion: Completion) -> tuple[str, ...]:
+        """A note where the residual of the readings is larger than that of any left-out material."""
+        residual, largest = indicators_of(completion)[0], self.indicators[:, 0].max()
+        if residual <= largest:
+            return ()
+        return (
+            f"the residual of the readings is {100.0 * residual:.0f} %, that of left-out materials at most "
+            f"{100.0 * largest:.0f} %: they may be of two samples, in other units or directions, or of a kind of "
+            "material that the library lacks; errors may be larger than expected",
+        )
+
+    @property
+    def left_out(self) -> Array:
+        """Expected errors of every material, learned from the others, shape (N, 3)."""
+        every = np.arange(len(self.indicators))
+        return np.array([self._line(self.indicators[i], every != i) for i in every])
+
+    def _line(self, indicators: Array, known: Array) -> Array:
+        x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.indicators, self.errors))
+        centre, level = x.mean(axis=0), y.mean(axis=0)
+        scale = x.std(axis=0) + 1e-6
+        X = np.vstack([(x - centre) / scale, np.sqrt(_PRIOR * len(x)) * np.eye(x.shape[1])])
+        log = np.log(np.maximum(indicators, 1e-6))
+        at = (np.clip(log, x.min(axis=0), x.max(axis=0)) - centre) / scale
+        beyond = max(log[0] - x[:, 0].max(), 0.0)
+        slopes = np.array([nnls(X, np.append(column, np.zeros(x.shape[1])))[0] for column in (y - level).T])
+        above = y - level - X[: len(x)] @ slopes.T
+        enough = np.quantile(above, BELOW_TWICE, axis=0) - np.log(2.0)
+        return np.asarray(np.exp(level + slopes @ at + beyond + np.maximum(np.median(above, axis=0), enough)))
+
+
+def indicators_of(completion: Completion) -> Array:
+    """Indicators of its error, shape (2,): residual of readings, spread of hypotheses.
+
+    The residual is that of the completion, root mean square, or of the mixtures that it was made from if they differ
+    more from what was read.
+    """
+    return np.array(
+        [max(completion.residual_of_readings, completion.residual_of_mixtures), completion.spread]
+    )
+
+
+def calibrate(atoms: LibraryAtoms, readings: Readings, library: Library | None = None) -> Calibration:
+    """Complete every material of a library from the others, at the directions and in the bands of some readings.
+
+    Args:
+        atoms: of the library.
+        readings: of which only directions, bands, weights and angles of gloss are used.
+        library: in whose cache the result is kept for these, and from which it is taken if it is there.
+    """
+    if library is None:
+        return _calibrated(atoms, readings)
+    return cached(library, _cache_key(atoms, readings, library), lambda: _calibrated(atoms, readings))
+
+
+def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> Calibration:
+    """The calibration of a key in the cache of a library; made, and kept there, where there is none."""
+    kept = library.cache_get(key) or {}
+    shapes = {name: array.shape[1:] for name, array in kept.items()}
+    if shapes == {"errors": (len(KINDS),), "indicators": (2,)} and len(kept["errors"]) == len(
+        kept["indicators"]
+    ):
+        return Calibration(kept["errors"], kept["indicators"])
+    calibration = calibrate()
+    library.cache_put(key, {"errors": calibration.errors, "indicators": calibration.indicators})
+    return calibration
+
+
+def _cache_key(atoms: LibraryAtoms, readings: Readings, library: Library) -> str:
+    """A hash of all that a calibration depends on: the library, the instrument's geometry and bands, this program."""
+    axes = (
+        atoms.names,
+        atoms.coats,
+        atoms.bands.wavelengths_nm,
+        readings.bands.wavelengths_nm,
+        tuple(readings.gloss),
+    )
+    digest = hashlib.sha256(f"completion {__version__} {library.content_hash} {axes}".encode())
+    for array in (readings.wi, readings.wo, readings.weights):
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _calibrated(atoms: LibraryAtoms, readings: Readings) -> Calibration:
+    at_readings, at_gloss = atoms.at(readings.wi, readings.wo), atoms.gloss(tuple(readings.gloss))
+    errors, indicators = [], []
+    for m in range(len(atoms.names)):
+        completion = leave_out(atoms, m, at_readings, readings, at_gloss)
+        errors.append(errors_of(atoms, m, completion.on_grid, completion.on_ball))
+        indicators.append(indicators_of(completion))
+    return Calibration(np.array(errors), np.array(indicators))
+
+
+def leave_out(
+    atoms: LibraryAtoms, m: int, at_readings: Array, readings: Readings, at_gloss: Array | None = None
+) -> Completion:
+    """Material m completed from all others in the bands of the atoms, from readings without noise.
+
+    It is read in those of these bands that are nearest to the readings' only, so that errors of extrapolation to other
+    bands count.
+
+    Args:
+        atoms: of the library.
+        m: index of the material.
+        at_readings: cube roots of atoms at the readings, shape (n + 1, P).
+        readings: of which directions, bands, weights and angles of gloss are used.
+        at_gloss: cube roots of atoms at the gloss, shape (n + 1, G), if any.
+    """
+    own, axis = atoms.material_of == m, atoms.band_axis
+    glossy = np.empty((len(own), 0)) if at_gloss is None else at_gloss
+    is_read = _nearest(axis, readings.bands)
+    gloss = {
+        angle: min(float(mean) / gloss_meter(angle).mean_value(1.0), MOST_GLOSS[angle])
+        for angle, mean in zip(readings.gloss, luminance(glossy[own].T ** 3, axis), strict=True)
+    }
+    read = Readings(
+        atoms.names[m], "library", readings.wi, readings.wo,
+        None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm)[is_read],
+        at_readings[own].T[:, is_read] ** 3, readings.weights, gloss=gloss,
+    )  # fmt: skip
+    return complete_at(atoms.without(m).in_atom_bands(), read, at_readings[~own], glossy[~own])
+
+
+def _nearest(bands: Bands, to: Bands) -> Mask:
+    """Which bands (B,) are the nearest to one of others; all where one of both is linear sRGB."""
+    if bands.wavelengths_nm is None or to.wavelengths_nm is None:
+        return np.ones(bands.count, bool)
+    apart = np.abs(np.subtract.outer(to.wavelengths_nm, bands.wavelengths_nm))
+    return np.isin(np.arange(bands.count), apart.argmin(axis=1))
+
+
+def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> tuple[float, float, float]:
+    """Ball CIEDE2000, cube-root and linear error of f predicted for material m in the bands of the atoms.
+
+    Args:
+        atoms: of the library.
+        m: index of the material.
+        on_grid: f on the grid, shape (P_g, B_s).
+        on_ball: f at the pairs that light a ball, shape (P_b, B_s).
+    """
+    if not np.all(np.isfinite(on_ball)):
+        return np.nan, np.nan, np.nan
+    own, n = atoms.material_of == m, atoms.n_grid
+    of_ball = ball_colours.ball().difference(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
+    truth, cosines = atoms.directions[own, :n].T ** 3, atoms.weights[:n] ** 1.5
+    return of_ball, cube_root_error(truth, on_grid, cosines), relative_error(truth, on_grid, cosines)

@@ -1,0 +1,303 @@
+"""The material of photographed balls: its BRDF, expected errors, and what the light cannot tell."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from manifold import __version__
+from manifold.colour.ball_colours import delta_e
+from manifold.colour.conversion import srgb_to_xyz
+from manifold.estimate.atoms import shown_shares
+from manifold.estimate.blocks import Blocks
+from manifold.estimate.expected import KINDS, Calibration, cached
+from manifold.estimate.light import Environment
+from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.photo_estimate import Prior, Rows, estimate, prior_of
+from manifold.estimate.pixels import SAMPLES, Camera, block_sums, direction_pairs
+from manifold.formats.readings import Readings
+from manifold.library.store import Library
+from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.model.prediction import PredictedBRDF
+from manifold.records import Array, Bands, Mask, evenly_spaced
+
+_LEFT_OUT = 16  # materials by which expected errors are calibrated
+_CHANNELS_NM = (
+    610.0,
+    550.0,
+    465.0,
+)  # bands of a spectral library that stand for the channels of left-out materials
+_EXPOSURES = np.geomspace(1.0 / 16.0, 16.0, 33)  # that are tried, relative to that of a grey ball
+_GREY = 0.3  # its albedo
+_HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
+_DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
+_UNLIT = 0.02  # share of a pixel's light below which nothing is learned
+_ENOUGH_READINGS = 30  # that count as much as all photographs
+_UNEXPLAINED = 0.03  # residual that noise can make
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A ball as a camera saw it under known light.
+
+    Attributes:
+        blocks: of its picture.
+        camera: where it stood.
+        environment: in its channels.
+    """
+
+    blocks: Blocks
+    camera: Camera
+    environment: Environment
+
+    @cached_property
+    def pairs(self) -> tuple[Array, Array, Array]:
+        """See `pixels.direction_pairs`."""
+        return direction_pairs(self.blocks, self.camera, self.environment, SAMPLES)
+
+    def rows(self, atoms: PhotoAtoms) -> list[Rows]:
+        """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small."""
+        sums = block_sums(atoms.values, *self.pairs)
+        counts, blocks = np.sqrt(self.blocks.counts), self.blocks
+        channels = range(sums.shape[1])
+        return [Rows(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped) for c in channels]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PhotoMaterial:
+    """A material found in photographs.
+
+    Attributes:
+        atoms: of the library.
+        weights: of atoms in the channels of the camera, shape (3, n).
+        to_bands: from channels to the bands of the library, shape (B, 3).
+        bands: of the library.
+        exposure: by which the photographs are brighter than light and material say.
+        channels: what was seen in each, under that exposure.
+        residual: relative error of cube roots of pixels.
+        spread: of the mixtures that explain the pixels, relative, over all directions.
+        unlit: what the light cannot tell, in sentences.
+        library: in whose cache the calibration is kept, if any.
+    """
+
+    atoms: PhotoAtoms
+    weights: Array
+    to_bands: Array
+    bands: Bands
+    exposure: float
+    channels: Sequence[Rows]
+    residual: float
+    spread: float
+    unlit: tuple[str, ...]
+    library: Library | None = None
+
+    def __repr__(self) -> str:
+        like = ", ".join(f"{share:.2f} {name}" for name, share in self.made_of[:3])
+        return f"<PhotoMaterial: residual {self.residual:.1%}, {like}>"
+
+    @cached_property
+    def brdf(self) -> PredictedBRDF:
+        """The BRDF in the bands of the library; of spectral ones slightly negative where colours are saturated."""
+        return self.atoms.predicted(self.to_bands @ self.weights, self.bands)
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """Errors of the library's materials, left out, in the same pixels."""
+        if self.library is None:
+            return calibrated(self.atoms, self.channels)
+        return cached(
+            self.library,
+            _cache_key(self.atoms, self.channels, self.library),
+            lambda: calibrated(self.atoms, self.channels),
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the light cannot tell, and whether light and photographs go together, in sentences."""
+        most = float(self.calibration.indicators[:, 0].max())
+        if self.residual <= max(_UNEXPLAINED, most):
+            return self.unlit
+        return (
+            f"nothing explains the pixels (residual {self.residual:.0%}, of left-out materials at most {most:.0%}): is "
+            "the light that of the photograph, turned and exposed alike, and the circle that of the ball?",
+            *self.unlit,
+        )
+
+    @cached_property
+    def expected(self) -> dict[str, float]:
+        """Expected errors by kind: ball CIEDE2000, cube-root and linear error."""
+        found = self.calibration.at(np.array([self.residual, self.spread]))
+        return dict(zip(KINDS, found.tolist(), strict=True))
+
+    @property
+    def made_of(self) -> tuple[tuple[str, float], ...]:
+        """Materials, coats and lobes with their shares of the light that the ball sends, largest first."""
+        names = (*self.atoms.library.names, *self.atoms.library.coats, "analytic lobes")
+        light = self.weights.mean(axis=0) * self.atoms.on_ball.sum(axis=1)
+        totals = np.bincount(self.atoms.material_of, light, len(names))
+        return shown_shares(names, totals / max(totals.sum(), np.finfo(float).tiny))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "exposure": self.exposure,
+            "residual": self.residual,
+            "expected": self.expected,
+            "made_of": dict(self.made_of),
+            "notes": list(self.notes),
+        }
+
+
+def find_material(
+    atoms: PhotoAtoms,
+    sightings: Sequence[Sighting],
+    bands: Bands,
+    to_bands: Array,
+    *,
+    exposure: float | None = 1.0,
+    readings: Readings | None = None,
+    library: Library | None = None,
+) -> PhotoMaterial:
+    """The material that explains photographs, and readings in linear sRGB if there are any.
+
+    Args:
+        atoms: of the library.
+        sightings: of one material, by one camera in one exposure.
+        bands: B, of the library.
+        to_bands: see `spectra.band_matrix`.
+        exposure: of the photographs relative to the light; None finds the one that the library's materials make most
+            probable.
+        readings: of the same material.
+        library: that of the atoms, in whose cache errors of left-out materials are kept.
+    """
+    per_picture = [sighting.rows(atoms) for sighting in sightings]
+    channels = [joined([rows[c] for rows in per_picture]) for c in range(len(per_picture[0]))]
+    if exposure is None:
+        exposure = probable_exposure(atoms, channels)
+    channels = [rows.scaled(exposure) for rows in channels]
+    if readings is not None:
+        channels = [joined([rows, _of_readings(atoms, readings, c, rows)]) for c, rows in enumerate(channels)]
+    weights, priors = estimate(atoms, channels)
+    residual, spread = indicators(channels, weights, priors)
+    return PhotoMaterial(
+        atoms, weights, to_bands, bands, exposure, channels, residual, spread, unlit(sightings), library
+    )
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Rows of several sources together."""
+    return Rows(
+        np.concatenate([rows.atoms for rows in parts], axis=1),
+        *(
+            np.concatenate([getattr(rows, name) for rows in parts])
+            for name in ("seen", "weights", "is_bound")
+        ),
+    )
+
+
+def _of_readings(atoms: PhotoAtoms, readings: Readings, channel: int, pixels: Rows) -> Rows:
+    """Readings of one channel beside pixels: thirty of them count as much as all of these."""
+    is_read = np.isfinite(readings.values[:, channel]) & (readings.weights > 0.0)
+    wi, wo = readings.wi[is_read], readings.wo[is_read]
+    cosines, weights = cosine_weight(wi, wo), readings.weights[is_read]
+    weights = weights * pixels.weights.sum() / max(weights.sum(), _ENOUGH_READINGS)
+    seen = np.maximum(readings.values[is_read, channel], 0.0)
+    return Rows(atoms.values(wi, wo) * cosines, seen * cosines, weights, np.zeros(len(wi), bool))
+
+
+def probable_exposure(atoms: PhotoAtoms, channels: Sequence[Rows]) -> float:
+    """The exposure at which the library's materials explain what was seen best: mean of its logarithm, posterior."""
+    every = np.ones(len(atoms), bool)
+    grey = atoms.mixed[-1]
+    seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in channels)
+    lit = sum(float(rows.weights @ rows.atoms[grey]) for rows in channels)
+    tried = _EXPOSURES * seen / (_GREY * lit)
+    log = np.array([sum(prior_of(atoms, rows.scaled(t), every).evidence for rows in channels) for t in tried])
+    return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
+
+
+def indicators(channels: Sequence[Rows], weights: Array, priors: Sequence[Prior]) -> Array:
+    """Residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
+    residuals = [rows.residual(w) for rows, w in zip(channels, weights, strict=True)]
+    return np.sqrt(np.mean(np.square([residuals, [prior.spread for prior in priors]]), axis=1))
+
+
+def calibrated(atoms: PhotoAtoms, channels: Sequence[Rows]) -> Calibration:
+    """Errors of the library's materials, each found by the others in the same pixels under the same light."""
+    library, axis = atoms.library, atoms.library.band_axis
+    nm = axis.wavelengths_nm
+    three = (
+        np.arange(3)
+        if nm is None
+        else np.array([np.abs(np.subtract(nm, at)).argmin() for at in _CHANNELS_NM])
+    )
+    errors, found = [], []
+    for m in evenly_spaced(len(library.names), _LEFT_OUT):
+        own = m * axis.count + three
+        rows = [_seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
+        weights, priors = estimate(atoms, rows, atoms.without(m))
+        errors.append(errors_of(atoms, own, weights))
+        found.append(indicators(rows, weights, priors))
+    return Calibration(np.array(errors), np.array(found))
+
+
+def _cache_key(atoms: PhotoAtoms, channels: Sequence[Rows], library: Library) -> str:
+    """A hash of all that a calibration depends on: the library, what pixels see of it, this program."""
+    digest = hashlib.sha256(f"photo {__version__} {library.content_hash} {atoms.library.coats}".encode())
+    for rows in channels:
+        for array in (rows.atoms, rows.weights, np.array(_clipping(rows))):
+            digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _clipping(rows: Rows) -> float:
+    """The value at which the camera clipped pixels."""
+    return float(rows.seen[rows.is_bound].min()) if rows.is_bound.any() else np.inf
+
+
+def _seen_instead(rows: Rows, seen: Array) -> Rows:
+    """The same pixels of another material, clipped at the same level."""
+    level = _clipping(rows)
+    return replace(rows, seen=np.minimum(seen, level), is_bound=seen >= level)
+
+
+def errors_of(atoms: PhotoAtoms, own: Array, weights: Array) -> tuple[float, float, float]:
+    """Ball CIEDE2000 in another light, cube-root and linear error of weights (3, n) against three atoms `own`."""
+    truth, made = atoms.on_grid[own].T, (weights @ atoms.on_grid).T
+    balls = [srgb_to_xyz(np.clip(ball.T, 0.0, 1.0)) for ball in (atoms.on_ball[own], weights @ atoms.on_ball)]
+    ones = np.ones(len(truth))  # cosines are in the values
+    return delta_e(*balls), cube_root_error(truth, made, ones), relative_error(truth, made, ones)
+
+
+def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
+    """Highlights that no lamp shows, in a sentence."""
+    most = np.zeros(len(_DIFFERENCES_DEG) - 1)
+    for sighting in sightings:
+        wi, wo, light = sighting.pairs
+        h = wi + wo
+        h /= np.linalg.norm(h, axis=-1, keepdims=True)
+        near = np.rad2deg(np.arccos(np.clip(h[..., 2], -1.0, 1.0))) < _HIGHLIGHT_DEG
+        apart = np.rad2deg(np.arccos(np.clip(np.sum(wi * h, axis=-1), -1.0, 1.0)))
+        total = light.sum(axis=(1, 2))
+        for k, (low, high) in enumerate(pairwise(_DIFFERENCES_DEG)):
+            part = np.where(near & (apart >= low) & (apart < high), light.sum(axis=-1), 0.0).sum(axis=1)
+            most[k] = max(most[k], float((part / np.maximum(total, np.finfo(float).tiny)).max()))
+    dark: Mask = most < _UNLIT
+    if not dark.any():
+        return ()
+    ranges = [
+        f"{low:.0f} to {high:.0f}"
+        for (low, high), is_dark in zip(pairwise(_DIFFERENCES_DEG), dark, strict=True)
+        if is_dark
+    ]
+    return (
+        f"no lamp shows highlights at incidences of {', '.join(ranges)} degrees: there they are those of the library's "
+        "materials",
+    )

@@ -1,0 +1,406 @@
+"""The work behind `--photo` of `manifold complete` and `manifold locate`: photographs of a ball in, a material out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from manifold import __version__
+from manifold.brdf.plausibility import Plausibility
+from manifold.colour.conversion import encode_srgb
+from manifold.colour.lights import ENVIRONMENTS, environment
+from manifold.colour.pictures import read_picture
+from manifold.errors import UsageError
+from manifold.estimate import photo_figure
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.blocks import blocks_of, reduced
+from manifold.estimate.circle import Circle, find_circle
+from manifold.estimate.light import Environment
+from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.photo_files import Photograph, read_photograph
+from manifold.estimate.photo_material import PhotoMaterial, Sighting, find_material
+from manifold.estimate.pixels import Camera
+from manifold.estimate.reading_bands import for_library
+from manifold.estimate.spectra import band_matrix, read_responses, srgb_responses
+from manifold.formats.readings import Readings
+from manifold.library.store import Library
+from manifold.model import diagnostics, located
+from manifold.model.located import Located
+from manifold.model.manifold import Manifold
+from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
+from manifold.model.prediction import ClippedBRDF
+from manifold.plots import figures
+from manifold.progress import Stages
+from manifold.records import Array
+from manifold.render import image_metrics
+from manifold.render.render import render_floating_ball
+
+_MARGIN = 0.05  # around the ball in pictures of residuals
+_SIZE, _SAMPLES = 256, 32  # of predicted pictures
+_BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip
+_SEARCHED = 800  # pixels of the longer side in which a ball is found, at least, where the picture has more
+
+
+@dataclass(frozen=True)
+class PhotoRequest:
+    """Photographs of one material, and how they were taken. What there is one of holds for every photograph.
+
+    Attributes:
+        photographs: files.
+        lights: environments, files or names of `environments.ENVIRONMENTS`.
+        circles: of the balls, as `Circle.parse` reads them; none where they are to be found.
+        turns_deg: azimuths of what lies straight ahead in the environments.
+        elevation_deg, distance: of the camera.
+        exposure: of the photographs relative to the light; None where it is not known.
+        responses: file of the camera's sensitivities; None for sRGB.
+    """
+
+    photographs: Sequence[Path]
+    lights: Sequence[str]
+    circles: Sequence[str] = ()
+    turns_deg: Sequence[float] = (0.0,)
+    elevation_deg: float = 0.0
+    distance: float = np.inf
+    exposure: float | None = 1.0
+    responses: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBall:
+    """A photograph, the ball in it, and its light as a picture.
+
+    Attributes:
+        photograph: as read.
+        circle: of the ball.
+        light: linear radiance, shape (H, W, 3).
+        sighting: of the ball.
+        notes: assumptions about the files of both, in sentences.
+    """
+
+    photograph: Photograph
+    circle: Circle
+    light: Array
+    sighting: Sighting
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FromPhotographs:
+    """A material that was found in photographs.
+
+    Attributes:
+        balls: what was seen.
+        material: what was found.
+        located: its place on a map, where it was asked for.
+        output: the file that was written, if any.
+        plausibility: of that file.
+        picture: of photographs, predictions and differences, if it was asked for.
+        diagnostics: what a user should know before trusting it, in sentences.
+        seconds: in all.
+    """
+
+    balls: tuple[SeenBall, ...]
+    material: PhotoMaterial
+    located: Located | None
+    output: Path | None
+    plausibility: Plausibility | None
+    picture: Path | None
+    diagnostics: tuple[str, ...]
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            **self.material.to_json(),
+            "photographs": [
+                {
+                    "path": str(ball.photograph.path),
+                    "circle": [ball.circle.x, ball.circle.y, ball.circle.radius],
+                }
+                for ball in self.balls
+            ],
+            "located": None if self.located is None else self.located.to_json(),
+            "output": None if self.output is None else str(self.output),
+            "picture": None if self.picture is None else str(self.picture),
+            "plausibility": self.plausibility and vars(self.plausibility),
+            "diagnostics": list(self.diagnostics),
+            "seconds": self.seconds,
+        }
+
+
+def complete_photographs(
+    request: PhotoRequest,
+    library: Path,
+    output: Path,
+    *,
+    readings: Readings | None = None,
+    picture: Path | None = None,
+    options: OutputOptions = DEFAULT_OPTIONS,
+) -> FromPhotographs:
+    """Find the material of photographed balls, and readings of it, with a library as prior, and write it.
+
+    Args:
+        request: the photographs.
+        library: of measured materials.
+        output: the `.bsdf` file to write.
+        readings: of the same material, if there are any.
+        picture: of photographs, predictions and differences; None draws none.
+        options: of the output.
+    Raises:
+        MissingFileError, FileFormatError: a picture cannot be read.
+        BandMismatchError: readings or sensitivities do not go with the bands of the library.
+        UsageError: no ball is found, most of it is clipped, the output cannot be written, or `strict` is set and
+            its albedo would exceed 1.05.
+    """
+    start = time.perf_counter()
+    require_bsdf_output(output)
+    stages = _stages(picture)
+    balls, material, notes = _found(request, Library(library), readings, stages)
+    stages.begin("writing")
+    description = (
+        f"Found in {len(balls)} photograph{'s' * (len(balls) > 1)} of a ball through "
+        f"{len(material.atoms.library.names)} materials by manifold {__version__}"
+    )
+    written = write_checked(
+        output,
+        ClippedBRDF(material.brdf),
+        options,
+        description=description,
+        remedy="make it physical, check the exposure",
+        keeps_hue=True,
+    )
+    notes += (*diagnostics.of_prediction(False, written.plausibility), *written.projection)
+    if written.projection:
+        notes += ("the residual and expected error are those of the material before it was made physical",)
+    if picture is not None:
+        stages.begin("rendering")
+        draw_residuals(balls, output, material, request.exposure, picture)
+    return FromPhotographs(
+        balls, material, None, output, written.plausibility, picture, notes, time.perf_counter() - start
+    )
+
+
+def locate_photographs(
+    model: Manifold | Path | str,
+    request: PhotoRequest,
+    output: Path | None = None,
+    *,
+    library: Path | None = None,
+    picture: Path | None = None,
+    options: OutputOptions = DEFAULT_OPTIONS,
+) -> FromPhotographs:
+    """Find the place of photographed balls on a fitted manifold; what is written is the prediction there.
+
+    Args and raises: as `complete_photographs`, and
+        model: a fitted manifold, or the path of one.
+        library: where its library is now, if not where the model remembers it.
+    """
+    start = time.perf_counter()
+    if output is not None:
+        require_bsdf_output(output)
+    stages = _stages(picture)
+    loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
+    balls, material, notes = _found(request, loaded.library, None, stages)
+    place = located.locate_brdf(loaded, ClippedBRDF(material.brdf))
+    notes += place.diagnostics
+    stages.begin("writing")
+    plausibility = None
+    with TemporaryDirectory() as folder:
+        shown = Path(folder) / "located.bsdf" if output is None else output
+        if output is not None or picture is not None:
+            written = write_checked(
+                shown,
+                ClippedBRDF(place.brdf),
+                options if output is not None else DEFAULT_OPTIONS,
+                description=f"Photographed, at latent ({', '.join(place.coordinates)}), by manifold {__version__}",
+            )
+            plausibility = written.plausibility
+            notes += (*diagnostics.of_prediction(False, plausibility), *written.projection)
+        if picture is not None:
+            stages.begin("rendering")
+            draw_residuals(balls, shown, material, request.exposure, picture)
+    return FromPhotographs(
+        balls, material, place, output, plausibility, picture, notes, time.perf_counter() - start
+    )
+
+
+def _stages(picture: Path | None) -> Stages:
+    if picture is not None:
+        figures.require_writable(picture)
+    shares = {
+        "reading pictures": 1,
+        "reading materials": 4,
+        "comparing pixels": 8,
+        "writing": 2,
+        "rendering": 3,
+    }
+    return Stages(shares)
+
+
+def _found(
+    request: PhotoRequest, library: Library, readings: Readings | None, stages: Stages
+) -> tuple[tuple[SeenBall, ...], PhotoMaterial, tuple[str, ...]]:
+    """What was seen, the material, and notes."""
+    stages.begin("reading pictures")
+    balls = see(request)
+    responses = (
+        srgb_responses(library.bands)
+        if request.responses is None
+        else read_responses(request.responses, library.bands)
+    )
+    if readings is not None:
+        if not library.bands.is_rgb:
+            raise UsageError(
+                f"photographs and readings together, and a library of {library.bands}, expected one in RGB; give the "
+                "readings or the photographs alone, or convert the library"
+            )
+        readings = for_library(readings, library.bands)
+    stages.begin("reading materials")
+    atoms = PhotoAtoms(LibraryAtoms.of_library(library))
+    stages.begin("comparing pixels")
+    material = find_material(
+        atoms, [ball.sighting for ball in balls], library.bands,
+        band_matrix(library, atoms.library.names, responses), exposure=request.exposure, readings=readings,
+        library=library,
+    )  # fmt: skip
+    notes = [note for ball in balls for note in ball.notes] + list(material.notes)
+    if request.exposure is None:
+        notes.append(
+            "the exposure was estimated: lightness may be off by a factor of two and more, which the expected errors "
+            "leave out; photograph a surface of known reflectance in the same light, and give the exposure"
+        )
+    if readings is not None:
+        notes += readings.notes
+    if not library.bands.is_rgb:
+        notes.append(
+            "spectra are estimated from three channels: bands that no channel sees follow the library's"
+        )
+    return balls, material, tuple(dict.fromkeys(notes))
+
+
+def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
+    """Read photographs and lights, and find the balls.
+
+    Raises:
+        MissingFileError, FileFormatError: a picture cannot be read.
+        UsageError: no ball is found, or there are not as many lights, circles or turns as photographs, or one.
+    """
+    if not request.distance > 1.0:
+        raise UsageError(f"a camera at {request.distance:g} radii of the ball, expected more than 1")
+    if request.exposure is not None and not 0.0 < request.exposure < np.inf:
+        raise UsageError(f"exposure {request.exposure:g}, expected a number above 0")
+    angles_deg = (*request.turns_deg, request.elevation_deg)
+    if not np.isfinite(angles_deg).all():
+        raise UsageError(
+            f"turns and elevation of {', '.join(f'{a:g}' for a in angles_deg)}, expected finite angles"
+        )
+    n = len(request.photographs)
+    lights, circles, turns = (
+        _for_each(n, values, what)
+        for values, what in (
+            (request.lights, "lights"),
+            (request.circles or [""], "circles"),
+            (request.turns_deg, "turns"),
+        )
+    )
+    read = {name: _light(name) for name in dict.fromkeys(lights)}
+    balls = []
+    for path, light, text, turn_deg in zip(request.photographs, lights, circles, turns, strict=True):
+        photograph = read_photograph(path)
+        circle = Circle.parse(text) if text else _circle_of(photograph)
+        image, made, notes = read[light]
+        camera = Camera(turn_deg, request.elevation_deg, request.distance)
+        sighting = Sighting(blocks_of(photograph, circle), camera, made)
+        balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes))
+    return tuple(balls)
+
+
+def _circle_of(photograph: Photograph) -> Circle:
+    """The outline of the ball, found in a picture that is not larger than it takes.
+
+    Raises:
+        UsageError: there is none, or nothing of the picture was seen.
+    """
+    if not np.any(np.isfinite(photograph.values).all(axis=2) & ~photograph.is_clipped):
+        raise UsageError(
+            f"{photograph.path}: every pixel is clipped, transparent or not finite, expected a ball; expose it less"
+        )
+    factor = max(1, max(photograph.values.shape[:2]) // _SEARCHED)
+    shown = encode_srgb(np.nan_to_num(reduced(photograph.values, factor)))
+    return find_circle(shown, str(photograph.path)).scaled(factor)
+
+
+def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
+    if len(values) not in (1, n):
+        raise UsageError(f"{len(values)} {what} for {n} photographs, expected one, or one for each")
+    return list(values) * (n if len(values) == 1 else 1)
+
+
+def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
+    """An environment by its file or name, as a picture and for sampling, and notes."""
+    notes: tuple[str, ...] = ()
+    if name in ENVIRONMENTS and not Path(name).is_file():
+        image = environment(name, 256).astype(float)
+    else:
+        picture = read_picture(Path(name))
+        image = np.where(picture.is_opaque[..., None], picture.values, np.nan).astype(float)
+        notes = picture.notes
+        count = np.count_nonzero(picture.is_clipped)
+        bright = np.count_nonzero(image.max(axis=2) > _BRIGHT * image.max())
+        if count > (
+            0 if picture.is_encoded else 0.5 * bright
+        ):  # lights made by programs have some equal values
+            notes += (
+                f"{Path(name).name}: its {count} brightest pixels have one value; if the camera clipped them, the "
+                "light is brighter than this, and the material comes out too bright",
+            )
+    try:
+        return image, Environment.of(image), notes
+    except UsageError as error:
+        raise UsageError(f"{name}: {error}") from error
+
+
+def draw_residuals(
+    balls: Sequence[SeenBall], file: Path, material: PhotoMaterial, exposure: float | None, picture: Path
+) -> None:
+    """Draw photographs beside renders of a file, with their differences.
+
+    A known exposure is divided out; with one that was estimated, photographs stay as they are, and renders are exposed
+    alike: else a wrong one would make all white, or black, and differences small.
+    """
+    known = exposure or 1.0
+    seen, predicted, errors = [], [], []
+    for ball in balls:
+        crop = _cropped(ball.photograph.values, ball.circle) / known
+        clipped = (
+            _cropped(ball.photograph.is_clipped[..., None].astype(np.float32), ball.circle)[..., 0] > 0.0
+        )
+        camera = ball.sighting.camera
+        made = render_floating_ball(
+            file, material.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
+            turn_deg=camera.turn_deg, elevation_deg=camera.elevation_deg, distance=camera.distance,
+        ) * (material.exposure / known)  # fmt: skip
+        shown = [encode_srgb(np.nan_to_num(each)) for each in (crop, made)]
+        across = (1.0 + _MARGIN) * (2.0 * (np.arange(_SIZE) + 0.5) / _SIZE - 1.0)
+        compared = np.hypot(across, across[:, None]) < 0.97
+        compared &= np.isfinite(crop).all(axis=2) & ~clipped
+        seen.append(crop)
+        predicted.append(made)
+        errors.append(np.where(compared, image_metrics.ciede2000_map(*shown), np.nan))
+    names = [ball.photograph.path.name for ball in balls]
+    figures.save(photo_figure.residual_figure(names, seen, predicted, errors), picture)
+
+
+def _cropped(values: Array, circle: Circle) -> Array:
+    """The square around a circle, nearest pixels, NaN beyond the picture: shape (_SIZE, _SIZE, C)."""
+    across = (1.0 + _MARGIN) * circle.radius * (2.0 * (np.arange(_SIZE) + 0.5) / _SIZE - 1.0)
+    rows, columns = (np.floor(centre + across).astype(int) for centre in (circle.y, circle.x))
+    inside = [(at >= 0) & (at < n) for at, n in zip((rows, columns), values.shape, strict=False)]
+    picked = values[np.clip(rows, 0, values.shape[0] - 1)[:, None], np.clip(columns, 0, values.shape[1] - 1)]
+    return np.where((inside[0][:, None] & inside[1])[..., None], picked, np.nan)

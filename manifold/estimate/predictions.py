@@ -1,0 +1,101 @@
+"""Predictions written as RGL files, with their diagnostics."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from manifold import __version__
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import mirror_difference
+from manifold.estimate.attributes import Attributes, adjust
+from manifold.estimate.sources import MaterialSource, place_of
+from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
+from manifold.model.diagnostics import Prediction, diagnose
+from manifold.model.manifold import Manifold
+from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
+from manifold.model.places import PlaceLike
+from manifold.model.prediction import ClippedBRDF
+from manifold.records import Array
+
+
+def predict(
+    model: Manifold | Path | str,
+    latent: PlaceLike | MaterialSource,
+    output: Path | str,
+    *,
+    library: Path | str | None = None,
+    colour: ColourChoice = NEAREST,
+    attributes: Attributes | None = None,
+    options: OutputOptions = DEFAULT_OPTIONS,
+) -> Prediction:
+    """Predict the material at a latent and write it as an RGL file.
+
+    Args:
+        model: a fitted manifold, or the path of one.
+        latent: Q coordinates, another place, or a material, which is located.
+        output: the file to write; its name becomes the material's.
+        library: where the model's library is now, if not where the model remembers it.
+        colour: another than that of the place.
+        attributes: gloss and colour that the material should have instead of its own; see `attributes.adjust`.
+        options: of the file.
+    Raises:
+        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or `strict` is set
+            and its albedo would exceed 1.05.
+        LatentError: the latent does not have Q finite coordinates.
+    """
+    output = Path(output)
+    require_bsdf_output(output)
+    if not isinstance(model, Manifold):
+        model = Manifold.load(model, library)
+    place = place_of(latent, model)
+    if colour != NEAREST or place.path is not None:
+        model.prepare()
+    if attributes is None:
+        adjusted, chosen = None, choose_colour(model, place, colour)
+    else:
+        adjusted = adjust(model, place, attributes, colour)
+        place, chosen = adjusted.place, ChosenColour(adjusted.colours, str(adjusted), 0.0)
+    brdf = model.predict(place, chosen.colours).turned(place.rotation_rad)
+    start = time.perf_counter()
+    clipped = ClippedBRDF(brdf)
+    description = _describe(model, place.latent, chosen.words, options.physical)
+    remedy = "make it physical, write more incidences"
+    written = write_checked(output, clipped, options, description=description, remedy=remedy)
+    assert written.file is not None  # a refusal is an error
+    difference = mirror_difference(brdf, MeasuredBRDF(written.file))
+    seconds = time.perf_counter() - start
+    made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
+    if made.expected is not None and written.change is not None:
+        expected, change = made.expected, written.change
+        ball, cube_root = np.hypot(expected.ball, change.ball), np.hypot(expected.cube_root, change.cube_root)
+        made = replace(made, expected=replace(expected, ball=ball, cube_root=cube_root))
+    turned = f"turned by {np.rad2deg(place.rotation_rad):.1f} degrees, as the sample lay"
+    made = replace(
+        made, diagnostics=made.diagnostics + written.projection + (turned,) * bool(place.rotation_rad)
+    )
+    if adjusted is not None:
+        made = replace(
+            made, diagnostics=made.diagnostics + adjusted.shortfalls, attributes=adjusted.to_json()
+        )
+    return replace(
+        made,
+        path=output,
+        is_physical=options.physical,
+        clipped_share=clipped.clipped_share,
+        mirror_difference=difference,
+        seconds=seconds,
+    )
+
+
+def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> str:
+    """The description in a predicted file."""
+    origin = (
+        "a synthetic corpus" if model.materials.is_synthetic else f"{len(model.names)} measured materials"
+    )
+    at = ", ".join(model.space.printed(x))
+    how = (f", colour {colour}" if colour else "") + ", projected to be physical" * physical
+    return f"Predicted at latent ({at}){how}{',' * bool(how)} from {origin} by manifold {__version__}"

@@ -1,0 +1,206 @@
+"""What a user names as a material: a file, a material of a library, or a place on a map; parsed here, once."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
+from manifold.io_rgl import material_name, read_bsdf, write_bsdf
+from manifold.model.colours import NEAREST, ColourChoice
+from manifold.model.places import Place, PlaceLike, parse_coordinates
+from manifold.names import names_like
+from manifold.records import BsdfFile
+
+if TYPE_CHECKING:
+    from manifold.model.manifold import Manifold
+
+_FILE_ENDING = re.compile(r"\.[A-Za-z]\w*")
+
+
+@dataclass(frozen=True)
+class FileSource:
+    """A file, of whatever format, or a folder.
+
+    Attributes:
+        path: where it is.
+    """
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """Of the material, by the file's."""
+        return material_name(self.path)
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+@dataclass(frozen=True)
+class LibrarySource:
+    """A measured material of a library.
+
+    Attributes:
+        library: path of the library.
+        name: of the material.
+    """
+
+    library: Path
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True)
+class PlaceSource:
+    """The prediction at a place on the map of a model.
+
+    Attributes:
+        model: path of the model.
+        place: on its map.
+        library: of the model, if it was moved.
+        colour: of the prediction.
+    """
+
+    model: Path
+    place: PlaceLike
+    library: Path | None = None
+    colour: ColourChoice = NEAREST
+
+    @property
+    def name(self) -> str:
+        """Of what is predicted, for files."""
+        return "predicted"
+
+    def __str__(self) -> str:
+        if isinstance(self.place, str):
+            return self.place
+        latent = self.place.latent if isinstance(self.place, Place) else self.place
+        return ", ".join(f"{v:.4g}" for v in latent)
+
+
+MaterialSource = FileSource | LibrarySource | PlaceSource
+"""What commands take for a material."""
+
+
+def parse_source(
+    text: str, model: Path, library: Path | None = None, colour: ColourChoice = NEAREST
+) -> MaterialSource:
+    """What a text means: a file, else a material of the library, else a folder, else a place on the map.
+
+    Args:
+        text: a path, the name of a material, coordinates with commas between, or `FROM:TO:T`.
+        model: path of the model whose map and library are meant; it need not exist for files.
+        library: path of another library, or of the model's, if it was moved.
+        colour: of a prediction.
+    Raises:
+        MissingFileError: it looks like a path, and nothing is there.
+        UnknownNameError: it is none of these.
+    """
+    text = text.strip()
+    path = Path(text)
+    if os.path.isfile(path):
+        return FileSource(path)
+    looks_like_file = "/" in text or _FILE_ENDING.fullmatch(path.suffix) is not None
+    try:
+        known, names = _names(model, library)
+        unknown = (
+            f"no material of {known.name} ({names_like(names, text)}), and no place on a map; "
+            "places are X,Y or FROM:TO:T between two materials"
+        )
+    except ManifoldError as error:
+        known, names = Path(), ()
+        unknown = f"no place on a map, and no materials to look it up among: {error}"
+    if text in names:
+        return LibrarySource(known, text)
+    if os.path.exists(path):
+        return FileSource(path)
+    if not looks_like_file and (parse_coordinates(text) is not None or _is_path_of_latents(text)):
+        return PlaceSource(model, text, library, colour)
+    if looks_like_file:
+        raise MissingFileError(
+            f"{text}: no such file or folder; name one, or a material of a library, or a place on a map"
+        )
+    raise UnknownNameError(f"{text}: no file, {unknown}")
+
+
+def read_source(source: MaterialSource) -> BsdfFile:
+    """The RGL file of a source, turned as it was measured; a prediction is measured by the virtual goniometer.
+
+    Raises:
+        UsageError, FileFormatError, LibraryError, ModelError: it cannot be read or predicted.
+    """
+    if isinstance(source, FileSource):
+        return read_bsdf(source.path)
+    if isinstance(source, LibrarySource):
+        from manifold.library.store import Library
+
+        return replace(Library(source.library).read(source.name), rotation_rad=0.0)
+    with source_file(source) as path:
+        return read_bsdf(path)
+
+
+def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
+    """The place of a source on a map; what is not among its materials is located by its values, see `Manifold.embed`.
+
+    Raises:
+        UsageError, FileFormatError, LibraryError: it cannot be read, or is no place.
+        BandMismatchError: its bands are not the model's.
+    """
+    if isinstance(source, LibrarySource) and source.name in model.names:
+        return model.place(source.name)
+    if isinstance(source, FileSource | LibrarySource):
+        from manifold.model.located import locate
+
+        found = locate(model, read_source(source))
+        return Place(found.latent, rotation_rad=found.rotation_rad)
+    return model.place(source.place if isinstance(source, PlaceSource) else source)
+
+
+@contextmanager
+def source_file(source: MaterialSource) -> Iterator[Path]:
+    """The path of a file that holds a source, which is temporary unless the source is a file.
+
+    Raises:
+        UsageError, LibraryError, ModelError: it cannot be read or predicted.
+    """
+    if isinstance(source, FileSource):
+        yield source.path
+        return
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{source.name}.bsdf"
+        if isinstance(source, LibrarySource):
+            write_bsdf(path, read_source(source))
+        else:
+            from manifold.estimate.predictions import predict
+            from manifold.model.output_file import FINE_OPTIONS
+
+            predict(
+                source.model, source.place, path, library=source.library, colour=source.colour, options=FINE_OPTIONS,
+            )  # fmt: skip
+        yield path
+
+
+def _names(model: Path, library: Path | None) -> tuple[Path, tuple[str, ...]]:
+    """The library that names are looked up in, and its names."""
+    from manifold.library.store import Library
+
+    if library is None:
+        from manifold.model.model_file import read_model
+
+        library = read_model(model).library
+    return library, Library(library).names
+
+
+def _is_path_of_latents(text: str) -> bool:
+    """Whether a text has the form of `FROM:TO:T`."""
+    *names, t = text.split(":")
+    return len(names) >= 2 and parse_coordinates(t) is not None

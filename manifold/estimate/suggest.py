@@ -1,0 +1,323 @@
+"""Suggested directions of the next readings, from three unknown deviations: hypotheses, colours, residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from manifold.colour import ball_colours
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
+from manifold.estimate.complete import Completion
+from manifold.estimate.mixtures import material_prior
+from manifold.estimate.residual import NOISE, coordinates, covariance
+from manifold.formats.light_side import LEAST_HIDDEN
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.records import Array, Indices, Mask
+
+_BALL = 3.0  # weight of the ball against all directions
+_LEAST = 1e-4  # added to the standard deviation of every pixel
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """H equally probable deviations from a completion, of mean zero.
+
+    Attributes:
+        at_candidates: cube roots at the candidate readings, shape (H, D).
+        on_ball: of the pixels of a ball, shape (H, K).
+        everywhere: at all directions, times the square roots of their weights, shape (H, P); P may be 0.
+        noise: variance of the noise of the candidates, shape (D,).
+    """
+
+    at_candidates: Array
+    on_ball: Array
+    everywhere: Array
+    noise: Array
+
+    def variance_reduction(self, wanted: Array) -> Array:
+        """By how much each candidate reduces the variance of values that deviate by (H, W), shape (D, W)."""
+        variance = np.sum(self.at_candidates**2, axis=0) + self.noise
+        # A black completion deviates by nothing.
+        return np.asarray((self.at_candidates.T @ wanted) ** 2 / (variance + np.finfo(float).tiny)[:, None])
+
+    def after(self, reading: Array, noise: float) -> Deviations:
+        """The deviations given a reading, at which they are (H,) now."""
+        variance = float(reading @ reading)
+        if variance == 0.0:
+            return self
+        # (I - k r r^T) C, with k such that the covariance becomes the posterior one.
+        k = (1.0 - np.sqrt(noise / (variance + noise))) / variance
+        tables = (self.at_candidates, self.on_ball, self.everywhere)
+        left = [table - k * np.outer(reading, reading @ table) for table in tables]
+        return Deviations(left[0], left[1], left[2], self.noise)
+
+
+def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
+    """The readings that reduce the expected errors most, chosen greedily.
+
+    The errors are the root mean square over all directions and the mean over the pixels of a ball of their standard
+    deviation. The product of the first and the cube of the second is minimised.
+
+    Args:
+        unknowns: independent of each other, all at the same D candidates.
+        count: how many to choose, at most D.
+    Returns:
+        Indices of candidates in the order in which to read them, each once, shape (count,).
+    """
+    left = list(unknowns)
+    chosen: list[int] = []
+    for _ in range(count):
+        cost = _log_errors(left)
+        cost[chosen] = np.inf
+        best = int(np.argmin(cost))
+        chosen.append(best)
+        left = [u.after(u.at_candidates[:, best], float(u.noise[best])) for u in left]
+    return np.array(chosen, dtype=np.intp)
+
+
+def _log_errors(unknowns: Sequence[Deviations]) -> Array:
+    """Logarithm of the product of both errors after each reading, shape (D,)."""
+    all_variance = sum(
+        np.sum(u.everywhere**2) - u.variance_reduction(u.everywhere).sum(axis=1) for u in unknowns
+    )
+    on_ball = sum(np.sum(u.on_ball**2, axis=0) - u.variance_reduction(u.on_ball) for u in unknowns)
+    deviation = np.sqrt(np.maximum(on_ball, 0.0)) + _LEAST  # [D, K]
+    tiny = np.finfo(float).tiny
+    return np.asarray(0.5 * np.log(np.maximum(all_variance, tiny)) + _BALL * np.log(deviation.mean(axis=1)))
+
+
+_SAME_DEG = 2.0  # a reading this near in both directions was taken
+_MINI_DIFF_INCIDENCES_DEG = (0, 20, 40, 60)
+_MINI_DIFF_LARGEST_DEG = 75
+_READING_NOISE = 0.02  # of a reading's cube root under a hypothesis, relative
+_COLOUR_NOISE = 0.05  # of a band's difference from the mean of all, as a share of the reading's cube root
+_DARK = 0.1  # of the root mean square over directions: the noise of smaller values is relative to this
+_MODEL_ERROR = 0.1  # standard deviation of the residual of all hypotheses, relative to cube roots
+_JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
+
+
+@dataclass(frozen=True, eq=False)
+class Suggested:
+    """Directions to read, in this order.
+
+    Attributes:
+        wi, wo: unit vectors (K, 3).
+    """
+
+    wi: Array
+    wo: Array
+
+    @property
+    def angles_deg(self) -> Array:
+        """theta_i, theta_o and the azimuth between the mirror direction and wo, in degrees, shape (K, 3)."""
+        theta = [np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (self.wi, self.wo)]
+        phi = [np.degrees(np.arctan2(w[:, 1], w[:, 0])) for w in (self.wi, self.wo)]
+        turned = np.abs((phi[1] - phi[0] - 180.0 + 180.0) % 360.0 - 180.0)
+        return np.column_stack([*theta, turned])
+
+
+def suggest(
+    atoms: LibraryAtoms, count: int, known: Completion | None = None, instrument: str | None = None
+) -> Suggested:
+    """The directions that reduce the expected error most, chosen greedily.
+
+    Args:
+        atoms: of the library.
+        count: how many.
+        known: the completion of the readings so far; None if there are none.
+        instrument: name in `DIRECTIONS`, of which to choose directions; None for any.
+    Raises:
+        UsageError: there is no such instrument, or it has fewer directions left.
+    """
+    wi, wo = directions_left(count, None if known is None else known.readings, instrument)
+    chosen = readings_to_take(atoms, atoms.at(wi, wo), coordinates(wi, wo), count, known)
+    return Suggested(wi[chosen], wo[chosen])
+
+
+def directions_left(
+    count: int, readings: Readings | None = None, instrument: str | None = None
+) -> tuple[Array, Array]:
+    """Directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3).
+
+    Raises:
+        UsageError: there is no such instrument, or there are fewer than `count`.
+    """
+    if instrument is not None and instrument not in DIRECTIONS:
+        raise UsageError(f"no instrument '{instrument}', expected one of {', '.join(DIRECTIONS)}")
+    wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
+    total, of = len(wi), f" of {instrument}" if instrument else ""
+    if readings is not None:
+        is_read = readings.measured.any(axis=1)
+        is_new = ~_are_read(wi, wo, readings.wi[is_read], readings.wo[is_read])
+        wi, wo = wi[is_new], wo[is_new]
+    if count > len(wi):
+        raise UsageError(
+            f"{count} readings to suggest, but only {len(wi)} of {total} directions{of} are left"
+        )
+    return wi, wo
+
+
+def readings_to_take(
+    atoms: LibraryAtoms, at: Array, where: Array, count: int, known: Completion | None = None
+) -> Indices:
+    """Indices of the candidates to read next, in order, shape (count,).
+
+    Hypotheses are those of the completion so far; before the first reading they are the atoms, equally probable. See
+    `next_readings` for the three unknowns.
+
+    Args:
+        atoms: of the library.
+        at: cube roots of atoms at the candidates, shape (n + 1, D).
+        where: coordinates of the candidates, see `residual.coordinates`, shape (D, 3).
+        count: how many.
+        known: the completion of the readings so far.
+    """
+    n = len(at) - 1
+    if known is None:
+        N = len(atoms.materials)
+        probability: Array = np.repeat(material_prior(N, len(atoms.names)), n // N) / (n // N)
+        weights: Array = np.eye(n, n + 1)
+        taken: Array = np.zeros((n + 1, 0))
+        centres: Array = np.zeros((0, 3))
+    else:
+        probability, weights = known.hypotheses.probability, known.hypotheses.weights
+        taken, centres = known.at_readings, known.residual.centres
+    square = probability @ (weights @ at) ** 2
+    return next_readings(
+        (
+            _structure(atoms, weights, probability, at),
+            _colours(atoms, at, square, taken, probability @ (weights @ taken) ** 2),
+            _residual(where, centres, np.sqrt(square), (probability @ weights) @ atoms.ball),
+        ),
+        count,
+    )
+
+
+def _structure(atoms: LibraryAtoms, weights: Array, probability: Array, at: Array) -> Deviations:
+    """Deviations of hypotheses with weights (H, n + 1) from their mean."""
+    root = np.sqrt(probability)[:, None]
+    on_grid = weights @ atoms.directions[:, : atoms.n_grid] * np.sqrt(atoms.weights[: atoms.n_grid])
+    candidates = weights @ at
+    at_candidates, on_ball, everywhere = (
+        root * (table - probability @ table) for table in (candidates, _pixels(weights @ atoms.ball), on_grid)
+    )
+    return Deviations(at_candidates, on_ball, everywhere, _noise(probability @ candidates**2, _READING_NOISE))
+
+
+def _colours(atoms: LibraryAtoms, at: Array, square: Array, taken: Array, taken_square: Array) -> Deviations:
+    """Deviations of bands from the mean over the bands of their material, given the readings that were taken.
+
+    Args:
+        atoms: of the library.
+        at, taken: their cube roots at the candidates (n + 1, D), and at the readings that were taken (n + 1, T).
+        square, taken_square: expected squares of the material's cube roots there, shapes (D,) and (T,).
+    """
+    n, D = atoms.n_measured, at.shape[1]
+    root = 1.0 / np.sqrt(n)
+    deviations = Deviations(
+        np.hstack([root * (roots - _mean_roots(atoms, roots)) for roots in (at[:n], taken[:n])]),
+        root * (_pixels(atoms.ball[:n]) - _pixels(_mean_roots(atoms, atoms.ball[:n]))),
+        np.zeros((n, 0)),
+        _noise(np.append(square, taken_square), _COLOUR_NOISE),
+    )
+    for d in range(D, D + taken.shape[1]):
+        deviations = deviations.after(deviations.at_candidates[:, d], float(deviations.noise[d]))
+    return replace(deviations, at_candidates=deviations.at_candidates[:, :D], noise=deviations.noise[:D])
+
+
+def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> Deviations:
+    """Residuals of all hypotheses, relative to cube roots and correlated as in `residual`, given the readings taken.
+
+    Args:
+        where, taken: coordinates of the candidates (D, 3), and of the readings that were taken (T, 3).
+        level: expected cube roots at the candidates, shape (D,).
+        mean_on_ball: expected cube roots at the pairs that light a ball, shape (P_b,).
+    """
+    ball = ball_colours.ball()
+    light = np.maximum(mean_on_ball, 0.0) ** 3 * ball.light
+    total = np.maximum(np.add.reduceat(light, ball.starts), np.finfo(float).tiny)
+
+    def with_pixels(of: Array) -> Array:
+        sums = np.add.reduceat(covariance(of, ball_coordinates()) * light, ball.starts, axis=1)
+        return np.asarray(sums / total)
+
+    own, of_pixels = covariance(where, where), with_pixels(where)
+    if len(taken):
+        between = covariance(where, taken)
+        gain = np.linalg.solve(covariance(taken, taken) + NOISE * np.eye(len(taken)), between.T).T
+        own, of_pixels = own - gain @ between.T, of_pixels - gain @ with_pixels(taken)
+    L = np.linalg.cholesky(own + _JITTER * np.eye(len(own)))
+    on_ball = solve_triangular(L, of_pixels, lower=True)
+    return Deviations(
+        _MODEL_ERROR * L.T * level,
+        _MODEL_ERROR * on_ball * _pixels(mean_on_ball[None])[0],
+        np.zeros((len(L), 0)),
+        NOISE * (_MODEL_ERROR * level) ** 2,
+    )
+
+
+def _noise(square: Array, share: float) -> Array:
+    """Variance of the noise of cube roots whose expected squares are (D,)."""
+    return np.asarray(share**2 * (square + _DARK**2 * square.mean()))
+
+
+def _pixels(roots: Array) -> Array:
+    """Cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): shape (h, K)."""
+    ball = ball_colours.ball()
+    light = np.add.reduceat(np.maximum(roots, 0.0) ** 3 * ball.light, ball.starts, axis=1)
+    return np.asarray(np.cbrt(np.minimum(light, 1.0)))
+
+
+def _mean_roots(atoms: LibraryAtoms, roots: Array) -> Array:
+    """Cube roots of the mean over the bands of each atom's material, from those of measured atoms (n, P): (n, P)."""
+    shape = len(atoms.names), len(atoms.atom_bands), roots.shape[1]
+    return np.asarray(np.cbrt((roots**3).reshape(shape).mean(axis=1)).repeat(shape[1], axis=0))
+
+
+def all_directions() -> tuple[Array, Array]:
+    """Elevations from 0 to 80 degrees by 10, azimuths by 30: wi (D, 3) and wo (D, 3)."""
+    return _product(np.arange(0, 81, 10), np.arange(0, 81, 10), np.arange(0, 181, 30))
+
+
+def _mini_diff() -> tuple[Array, Array]:
+    return _product(
+        np.array(_MINI_DIFF_INCIDENCES_DEG),
+        np.arange(0, _MINI_DIFF_LARGEST_DEG + 1, 5),
+        np.arange(0, 181, 10),
+    )
+
+
+DIRECTIONS = {"ma-t12": geometry_ma_t12, "mini-diff": _mini_diff}
+"""Directions of named instruments."""
+
+
+def _product(incidences_deg: Indices, elevations_deg: Indices, azimuths_deg: Indices) -> tuple[Array, Array]:
+    """Pairs of these angles that a receiver does not hide; where one is the normal, one azimuth. wi has 180 degrees."""
+    theta_i, theta_o, phi = (
+        a.ravel() for a in np.meshgrid(incidences_deg, elevations_deg, azimuths_deg, indexing="ij")
+    )
+    is_one = (phi == azimuths_deg[0]) | ((theta_i != 0) & (theta_o != 0))
+    theta_i, theta_o, phi = (np.deg2rad(a[is_one].astype(float)) for a in (theta_i, theta_o, phi))
+    wi, wo = from_spherical(theta_i, np.pi), from_spherical(theta_o, phi)
+    is_seen = np.einsum("di,di->d", wi, wo) < LEAST_HIDDEN
+    return wi[is_seen], wo[is_seen]
+
+
+def _are_read(wi: Array, wo: Array, read_wi: Array, read_wo: Array) -> Mask:
+    """Which pairs were read, or their reverses, up to a turn about the normal: bool (D,)."""
+
+    def invariants(a: Array, b: Array) -> Array:
+        return np.column_stack([a[:, 2], b[:, 2], np.sum(a * b, axis=1)])
+
+    here = np.arccos(np.clip(invariants(wi, wo), -1.0, 1.0))
+    limit = np.deg2rad(_SAME_DEG)
+    taken = np.zeros(len(wi), bool)
+    for a, b in ((read_wi, read_wo), (read_wo, read_wi)):
+        there = np.arccos(np.clip(invariants(a, b), -1.0, 1.0))
+        taken |= (np.abs(here[:, None] - there[None]) < limit).all(axis=2).any(axis=1)
+    return taken

@@ -1,0 +1,142 @@
+"""Baselines: nearest materials, linear combinations of two, principal components, non-negative combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from manifold.encoding import EncodingPairs
+from manifold.evaluate.cross_validation import Encode, Fit
+from manifold.evaluate.tabulated import Data
+from manifold.mapping import Identity, Mapping, mapping_named
+from manifold.model.combination import Combination
+from manifold.model.reconstruction import DICTIONARY, MAX_BANDS, ComparedValues
+from manifold.records import Array, Indices
+
+_IDENTITY = mapping_named("identity")
+
+
+def fit_nearest(data: Data, training: Indices) -> Encode:
+    """The material whose values are nearest, weighted as the linear error is."""
+    G = data.gram(_IDENTITY, power=2)
+
+    def encode(i: int) -> Combination:
+        nearest = training[np.argmin(_squared_distances(G, i, training))]
+        return _in_all_bands(data, training, (training == nearest).astype(float), _IDENTITY)
+
+    return encode
+
+
+def fit_linear(data: Data, training: Indices) -> Encode:
+    """The best point between the two nearest materials (Hikichi & Iwasaki, eq. 23)."""
+    G = data.gram(_IDENTITY, power=2)
+
+    def encode(i: int) -> Combination:
+        pair = np.argsort(_squared_distances(G, i, training), kind="stable")[:2]
+        return _best_mix(data, G, i, training, pair)
+
+    return encode
+
+
+def fit_oracle(data: Data, training: Indices) -> Encode:
+    """The best point on a line between any two materials: what linear interpolation cannot beat."""
+    G = data.gram(_IDENTITY, power=2)
+
+    def encode(i: int) -> Combination:
+        return _best_mix(data, G, i, training, np.arange(len(training)))
+
+    return encode
+
+
+def fit_pca(mapping_name: str, count: int) -> Fit:
+    """Projection on the first principal components in a mapped domain, weighted by the cosines."""
+    mapping = mapping_named(mapping_name)
+
+    def fit(data: Data, training: Indices) -> Encode:
+        S = data.gram(mapping)
+        among = S[np.ix_(training, training)]
+        mean = among.mean(axis=1)
+        values, vectors = np.linalg.eigh(among - mean[:, None] - mean[None] + mean.mean())
+        kept = min(count, len(training) - 1)
+        U, scale = vectors[:, ::-1][:, :kept], values[::-1][:kept]
+
+        def encode(i: int) -> Combination:
+            cross = S[i, training]
+            centred = cross - cross.mean() - mean + mean.mean()  # products with the others less their mean
+            shift = U @ ((U.T @ centred) / scale)
+            weights = 1.0 / len(training) + shift - shift.mean()
+            return _in_all_bands(data, training, weights, mapping)
+
+        return encode
+
+    return fit
+
+
+def _squared_distances(G: Array, i: int, training: Indices) -> Array:
+    """From material i to the training materials, by inner products G (N, N)."""
+    return G[i, i] + np.diag(G)[training] - 2.0 * G[i, training]
+
+
+def _best_mix(data: Data, G: Array, i: int, training: Indices, among: Indices) -> Combination:
+    """The best point between any two of some training materials, or at one of them."""
+    chosen = training[among]
+    squared = _squared_distances(G, i, chosen)
+    inner = G[np.ix_(chosen, chosen)] - G[i, chosen][:, None] - G[i, chosen][None] + G[i, i]
+    span = squared[:, None] + squared[None] - 2.0 * inner
+    t = np.divide(squared[None] - inner, span, out=np.zeros_like(span), where=span > 0)
+    t = np.clip(t, 0.0, 1.0)  # share of the row's material, [k, k]
+    error = t * t * squared[:, None] + (1.0 - t) ** 2 * squared[None] + 2.0 * t * (1.0 - t) * inner
+    a, b = np.unravel_index(np.argmin(error), error.shape)
+    weights = np.zeros(len(training))
+    weights[among[b]] += 1.0 - t[a, b]
+    weights[among[a]] += t[a, b]
+    return _in_all_bands(data, training, weights, _IDENTITY)
+
+
+def _in_all_bands(data: Data, training: Indices, weights: Array, mapping: Mapping) -> Combination:
+    """A combination of whole materials, by weights of the training materials; negative values stay."""
+    spread = np.zeros(data.n_materials)
+    spread[training] = weights
+    return Combination(mapping, spread, is_clipped=False)
+
+
+NUMBERS_PER_BAND = 26  # of a reconstruction: about 13 weights and which atoms they are of; none is fixed
+
+
+def few_numbers(B: int) -> int:
+    """What three atoms with a weight per band take: 12 for RGB."""
+    return 3 * (min(B, MAX_BANDS) + 1)
+
+
+def fit_nonnegative(sample_bands: int, numbers: Callable[[int], int] | None = None) -> Fit:
+    """All samples and lobes: `manifold.model.reconstruction`.
+
+    Args:
+        sample_bands: bands per material that are samples.
+        numbers: at most so many of B bands, see `few_atoms`; by default as many as it takes.
+    """
+
+    def fit(data: Data, training: Indices) -> Encode:
+        bands = data.available_bands(sample_bands)
+
+        def compare() -> tuple[ComparedValues, Array]:
+            compared = ComparedValues(EncodingPairs(data.wi[:: data.stride], data.wo[:: data.stride]))
+            return compared, compared.of_atoms([m.select_bands(bands.tolist()) for m in data.materials])
+
+        compared, atoms = data.cached(("reconstruction", sample_bands), compare)
+        n_samples = data.n_materials * len(bands)
+        of_training = np.isin(np.arange(n_samples) // len(bands), training)
+        most = None if numbers is None else numbers(data.n_bands)
+        columns = np.append(
+            np.tile(of_training, len(DICTIONARY.exponents)), np.ones(len(DICTIONARY.lobes), bool)
+        )
+
+        def encode(i: int) -> Combination:
+            weights = np.zeros((data.n_bands, len(atoms)))
+            weights[:, columns] = compared.weights(atoms[columns], data.materials[i], most)
+            return Combination(Identity(), weights, bands, dictionary=DICTIONARY)
+
+        return encode
+
+    return fit

@@ -1,0 +1,376 @@
+"""`manifold budget`: paths in, results and assets out."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from manifold import disk
+from manifold.batch import make_folder
+from manifold.errors import MissingFileError, UsageError
+from manifold.estimate import predictions
+from manifold.evaluate.budget import example_scenes, representations, scene_survey, search
+from manifold.evaluate.budget.budget_figure import budget_figure
+from manifold.evaluate.budget.representations import Candidate
+from manifold.evaluate.budget.scene_document import SceneDocument, SceneMaterial
+from manifold.evaluate.budget.scene_survey import MaterialLighting
+from manifold.evaluate.budget.search import Difference, Tolerance
+from manifold.evaluate.budget.verification import Pictures
+from manifold.io_rgl import material_name, read_bsdf
+from manifold.library.identity import require_outside_libraries
+from manifold.model.colours import ColourChoice
+from manifold.plots import figures
+from manifold.progress import Stages
+from manifold.render import backend, image_metrics, render
+
+
+@dataclass(frozen=True)
+class BudgetSettings:
+    """How a scene is analysed.
+
+    Attributes:
+        size: pixels of the longer side.
+        samples: light paths per pixel.
+        seed: of the noise.
+    """
+
+    size: int = 128
+    samples: int = 128
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        render.RenderSettings(self.size, self.samples, self.seed)  # checks them
+
+
+_TOLERANCE, _SETTINGS = Tolerance(), BudgetSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The answer for one material.
+
+    Attributes:
+        material: its name.
+        candidate: what represents it.
+        full_size: bytes of the whole file.
+        reason: why nothing cheaper.
+        lighting: where and by what light the scene shows it.
+        milliseconds: for a million evaluations.
+        verified: difference of the renders, all materials exchanged.
+        noise: difference of two renders of the reference with different seeds.
+        asset: file that was written.
+        candidates: all of them, cheapest first.
+        alone: differences of those that were rendered alone, by name.
+    """
+
+    material: str
+    candidate: Candidate
+    full_size: int
+    reason: str
+    lighting: str
+    milliseconds: float
+    verified: Difference
+    noise: Difference
+    candidates: tuple[Candidate, ...]
+    alone: Mapping[str, Difference]
+    asset: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; a file that was not written has no name."""
+        one, bsdf = self.candidate, dict(self.candidate.bsdf)
+        if "filename" in bsdf:
+            bsdf["filename"] = _path_text(self.asset)
+        return {
+            "material": self.material,
+            "representation": one.name,
+            "reason": self.reason,
+            "lighting": self.lighting,
+            "size": one.size,
+            "full_size": self.full_size,
+            "numbers": one.numbers,
+            "milliseconds": self.milliseconds,
+            "predicted": one.predicted,
+            "verified": asdict(self.verified),
+            "noise": asdict(self.noise),
+            "asset": _path_text(self.asset),
+            "bsdf": bsdf,
+            "candidates": [
+                {
+                    "name": c.name, "bytes": c.size, "predicted": c.predicted,
+                    "verified": asdict(self.alone[c.name]) if c.name in self.alone else None,
+                }
+                for c in self.candidates
+            ],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The answer for a scene.
+
+    Attributes:
+        scene: its name.
+        tolerance: what was asked for.
+        chosen: per material that is seen.
+        unseen: bytes of the materials that no pixel shows, by name; they stay as they are.
+        notes: what a user should know, one line each.
+        output: the scene that was written.
+        backend: `llvm` or `scalar`.
+        settings: how it was analysed.
+    """
+
+    scene: str
+    tolerance: Tolerance
+    chosen: tuple[Chosen, ...]
+    unseen: tuple[tuple[str, int], ...]
+    notes: tuple[str, ...]
+    output: Path | None
+    backend: str
+    settings: BudgetSettings
+
+    @property
+    def size(self) -> int:
+        """Bytes of all materials, those that stay among them."""
+        return sum(one.candidate.size for one in self.chosen) + sum(size for _, size in self.unseen)
+
+    @property
+    def full_size(self) -> int:
+        """Bytes of all whole files."""
+        return sum(one.full_size for one in self.chosen) + sum(size for _, size in self.unseen)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "scene": self.scene,
+            "tolerance": asdict(self.tolerance),
+            "settings": asdict(self.settings),
+            "backend": self.backend,
+            "bytes": self.size,
+            "full_bytes": self.full_size,
+            "materials": [one.to_json() for one in self.chosen],
+            "unseen": [{"material": name, "bytes": size} for name, size in self.unseen],
+            "notes": list(self.notes),
+            "output": _path_text(self.output),
+        }
+
+
+def _path_text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def example(
+    name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
+    output: Path | None = None, picture: Path | None = None,
+) -> Budget:  # fmt: skip
+    """Budget one of the package's own scenes. Raises: as `example_scenes.write` and `budget_scene`."""
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        scene = example_scenes.write(name, folder)
+        return budget_scene(scene, tolerance, settings, output, picture)
+
+
+@backend.variant_kept()
+def budget_scene(
+    scene: Path | Mapping[str, Any],
+    tolerance: Tolerance = _TOLERANCE,
+    settings: BudgetSettings = _SETTINGS,
+    output: Path | None = None,
+    picture: Path | None = None,
+) -> Budget:
+    """Find the cheapest representation of each measured material of a scene that keeps its picture.
+
+    Args:
+        scene: XML or JSON file, or a dictionary of Mitsuba made of plain values.
+        tolerance: how much the picture may differ, and what it may cost.
+        settings: how the scene is analysed.
+        output: folder for the chosen files and a scene that uses them; made if missing.
+        picture: also draw both renders, and what every representation costs.
+    Raises:
+        UsageError: see `SceneDocument`, `scene_survey.survey` and `search`; or bands are mixed, the output lies in a
+            library, or would replace a file of the scene.
+        FileFormatError: the scene or a measured file is damaged.
+    """
+    document = SceneDocument.read(scene)
+    if picture is not None:
+        figures.require_writable(picture)
+    if output is not None:
+        require_outside_libraries(output, into=True)
+    stages = Stages(dict.fromkeys(("reading", "analysing the scene", "representations", "rendering"), 1))
+    with TemporaryDirectory() as temporary, backend.only_errors():
+        folder = Path(temporary)
+        stages.begin("reading")
+        files = {
+            m.key: _measured_file(m, folder / f"predicted_{k}") for k, m in enumerate(document.materials)
+        }
+        is_rgb = _common_kind(files)
+        target = None if output is None else output / f"{Path(document.origin).stem.replace(' ', '_')}.xml"
+        names = _asset_names(files, is_rgb)
+        if target is not None:
+            _require_no_inputs(target, names.values(), [Path(document.origin), *files.values()])
+            make_folder(target.parent, "the scene")
+        stages.begin("analysing the scene")
+        survey = scene_survey.survey(document, files, is_rgb, settings.size)
+        stages.begin("representations")
+        candidates = {
+            key: representations.candidates(files[key], lighting, survey, folder / str(k))
+            for k, (key, lighting) in enumerate(survey.lighting.items())
+        }
+        stages.begin("rendering")
+        times = cache(lambda candidate: representations.milliseconds(candidate.bsdf, is_rgb))
+        pictures = Pictures(document, files, survey, settings.samples, settings.seed)
+        unseen = tuple(
+            (material_name(path), path.stat().st_size) for key, path in files.items() if key not in candidates
+        )
+        answer = search.search(
+            candidates, tolerance, pictures.differences, times, sum(size for _, size in unseen)
+        )
+        noise = pictures.noise()
+        assets = {} if target is None else _write(document, target, names, answer.choice)
+        chosen = tuple(
+            Chosen(
+                material=material_name(files[key]),
+                candidate=one,
+                full_size=next(c.size for c in candidates[key] if c.is_full),
+                reason=_reason(candidates[key][: candidates[key].index(one)], answer.alone[key]),
+                lighting=_lighting_in_words(survey.lighting[key]),
+                milliseconds=times(one),
+                verified=answer.together[key],
+                noise=noise[key],
+                candidates=tuple(candidates[key]),
+                alone=answer.alone[key],
+                asset=assets.get(key),
+            )
+            for key, one in answer.choice.items()
+        )
+        if picture is not None:
+            both = pictures.beside(answer.choice)
+            shown = [one.to_json() for one in chosen]
+            delta_e = image_metrics.ciede2000_map(*both)
+            figures.save(budget_figure(*both, delta_e, shown, tolerance.delta_e), picture)
+    return Budget(
+        scene=document.origin,
+        tolerance=tolerance,
+        chosen=chosen,
+        unseen=unseen,
+        notes=_notes(chosen, tolerance, [name for name, _ in unseen]),
+        output=target,
+        backend=backend.choose().kind,
+        settings=settings,
+    )
+
+
+def _measured_file(material: SceneMaterial, folder: Path) -> Path:
+    """The file of a material; predictions are written first."""
+    properties = material.properties
+    if material.kind == "measured":
+        path = Path(properties.get("filename", ""))
+        if not path.is_file():
+            raise MissingFileError(f"{path}: no such file; a BSDF of the type measured in the scene names it")
+        return path
+    if "model" not in properties or "latent" not in properties:
+        raise UsageError("a manifold BSDF in the scene has no model or no latent; give both")
+    try:
+        latent = [float(part) for part in properties["latent"].split(",")]
+    except ValueError:
+        raise UsageError(
+            f"a manifold BSDF has the latent '{properties['latent']}', expected numbers like '-0.3,1.2'"
+        ) from None
+    folder.mkdir()
+    path = folder / f"predicted_{'_'.join(f'{v:g}' for v in latent)}.bsdf"
+    reflectance, library = (
+        Path(properties[n]) if n in properties else None for n in ("reflectance", "library")
+    )
+    colour = ColourChoice(properties.get("like"), reflectance, properties.get("srgb"))
+    predictions.predict(
+        Path(properties["model"]),
+        latent,
+        path,
+        library=library,
+        colour=colour,
+    )
+    return path
+
+
+def _common_kind(files: Mapping[str, Path]) -> bool:
+    """Whether all files are linear sRGB."""
+    kinds = {path: read_bsdf(path).bands.is_rgb for path in files.values()}
+    if len(set(kinds.values())) > 1:
+        rgb = next(path for path, is_rgb in kinds.items() if is_rgb)
+        raise UsageError(f"{rgb}: an RGB file in a scene with spectral ones; use the _spec files throughout")
+    return next(iter(kinds.values()))
+
+
+# -- the answer -----------------------------------------------------------------------------------------------
+
+
+def _reason(cheaper: list[Candidate], alone: Mapping[str, Difference]) -> str:
+    """Why nothing cheaper: what comes closest among it."""
+    if not cheaper:
+        return "no representation is cheaper"
+    rendered = [one for one in cheaper if one.name in alone]
+    if rendered:
+        best = min(rendered, key=lambda one: alone[one.name].delta_e)
+        return f"best of the cheaper ones: {best.name}, CIEDE2000 {alone[best.name].delta_e:.2f}"
+    best = min(cheaper, key=lambda one: one.predicted)
+    return f"best of the cheaper ones: {best.name}, predicted {best.predicted:.1f}"
+
+
+def _lighting_in_words(lighting: MaterialLighting) -> str:
+    """The lighting and views of a material in the scene, in words."""
+    (a, b), (c, d) = lighting.angles_deg(lighting.wi), lighting.angles_deg(lighting.wo)
+    text = f"{100 * lighting.share:.0f} % of the picture, seen at {a:.0f}-{b:.0f} deg, lit at {c:.0f}-{d:.0f} deg"
+    if lighting.bands.is_rgb:
+        return text
+    spectrum = lighting.spectrum
+    effective = float(spectrum.sum() ** 2 / (spectrum**2).sum()) / len(spectrum)
+    return f"{text}, by light in {100 * effective:.0f} % of the spectrum"
+
+
+def _notes(chosen: tuple[Chosen, ...], tolerance: Tolerance, hidden: list[str]) -> tuple[str, ...]:
+    notes = [f"no pixel shows {name} in direct light; it is kept unchanged" for name in hidden]
+    loudest = max(one.noise.rendered for one in chosen)
+    if loudest > 2.0 * tolerance.delta_e:
+        notes.append(
+            f"the difference due to noise is {loudest:.2f}, far above the tolerance; use more samples"
+        )
+    return tuple(notes)
+
+
+def _asset_names(files: Mapping[str, Path], is_rgb: bool) -> dict[str, str]:
+    """Unique file name of each material in the output folder, by key."""
+    kind = "rgb" if is_rgb else "spec"
+    names: dict[str, str] = {}
+    for key, path in files.items():
+        base, k = material_name(path), 2
+        while f"{base}_{kind}.bsdf" in names.values():
+            base, k = f"{material_name(path)}_{k}", k + 1
+        names[key] = f"{base}_{kind}.bsdf"
+    return names
+
+
+def _require_no_inputs(target: Path, names: Iterable[str], inputs: Sequence[Path]) -> None:
+    """Raise UsageError where the scene or a file beside it would replace a file that is read."""
+    read = {path.resolve() for path in inputs}
+    for path in (target, *(target.parent / name for name in names)):
+        if path.resolve() in read:
+            raise UsageError(f"{path}: is read by this command and would be replaced; name another folder")
+
+
+def _write(
+    document: SceneDocument, target: Path, names: Mapping[str, str], choice: Mapping[str, Candidate]
+) -> dict[str, Path]:
+    """Copy the chosen files beside a scene that uses them; the files that were written, by key."""
+    bsdfs, assets = {key: one.bsdf for key, one in choice.items()}, {}
+    for key, one in choice.items():
+        if one.path is not None:
+            assets[key] = target.parent / names[key]
+            with disk.replacing(assets[key]) as partial:
+                shutil.copyfile(one.path, partial)
+            bsdfs[key] = {"type": "measured", "filename": names[key]}
+    document.write(target, bsdfs)
+    return assets

@@ -1,0 +1,296 @@
+"""Speed against accuracy: every setting of the registry on one library, by cross-validation, in one run."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from manifold import progress
+from manifold.errors import ManifoldError, UsageError
+from manifold.evaluate import chart_fits, stopwatch
+from manifold.evaluate.anchors import neural_fits
+from manifold.evaluate.cross_validation import Method
+from manifold.evaluate.held_out import FOLDS, HeldOut
+from manifold.evaluate.methods import settings
+from manifold.evaluate.results import KeptResults
+from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
+from manifold.library.store import Library
+from manifold.metrics import RusinkiewiczGrid
+from manifold.names import counted, names_like
+from manifold.records import Array, BsdfFile
+from manifold.work import HERE, Workers
+
+ERRORS = {
+    "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
+    "delta_e_itp": "Delta E_ITP of the ball", "rmse": "RMSE of eq. 22",
+}  # fmt: skip
+COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
+
+_ALIKE = 0.01  # errors and bytes that differ by less do not count as different
+_NEAR_BEST = 1.25  # times the smallest error: as accurate, for who needs speed
+_ALIKE_TIMES = 0.1  # nor times: so much they differ from run to run of the whole chart
+
+
+@dataclass(frozen=True)
+class Chart:
+    """All settings, measured in one run.
+
+    Attributes:
+        rows: setting by setting; held-out ones first.
+        fronts: by error, then by cost, the keys of held-out settings that no other dominates, cheapest first.
+        n_materials, n_bands, folds: of the cross-validation.
+        reference_seconds: median processor time of the reference, in which all times are.
+        scaled: what was measured in part, and how it was scaled to the whole.
+        skipped: settings that this machine cannot run, and why.
+    """
+
+    rows: tuple[ChartRow, ...]
+    fronts: dict[str, dict[str, list[str]]]
+    n_materials: int
+    n_bands: int
+    folds: int
+    reference_seconds: float
+    scaled: dict[str, float]
+    skipped: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """The chart as plain values."""
+        reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
+        return {"reference": reference, **asdict(self)}
+
+    def front(self, error: str, cost: str) -> list[ChartRow]:
+        """The settings on a front, cheapest first."""
+        by_key = {row.key: row for row in self.rows}
+        return [by_key[key] for key in self.fronts[error][cost]]
+
+
+def cost_of(row: ChartRow, cost: str) -> float:
+    """A cost, one of `COSTS`: reference times, or bytes; NaN where it is not known."""
+    value = getattr(row, cost)
+    if value is None:
+        return np.nan
+    return value.median if isinstance(value, RelativeTime) else float(value)
+
+
+def conclusion(made: Chart) -> str:
+    """Which settings to choose, in two sentences; empty where none was held out."""
+    held_out = [row for row in made.rows if row.is_held_out]
+    if not held_out:
+        return ""
+    best = min(held_out, key=lambda row: row.delta_e)
+    near = [row for row in held_out if row.delta_e <= _NEAR_BEST * best.delta_e]
+    fast = min(near, key=lambda row: row.predict.median)
+    most_accurate = (
+        f"Most accurate for left-out materials: {best.title}, {best.delta_e:.2f} CIEDE2000 of the ball."
+    )
+    if fast is best:
+        return f"{most_accurate} Choose it: nothing faster comes within {_NEAR_BEST - 1:.0%} of it."
+    times = best.predict.median / fast.predict.median
+    return (
+        f"{most_accurate} Where speed counts, choose {fast.title}: {fast.delta_e:.2f}, and {times:.2g} times as fast "
+        "to predict."
+    )
+
+
+def make_chart(
+    files: Sequence[BsdfFile],
+    only: Sequence[str] = (),
+    grid: RusinkiewiczGrid | None = None,
+    fitted: int = 3,
+    neural: str | None = None,
+    library: Library | None = None,
+    workers: Workers = HERE,
+) -> Chart:
+    """Measure settings on materials, left out in at most ten folds.
+
+    Args:
+        files: at least four, of the same bands.
+        only: keys of settings; all by default.
+        grid: direction pairs of the errors; by default 45 x 23 x 12.
+        fitted: how many materials the fits of `fits.METHODS` represent.
+        neural: file, zip file or folder of published neural fits; also show those of these materials.
+        library: of the files, where settings that are done are kept until all are, so that an interrupted run is
+            continued on the same machine.
+        workers: who measure settings; others than this process read the files from the library. Times are relative to
+            a reference in the same process.
+    Raises:
+        UsageError: a key is unknown, there are fewer than four materials, `neural` holds none of them, or other
+            workers are asked for without a library.
+        ManifoldError: a setting cannot be measured, or a worker was lost.
+    """
+    if len(files) < 4:
+        raise UsageError(
+            f"found {counted(len(files), 'material')}, expected at least 4 to leave some out; import more"
+        )
+    known = _known_settings(files[0].bands.count, neural)
+    names = tuple(file.name for file in files)
+    if neural is not None:
+        neural_fits(neural, names, files[0].bands)  # refused before any long work
+    unknown = [key for key in only if key not in known]
+    if unknown:
+        near = names_like(known, unknown[0], "there are")
+        raise UsageError(
+            f"no setting is called {unknown[0]!r}; {near} (docs/explanation/accuracy.md lists all)"
+        )
+    kept = KeptResults(library, f"chart-1 {[*names]} {[*only]} {grid} {fitted} {neural} {platform.node()}")
+    rows = _from_arrays(kept.get())
+    skipped: dict[str, str] = {}
+    how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted, neural)
+    todo = [key for key in only or known if key not in rows]
+    tasks: list[list[str]]
+    if workers == HERE:
+        measure = _Measuring(files, how).measure
+        tasks = [[key] for key in sorted(todo, key=lambda key: _storage_key(known[key]))]
+    else:
+        if library is None:
+            raise UsageError(
+                "found no library, expected that of the files, from which other workers read them"
+            )
+        measure = partial(_measure_there, library=library.path, names=names, how=how)
+        tasks = _that_share_fits(todo, known)
+    reference_seconds, scaled = 0.0, dict[str, float]()
+    for k, measured, failure in workers.run(measure, tasks):
+        if measured is None:
+            if isinstance(known[tasks[k][0]], Method):
+                raise ManifoldError(failure)
+            skipped[tasks[k][0]] = str(failure)
+            continue
+        for row in measured.rows:
+            rows[row.key] = row
+            kept.put(_to_arrays(rows))
+            progress.report(len(rows), len(only or known), row.title)
+        reference_seconds, scaled = measured.reference_seconds, measured.scaled
+    measured_rows = tuple(rows[key] for key in known if key in rows)
+    kept.finish()
+    return Chart(
+        measured_rows, fronts(measured_rows), len(files), files[0].bands.count, min(FOLDS, len(files)),
+        reference_seconds, scaled, skipped,
+    )  # fmt: skip
+
+
+class _How(NamedTuple):
+    """Arguments of `make_chart` on which rows depend beside the files."""
+
+    only: tuple[str, ...]
+    grid: RusinkiewiczGrid
+    fitted: int
+    neural: str | None
+
+
+class _Measured(NamedTuple):
+    """Rows of some settings; times are relative to that of a reference, and `scaled` is as in `Chart`."""
+
+    rows: list[ChartRow]
+    reference_seconds: float
+    scaled: dict[str, float]
+
+
+class _Measuring:
+    """Measures settings on files, in one process; what they share is made once."""
+
+    def __init__(self, files: Sequence[BsdfFile], how: _How) -> None:
+        self._files, self._how = files, how
+        self._known = _known_settings(files[0].bands.count, how.neural)
+        chosen = [self._known[key] for key in how.only or self._known]
+        with stopwatch.one_core(), progress.listen(None):  # settings are what is counted
+            self._held = HeldOut(files, how.grid, [s for s in chosen if isinstance(s, Method)])
+
+    def measure(self, keys: Sequence[str]) -> _Measured:
+        """Rows of settings."""
+        with stopwatch.one_core():
+            rows = [self._row(self._known[key]) for key in keys]
+        return _Measured(rows, self._held.watch.reference_seconds, self._held.scaled)
+
+    def _row(self, method: Method | str) -> ChartRow:
+        if isinstance(method, Method):
+            return self._held.measure(method)
+        if method == chart_fits.NEURAL and self._how.neural is not None:
+            return chart_fits.measure_neural(self._how.neural, self._files, self._held)
+        return chart_fits.measure(method, self._files, self._how.fitted, self._held)
+
+
+def _measure_there(keys: Sequence[str], *, library: Path, names: tuple[str, ...], how: _How) -> _Measured:
+    return _measuring(library, names, how).measure(keys)
+
+
+@lru_cache(maxsize=1)
+def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
+    opened = Library(library)
+    return _Measuring([opened.read(name) for name in names], how)
+
+
+def _known_settings(n_bands: int, neural: str | None) -> dict[str, Method | str]:
+    """All settings, by key: held-out ones, and the names of fits."""
+    known: dict[str, Method | str] = {s.key: s for s in settings(n_bands)}
+    known |= {f"fit_{method}": method for method in chart_fits.METHODS}
+    return known if neural is None else known | {chart_fits.NEURAL: chart_fits.NEURAL}
+
+
+def _storage_key(method: Method | str) -> tuple[bool, str]:
+    """Settings that store files alike stand together, as only one set of stored files is in memory; fits come last."""
+    return (False, method.storage.key) if isinstance(method, Method) else (True, "")
+
+
+def _that_share_fits(keys: Sequence[str], known: Mapping[str, Method | str]) -> list[list[str]]:
+    groups: dict[Hashable, list[str]] = {}
+    for key in keys:
+        method = known[key]
+        groups.setdefault(method.fit if isinstance(method, Method) else method, []).append(key)
+    return list(groups.values())
+
+
+def _to_arrays(rows: Mapping[str, ChartRow]) -> dict[str, Array]:
+    content = json.dumps([asdict(row) for row in rows.values()])
+    return {"rows": np.frombuffer(content.encode(), np.uint8)}
+
+
+def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
+    rows = {}
+    for row in json.loads(arrays["rows"].tobytes()) if arrays else []:
+        times = {name: row[name] and RelativeTime(**row[name]) for name in ("fit", "predict")}
+        rows[row["key"]] = ChartRow(**row | times | {"warnings": tuple(row["warnings"])})
+    return rows
+
+
+def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:
+    """Keys of the held-out settings on each front of an error and a cost, cheapest first.
+
+    Neither errors and bytes that differ by 1 %, nor times that differ by 10 % or their spreads, count as different.
+    """
+    rows = [row for row in rows if row.is_held_out]
+    return {error: {cost: _front(rows, error, cost) for cost in COSTS} for error in ERRORS}
+
+
+def _front(rows: Sequence[ChartRow], error: str, cost: str) -> list[str]:
+    if not rows:
+        return []
+    values = np.array([[getattr(row, error), cost_of(row, cost)] for row in rows])
+    tolerance = 0.5 * _ALIKE * values
+    if cost != "bytes":
+        spreads = [getattr(row, cost).spread for row in rows]
+        tolerance[:, 1] = 0.5 * np.maximum(_ALIKE_TIMES * values[:, 1], spreads)
+    on = np.flatnonzero([not others for others in dominators(values, tolerance)]).tolist()
+    return [rows[k].key for k in sorted(on, key=lambda k: values[k, 1])]
+
+
+def dominators(costs: Array, tolerance: Array | float = 0.0) -> list[list[int]]:
+    """Per row, the rows that are better in one column and worse in none.
+
+    Every cost is an interval, known to +- tolerance: it is better, or worse, where intervals do not meet.
+
+    Args:
+        costs: less is better, shape (M, C).
+        tolerance: broadcasts against the costs.
+    """
+    low, high = costs - tolerance, costs + tolerance
+    better = high[:, None] < low[None]  # [row, than row, C]
+    wins = np.asarray(better.any(axis=2))
+    dominated_by = (wins & ~wins.T).T
+    return [np.flatnonzero(row).tolist() for row in dominated_by]

@@ -1,0 +1,85 @@
+"""Fits of a BSDF to the evaluated materials themselves, for comparison with held-out predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from manifold.brdf.pairs import DirectionPairs
+from manifold.evaluate.anchors import NEURAL_NUMBERS, neural_fits
+from manifold.evaluate.held_out import HeldOut
+from manifold.evaluate.stopwatch import ChartRow, RelativeTime, summary
+from manifold.fit import principled
+from manifold.fit.principled import FitResult
+from manifold.records import Array, BsdfFile, evenly_spaced
+from manifold.render import backend
+from manifold.render.bsdf_evaluation import evaluator
+
+METHODS = ("gauss-newton", "adam", "swarm")
+"""Of `principled.METHODS`."""
+NEURAL = "neural"
+
+FAMILY = "fit of the seen material"
+_TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "fit, swarm"}
+_REPEATS = 3
+_BYTES_PER_NUMBER = 8
+
+_Predictor = Callable[[DirectionPairs], Callable[[], Array]]
+"""From direction pairs to what predicts f in all bands there."""
+
+
+def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -> ChartRow:
+    """Fit evenly spaced materials by one of `METHODS`.
+
+    Predictions are evaluations at as many direction pairs as the material's file has.
+
+    Raises:
+        UsageError, RendererError: the method does not run here, or Mitsuba is missing.
+    """
+    measured, fits, numbers = [], [], []
+    for i in evenly_spaced(len(files), count).tolist():
+        with backend.one_thread():
+            result, seconds = held.watch.lap(partial(principled.fit_bsdf, files[i], method=method))
+            measured.append(_measured(i, files[i], partial(_evaluator, result), held))
+        fits.append(seconds)
+        numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
+    time = RelativeTime.of(np.array(fits) * len(files))
+    return _row(f"fit_{method}", _TITLES[method], measured, time, int(np.median(numbers)) * len(files))
+
+
+def measure_neural(source: str, files: Sequence[BsdfFile], held: HeldOut) -> ChartRow:
+    """Published neural fits of the materials that have one, see `neural_fits`; the time to fit them is not known."""
+    found = neural_fits(source, [file.name for file in files], files[0].bands)
+    measured = [
+        _measured(i, files[i], lambda pairs, fit=fit: partial(fit.eval, pairs.wi, pairs.wo), held)  # type: ignore[misc]
+        for i, fit in found.items()
+    ]
+    return _row(NEURAL, "fit, neural", measured, None, NEURAL_NUMBERS * len(files))
+
+
+def _measured(
+    i: int, file: BsdfFile, predictor: _Predictor, held: HeldOut
+) -> tuple[tuple[float, ...], Array]:
+    """Errors of a prediction of material i, and times of repeated runs."""
+    on_grid, on_ball = predictor(held.pairs), predictor(held.balls.pairs)
+    errors = held.errors(i, *(evaluate()[:, held.data.bands] for evaluate in (on_grid, on_ball)))
+    return errors, file.luminance.size / len(held.pairs) * held.watch.laps(on_grid, _REPEATS)
+
+
+def _row(
+    key: str, title: str, measured: Sequence[tuple[tuple[float, ...], Array]], fit: RelativeTime | None, numbers: int
+) -> ChartRow:  # fmt: skip
+    errors, times = zip(*measured, strict=True)
+    return ChartRow(
+        key=key, title=title, family=FAMILY, is_held_out=False, **summary(errors), fit=fit,
+        predict=RelativeTime.of_several(times), bytes=numbers * _BYTES_PER_NUMBER,
+    )  # fmt: skip
+
+
+def _evaluator(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
+    """The BRDF of a fit in the bands of its samples, f in 1/sr (P, B)."""
+    made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
+    p = made.layout.join(result.values | result.spectra)
+    return lambda: np.asarray(made.values(p)[0], dtype=np.float64) / pairs.wo[:, 2:]

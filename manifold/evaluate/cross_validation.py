@@ -1,0 +1,137 @@
+"""Held-out methods, and the loop of cross-validation: fit without some materials, encode these from their data.
+
+Latents fitted with the left-out material, or the reconstruction of training data, would be optimistic.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from manifold.errors import ShapeError
+from manifold.evaluate.storage_forms import WHOLE, Storage
+from manifold.evaluate.tabulated import Data
+from manifold.model.combination import Combination
+from manifold.records import Indices
+from manifold.threads import one_blas_thread
+
+Encode = Callable[[int], Combination]
+"""From the index of a material to its prediction."""
+
+Fit = Callable[[Data, Indices], Encode]
+"""From data and the indices of the materials to learn from to what encodes any material."""
+
+Split = tuple[Indices, Indices]
+"""Indices of the materials to learn from, and of those to predict."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to predict materials, at one choice of its settings.
+
+    Attributes:
+        key: name in JSON.
+        title: for people.
+        numbers: how many numbers describe a material of B bands.
+        fit: learns from some materials, and encodes any.
+        is_held_out: whether the prediction of a material is made from the others only.
+        refits: whether every left-out material needs a fit without it; False: one fit to all serves, and
+            `fit` keeps the held-out promise itself.
+        sample_bands: bands of the measured files that predictions need, at most; None is all.
+        fits_model: whether a fit searches for latents, which takes long.
+        family: of methods, as the legend of a chart names it.
+        storage: how the measured files are stored.
+        threshold: weights below this share of the largest one are dropped.
+        is_dense: whether every material is resampled to the grid of 1,458,000 direction pairs.
+    """
+
+    key: str
+    title: str
+    numbers: Callable[[int], int]
+    fit: Fit
+    is_held_out: bool = True
+    refits: bool = True
+    sample_bands: int | None = None
+    fits_model: bool = False
+    family: str = ""
+    storage: Storage = WHOLE
+    threshold: float = 0.0
+    is_dense: bool = False
+
+
+def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:
+    """Every material left out once: one at a time, or dealt into so many folds."""
+    n_folds = n_materials if n_folds is None else n_folds
+    everything = np.arange(n_materials)
+    folds = [everything[k::n_folds] for k in range(n_folds)]
+    return [(np.setdiff1d(everything, fold), fold) for fold in folds]
+
+
+def wall_clock(work: Callable[[], Any]) -> tuple[Any, float]:
+    """The result of some work, and its duration in seconds."""
+    start = time.perf_counter()
+    result = work()
+    return result, time.perf_counter() - start
+
+
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    """Predictions of the materials that were left out, in order; and times of fits and of encoding, split by split."""
+
+    combinations: tuple[Combination, ...]
+    fit_times: tuple[float, ...]
+    encode_times: tuple[float, ...]
+
+
+def cross_validate(
+    data: Data,
+    fit: Fit,
+    splits: Sequence[Split],
+    *,
+    lap: Callable[[Callable[[], Any]], tuple[Any, float]] = wall_clock,
+    own_tables: int = 1,
+    on_material: Callable[[int], None] | None = None,
+) -> Encoded:
+    """Encode every material after a fit to what its split learns from.
+
+    Args:
+        data: of all materials.
+        fit: see `Method`.
+        splits: each material is predicted in one of them, or in none.
+        lap: does the work of a fit; its result, and how long it took.
+        own_tables: so many fits first map the values and multiply them anew, which is part of their time.
+        on_material: called with the number of materials done.
+    Raises:
+        ShapeError: a fit has too few different materials to learn from.
+    """
+    found: dict[int, Combination] = {}
+    fit_times, encode_times = [], []
+    for k, (training, left_out) in enumerate(splits):
+        if k < own_tables:
+            data = data.unmapped()
+        with one_blas_thread:  # the matrices are small: a second thread costs more than it does
+            try:
+                encode, seconds = lap(partial(fit, data, training))
+            except ShapeError as error:
+                known = f"learning from {len(training)} of {data.n_materials} materials"
+                raise ShapeError(f"{known}: {error}; import more that differ") from error
+            fit_times.append(seconds)
+            encode_times.append(0.0)
+            for i in left_out.tolist():
+                found[i], seconds = wall_clock(partial(encode, i))
+                encode_times[-1] += seconds
+                if on_material is not None:
+                    on_material(len(found))
+    return Encoded(tuple(found[i] for i in sorted(found)), tuple(fit_times), tuple(encode_times))
+
+
+def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | None = None) -> Encoded:
+    """Encode every material: left out of the fit if the method refits, else all by one fit."""
+    everything = np.arange(data.n_materials)
+    splits = leave_out(data.n_materials) if method.refits else [(everything, everything)]
+    return cross_validate(data, method.fit, splits, on_material=on_material)

@@ -1,0 +1,197 @@
+"""Errors of predictions: linear, of cube roots, eq. 22, colours of balls and at multi-angle geometries, calibration."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.plausibility import Plausibility, plausibilities
+from manifold.colour import ball_colours
+from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
+from manifold.evaluate.tabulated import Data
+from manifold.metrics import RunningErrors
+from manifold.model.combination import Combination, Values, evaluate
+from manifold.records import Array, Indices
+
+_AT_ONCE = 8  # predictions evaluated together
+
+Predictions = Sequence[Sequence[Combination]]
+"""Per method, one per material."""
+
+
+class MedianAndP90(NamedTuple):
+    """Median and 90th percentile of an error over materials."""
+
+    median: float
+    p90: float
+
+    @classmethod
+    def of(cls, errors: Array) -> MedianAndP90:
+        """Of errors (N,); those that are NaN, of materials without a prediction, do not count."""
+        return cls(float(np.nanmedian(errors)), float(np.nanpercentile(errors, 90)))
+
+
+class PredictionErrors:
+    """Errors of one method's predictions of N materials, summed over blocks of direction pairs.
+
+    Attributes:
+        is_clipped: whether the method cuts negative values to 0.
+        seconds: of predicting all materials, wall-clock.
+    """
+
+    def __init__(self, combinations: Sequence[Combination]) -> None:
+        """Take N predictions in the bands of the values to come."""
+        self._combinations = combinations
+        self._errors = RunningErrors()
+        self._negative, self._count = 0, 0
+        self.is_clipped = combinations[0].is_clipped
+        self.seconds = 0.0
+
+    def add(self, values: Values) -> None:
+        """Count a block of measured values; what their mapping costs counts for every method."""
+        start = time.perf_counter()
+        predicted = evaluate(self._combinations, Values(values.f, values.wi, values.wo), clip=False)
+        self.seconds += time.perf_counter() - start
+        self._negative += int(np.count_nonzero(predicted < 0))
+        self._count += predicted.size
+        if self.is_clipped:
+            np.maximum(predicted, 0.0, out=predicted)
+        self._errors.add(values.f, predicted, values.cosines, values.roots)
+
+    @property
+    def linear(self) -> Array:
+        """`||w (f* - f)|| / ||w f||` of every material, `w = cos(theta_i) cos(theta_o)`, shape (N,)."""
+        return self._errors.relative_error
+
+    @property
+    def cube_root(self) -> Array:
+        """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||` of every material, shape (N,)."""
+        return self._errors.cube_root_error
+
+    def rmse(self, n_pairs: float) -> Array:
+        """Eq. 22 of Hikichi & Iwasaki in 1/sr, the sum divided by `n_pairs`, shape (N,)."""
+        return self._errors.rmse(n_pairs)
+
+    @property
+    def negative_share(self) -> float:
+        """Share of the values that are negative, or were before they were cut."""
+        return self._negative / self._count
+
+
+def measure_errors(
+    predictions: Predictions, bands: Indices, blocks: Iterable[Values]
+) -> list[PredictionErrors]:
+    """Errors of several methods in one walk over blocks of measured values in some bands (B',)."""
+    errors = [PredictionErrors([c.in_bands(bands) for c in each]) for each in predictions]
+    for values in blocks:
+        for one in errors:
+            one.add(values)
+    return errors
+
+
+def standardised_error(data: Data, i: int, combination: Combination) -> float:
+    """Error of the mapped prediction of material i, in the standard deviations that the method expected.
+
+    `z = sqrt(sum w (T(f) - T(f*))^2 / (P sum_b variance_b))` over pairs and the data's bands, with the weight
+    `w = cos(theta_i) cos(theta_o)` that outputs have in the Gram matrix. Calibrated methods have a root mean
+    square of z near 1.
+    """
+    here = combination.in_bands(data.bands)
+    wrong = here.mapped(data) - data.mapped(combination.mapping)[i]  # [P, B']
+    squared = float(np.sum(data.cosines[:, None] * wrong**2))
+    assert here.variance is not None
+    expected = float(np.mean(here.variance)) * wrong.size
+    if expected <= 0.0:  # without variance: at a training latent, for example
+        return 0.0 if squared == 0.0 else float("inf")
+    return float(np.sqrt(squared / expected))
+
+
+class BallErrors:
+    """Balls of N materials in some of their bands, under the studio light, and how predictions of them differ.
+
+    Attributes:
+        pairs: direction pairs (P,) that light a ball; see `ball_colours.Ball`.
+        values: of the materials there.
+    """
+
+    def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices, *, turned_deg: float = 0.0) -> None:
+        """Colour the balls in bands (B',), the studio turned about the vertical."""
+        self._ball = ball_colours.ball(turned_deg=turned_deg)
+        self._bands = materials[0].bands.select(bands)
+        self.pairs = DirectionPairs(self._ball.wi, self._ball.wo)
+        self.values = Values.at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
+        self._chosen = bands
+        self._xyz = [self._ball.xyz(f, self._bands) for f in self.values.f]
+
+    def differences(self, i: int, f: Array) -> tuple[float, float]:
+        """Mean CIEDE2000 and mean Delta E_ITP between material i and values f (P, B') in 1/sr."""
+        pair = self._xyz[i], self._ball.xyz(f, self._bands)
+        return ball_colours.delta_e(*pair), ball_colours.delta_e_itp(*pair)
+
+    def of(self, combinations: Sequence[Combination]) -> tuple[Array, Array]:
+        """Mean CIEDE2000 and mean Delta E_ITP of a prediction per material, shape (N,) each."""
+        here = [c.in_bands(self._chosen) for c in combinations]
+        found: list[tuple[float, float]] = []
+        for first in range(0, len(here), _AT_ONCE):
+            predicted = evaluate(here[first : first + _AT_ONCE], self.values)
+            found += [self.differences(first + k, f) for k, f in enumerate(predicted)]
+        ciede2000, itp = np.array(found).T
+        return ciede2000, itp
+
+
+@dataclass(frozen=True)
+class ColourResult:
+    """Colour errors of one method under one illuminant, means over six multi-angle geometries.
+
+    Attributes:
+        illuminant: its CIE name.
+        delta_e: CIEDE2000 per material.
+        median_delta_e: of them.
+        spectral_angle_deg: per material.
+        median_spectral_angle_deg: of them.
+    """
+
+    illuminant: str
+    delta_e: tuple[float, ...]
+    median_delta_e: float
+    spectral_angle_deg: tuple[float, ...]
+    median_spectral_angle_deg: float
+
+
+def colour_results(
+    materials: Sequence[MeasuredBRDF], predictions: Predictions
+) -> list[tuple[ColourResult, ...]]:
+    """Colour errors of all predictions, method by method, illuminant by illuminant."""
+    values, bands = Values.at(materials, DirectionPairs(*multi_angle_pairs())), materials[0].bands
+
+    def result(predicted: Array, illuminant: str) -> ColourResult:
+        both = (e.mean(axis=1) for e in colour_differences(values.f, predicted, bands, illuminant))
+        (delta_e, median), (angle, median_angle) = ((tuple(e.tolist()), float(np.nanmedian(e))) for e in both)
+        return ColourResult(illuminant, delta_e, median, angle, median_angle)
+
+    results = []
+    for each in predictions:
+        predicted = evaluate(each, values)
+        results.append(tuple(result(predicted, illuminant) for illuminant in illuminants_for(bands)))
+    return results
+
+
+def plausibility_results(
+    materials: Sequence[MeasuredBRDF], bands: Indices, predictions: Predictions
+) -> list[list[Plausibility]]:
+    """Of all predictions, method by method, in some bands."""
+    selected = [material.select_bands(bands.tolist()) for material in materials]
+    here = [[c.in_bands(bands) for c in each] for each in predictions]
+
+    def predict(wi: Array, wo: Array) -> Array:
+        values = Values.at(selected, DirectionPairs(wi, wo))
+        return np.concatenate([evaluate(each, values) for each in here])
+
+    found = plausibilities(predict, all(material.is_isotropic for material in materials))
+    return [found[k : k + len(materials)] for k in range(0, len(found), len(materials))]

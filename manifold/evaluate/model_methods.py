@@ -1,0 +1,100 @@
+"""Predictions of a fitted manifold for its own materials: reconstructed, left out with latents kept, and refitted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manifold.evaluate.baselines import fit_pca
+from manifold.evaluate.cross_validation import Encode, Fit, Method
+from manifold.evaluate.latent_models import LatentProcess, fit_settings
+from manifold.evaluate.methods import STANDARD
+from manifold.evaluate.tabulated import Data
+from manifold.gpr import GaussianProcess
+from manifold.model.combination import Combination
+from manifold.model.manifold import Manifold
+from manifold.model.material_table import MaterialTable
+from manifold.records import Indices
+
+
+def model_methods(model: Manifold) -> list[Method]:
+    """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
+    s, space, count = model.settings, model.space, _pca_count(model)
+
+    def method(key: str, title: str, fit: Fit, *, is_held_out: bool = True, refits: bool = True) -> Method:
+        fits_model = "refitted" in key
+        return Method(key, title, space.numbers, fit, is_held_out, refits, fits_model=fits_model)
+
+    def fit_reconstruction(data: Data, training: Indices) -> Encode:
+        """The measured material, which the kernel's delta makes of every training latent."""
+        return lambda i: Combination(model.mapping, np.eye(data.n_materials)[i], is_clipped=False)
+
+    def fit_smooth(data: Data, training: Indices) -> Encode:
+        """The posterior mean at a material's own latent without the delta: what lies next to the material."""
+        process = _process(model, data, training)
+
+        def encode(i: int) -> Combination:
+            return process.at(space.X[i], process.gp.smooth_weights(space.X[i : i + 1])[0])
+
+        return encode
+
+    def fit_latents_kept(data: Data, training: Indices) -> Encode:
+        """The posterior mean at a material's own latent, of a process on the other materials.
+
+        Latents were fitted with the material, so the error is optimistic. Of whole materials it is the closed
+        form of leave-one-out (Rasmussen & Williams 2006, eq. 5.12).
+        """
+        variance = _process(model, data, training).output_variance  # of all materials, this one too
+
+        def encode(i: int) -> Combination:
+            return _process(model, data, np.delete(training, i), variance).at(space.X[i])
+
+        return encode
+
+    def fit_encoded(data: Data, training: Indices) -> Encode:
+        """The process on the other materials, their latents kept; the material's own is found from its data."""
+        return _process(model, data, training).encode
+
+    def fit_blend_encoded(data: Data, training: Indices) -> Encode:
+        """Blends of the other materials, which stay where they are; the material's own place is found from its data."""
+        table = MaterialTable(list(data.materials), np.arange(model.bands.count))
+        search = space.left_out_search(table, model.materials, s)
+        return lambda i: search(i)[1]
+
+    reconstruction = Method(
+        "reconstruction", "reconstruction", space.numbers, fit_reconstruction, is_held_out=False, refits=False
+    )
+    pca = Method(
+        "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
+    )
+    if s.kind == "blend":  # whose places are found in one way
+        own = [
+            method("blend_encoded", "blend, encoded, others kept", fit_blend_encoded, refits=False),
+            method("blend_refitted", "blend, refitted without it", fit_settings(s)),
+        ]
+    else:
+        own = [
+            method("smooth", "reconstruction, smooth", fit_smooth, is_held_out=False, refits=False),
+            method("gp_latents_kept", "GP, latents kept", fit_latents_kept, refits=False),
+            method("gp_encoded", "GP, encoded, others kept", fit_encoded),
+            method("gp_refitted", "GP, refitted without it", fit_settings(s)),
+        ]
+    return [reconstruction, *own, pca]
+
+
+def replaced_keys(model: Manifold) -> set[str]:
+    """Keys of the standard methods that are the model's own under another name."""
+    same = {key for key, settings in STANDARD.items() if model.settings == settings}
+    return same | {f"pca_{_pca_count(model)}_log_relative"}
+
+
+def _pca_count(model: Manifold) -> int:
+    """As many components as a latent of the model has coordinates."""
+    return min(model.gp.X.shape[1], len(model.names) - 2)
+
+
+def _process(
+    model: Manifold, data: Data, materials: Indices, output_variance: float | None = None
+) -> LatentProcess:
+    """The process on the latents of some materials of the model."""
+    gp = GaussianProcess(model.space.X[materials], model.space.kernel)
+    return LatentProcess(gp, data, model.mapping, materials, model.settings.prior, output_variance)

@@ -1,0 +1,144 @@
+"""Ways to complete a material from readings at directions of their own choice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr
+
+from manifold.colour import ball_colours
+from manifold.errors import UsageError
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.complete import complete_at
+from manifold.estimate.residual import coordinates
+from manifold.estimate.suggest import readings_to_take
+from manifold.fit.fit_samples import FitSamples
+from manifold.fit.principled import fit_bsdf
+from manifold.formats.readings import Readings
+from manifold.metrics import cosine_weight
+from manifold.records import Array, Indices
+from manifold.render import fit_json
+from manifold.render.fitted_brdf import FittedBRDF
+
+_RIDGE = 1e-3  # of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A left-out material to be completed.
+
+    Attributes:
+        others: atoms of the other materials.
+        at: their cube roots at the directions to choose from, shape (n + 1, D).
+        roots: the material's cube roots there, shape (B_s, D).
+        wi, wo: these directions, shape (D, 3).
+    """
+
+    others: LibraryAtoms
+    at: Array
+    roots: Array
+    wi: Array
+    wo: Array
+
+    def readings(self, chosen: Indices) -> Readings:
+        """The material read at some of the directions."""
+        nm = self.others.band_axis.wavelengths_nm
+        return Readings(
+            "left out", "library", self.wi[chosen], self.wo[chosen], None if nm is None else np.array(nm),
+            self.roots[:, chosen].T ** 3,
+        )  # fmt: skip
+
+
+Predicted = tuple[Array, Array]
+"""f on the grid and on the ball in the bands of the atoms, shapes (P_g, B_s) and (P_b, B_s)."""
+
+
+@dataclass(frozen=True)
+class ReadingMethod:
+    """A way to complete readings: which directions to read first, what it predicts from them, and how many it needs.
+
+    `order` gives at least as many directions as it is asked for, best first.
+    """
+
+    key: str
+    title: str
+    order: Callable[[Task, int], Indices]
+    predict: Callable[[Task, Indices], Predicted]
+    least: int = 1
+
+
+def _from_weights(atoms: LibraryAtoms, weights: Array) -> Predicted:
+    """Predictions of weights (B_s, n + 1) of cube roots; negative cube roots are cut to 0."""
+    on_grid, on_ball = atoms.directions[:, : atoms.n_grid], atoms.ball
+    return np.maximum(weights @ on_grid, 0.0).T ** 3, np.maximum(weights @ on_ball, 0.0).T ** 3
+
+
+def _own_order(task: Task, count: int) -> Indices:
+    return readings_to_take(task.others, task.at, coordinates(task.wi, task.wo), count)
+
+
+def _completed(task: Task, chosen: Indices) -> Predicted:
+    made = complete_at(task.others.in_atom_bands(), task.readings(chosen), task.at[:, chosen])
+    return made.on_grid, made.on_ball
+
+
+def _amplitude(task: Task) -> Array:
+    return np.cbrt(cosine_weight(task.wi, task.wo))
+
+
+def _well_conditioned(task: Task, count: int) -> Indices:
+    """Directions at which principal components are told apart best: pivots of a QR factorisation.
+
+    Source: Nielsen et al. 2015, section 4 (least condition number); here greedily, by Businger & Golub 1965.
+    """
+    atoms = task.at[: task.others.n_measured]
+    _, _, pivots = qr((atoms - atoms.mean(axis=0)) * _amplitude(task), pivoting=True, mode="economic")
+    return np.asarray(pivots[:count], dtype=np.intp)
+
+
+def _ridge(task: Task, chosen: Indices) -> Predicted:
+    """Ridge regression on all principal components of the atoms' cube roots. Source: Nielsen et al. 2015, eq. 9."""
+    n = task.others.n_measured
+    atoms, amplitude = task.at[:n, chosen], _amplitude(task)[chosen]
+    X = (atoms - atoms.mean(axis=0)) * amplitude
+    inner = X @ X.T
+    y = (task.roots[:, chosen] - atoms.mean(axis=0)) * amplitude
+    shares = np.linalg.solve(inner + _RIDGE * np.trace(inner) / n * np.eye(n), X @ y.T).T
+    weights = np.zeros((len(shares), len(task.at)))
+    weights[:, :n] = shares + (1.0 - shares.sum(axis=1, keepdims=True)) / n
+    return _from_weights(task.others, weights)
+
+
+def _nearest(task: Task, chosen: Indices) -> Predicted:
+    """The material of the library that differs least at the readings."""
+    N, amplitude = len(task.others.names), _amplitude(task)[chosen]
+    read = task.at[: task.others.n_measured, chosen].reshape(N, -1, len(chosen))
+    apart = np.sum(((read - task.roots[:, chosen]) * amplitude) ** 2, axis=(1, 2))
+    own = np.flatnonzero(task.others.material_of == int(np.argmin(apart)))
+    weights = np.zeros((len(own), len(task.at)))
+    weights[np.arange(len(own)), own] = 1.0
+    return _from_weights(task.others, weights)
+
+
+def _principled(task: Task, chosen: Indices) -> Predicted:
+    """Mitsuba's principled BSDF fitted to the readings; NaN where they do not make a fit."""
+    grid, ball = task.others.grid, ball_colours.ball()
+    read = task.readings(chosen)
+    try:
+        fitted = fit_bsdf(FitSamples.from_arrays(read.wi, read.wo, read.values, bands=read.bands))
+    except UsageError:
+        empty = [np.full((len(p.wi), read.bands.count), np.nan) for p in (grid, ball)]
+        return empty[0], empty[1]
+    brdf = FittedBRDF(fit_json.document(fitted, fit_json.Source(read.name)))
+    return brdf.eval(grid.wi, grid.wo), brdf.eval(ball.wi, ball.wo)
+
+
+METHODS = (
+    ReadingMethod("completion", "completion, at its directions", _own_order, _completed),
+    ReadingMethod("ridge", "ridge regression, at its directions", _well_conditioned, _ridge),
+    ReadingMethod("ridge_same", "ridge regression, at those of the completion", _own_order, _ridge),
+    ReadingMethod("nearest", "nearest material", _own_order, _nearest),
+    ReadingMethod("principled", "principled, fitted to the readings", _own_order, _principled, least=5),
+)

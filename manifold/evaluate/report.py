@@ -1,0 +1,310 @@
+"""Evaluation of a fitted manifold and other methods: errors, colour, plausibility, calibration, times, bytes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import __version__, progress
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
+from manifold.errors import UsageError
+from manifold.evaluate import refits
+from manifold.evaluate.anchors import PRINCIPLED, anchor, neural_fits
+from manifold.evaluate.cross_validation import Encoded, Method, encode_all, wall_clock
+from manifold.evaluate.errors import (
+    BallErrors,
+    ColourResult,
+    MedianAndP90,
+    PredictionErrors,
+    colour_results,
+    measure_errors,
+    plausibility_results,
+    standardised_error,
+)
+from manifold.evaluate.methods import baseline_methods, gplvm_methods
+from manifold.evaluate.model_methods import model_methods, replaced_keys
+from manifold.evaluate.results import finite
+from manifold.evaluate.tabulated import Data, block_pairs
+from manifold.gpr import IsolatedLatentsWarning
+from manifold.library.store import Library
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model import fitting
+from manifold.model.combination import Values
+from manifold.model.left_out import CalibrationResult
+from manifold.model.manifold import Manifold
+from manifold.records import Array, Indices
+from manifold.work import HERE, Workers
+
+LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
+_BYTES_PER_NUMBER = 8
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """Results of one method over all materials; errors also as median and 90th percentile (`median_`, `p90_`).
+
+    Attributes:
+        key, title, is_held_out: as in `Method`.
+        numbers: that describe one material.
+        bytes: of all measured values that predictions need, and of the numbers of all materials.
+        fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
+        predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
+        rmse: eq. 22 of Hikichi & Iwasaki per material, in 1/sr: summed over all bands, as those of errors have it.
+        relative_error, cube_root_error: linear, cosine-weighted, and of cube roots, per material; see `metrics`.
+        ball_delta_e, ball_delta_e_itp: mean CIEDE2000 and Delta E_ITP of the ball, per material.
+        negative_share, clipped_share: of predicted values, below zero; or before the method cut them to 0.
+        reciprocity_error, max_albedo: worst over materials, in the tabulated bands; see `plausibility`.
+        colour: per illuminant.
+        standardised_error: z per material, None where the method gives no variance; see
+            `errors.standardised_error`.
+        rms_standardised_error: root mean square of z; about 1 where the method's variance is right.
+    """
+
+    key: str
+    title: str
+    is_held_out: bool
+    numbers: int
+    bytes: int
+    fit_seconds: float
+    encode_seconds: float
+    predict_seconds: float
+    rmse: tuple[float, ...]
+    relative_error: tuple[float, ...]
+    median_relative_error: float
+    p90_relative_error: float
+    cube_root_error: tuple[float, ...]
+    median_cube_root_error: float
+    p90_cube_root_error: float
+    ball_delta_e: tuple[float, ...]
+    median_ball_delta_e: float
+    p90_ball_delta_e: float
+    ball_delta_e_itp: tuple[float, ...]
+    median_ball_delta_e_itp: float
+    p90_ball_delta_e_itp: float
+    negative_share: float
+    clipped_share: float
+    reciprocity_error: float
+    max_albedo: float
+    colour: tuple[ColourResult, ...]
+    standardised_error: tuple[float, ...] | None
+    rms_standardised_error: float | None
+
+
+@dataclass(frozen=True, repr=False)
+class Report:
+    """What `manifold report` prints and writes.
+
+    Attributes:
+        names: materials, in the order of all per-material tuples.
+        latents: shape (N, Q) as nested tuples.
+        is_synthetic: per material, whether its file says so.
+        bands: the spectral axis in words.
+        n_error_bands: in how many bands errors were measured; colours always use all.
+        grid: name of the grid of direction pairs.
+        n_pairs: its size, pairs below the horizon included.
+        settings: of the model.
+        condition: kappa(K).
+        methods: reconstruction first, then what was held out.
+        expected_errors: how well the model knows its errors, `ball` and `cube_root`; None where it is not calibrated.
+        left_out: titles of the methods that would have taken long.
+        seconds: of the stages of the report, wall-clock.
+    """
+
+    names: tuple[str, ...]
+    latents: tuple[tuple[float, ...], ...]
+    is_synthetic: tuple[bool, ...]
+    bands: str
+    n_error_bands: int
+    grid: str
+    n_pairs: int
+    settings: dict[str, Any]
+    condition: float
+    methods: tuple[MethodResult, ...]
+    expected_errors: dict[str, CalibrationResult] | None
+    left_out: tuple[str, ...]
+    seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        return f"<Report: {len(self.names)} materials, {self.bands}, {len(self.methods)} methods>"
+
+    def to_json(self) -> dict[str, Any]:
+        """The report as plain values, with the program's version; numbers that are not finite become None."""
+        return {"program": f"manifold {__version__}", **finite(asdict(self))}
+
+
+def make_report(
+    model: Manifold,
+    grid_name: str = "default",
+    *,
+    compare: bool = False,
+    all_bands: bool = False,
+    anchors: Sequence[str] = (),
+    workers: Workers = HERE,
+    file: Path | None = None,
+) -> Report:
+    """Evaluate a model and other methods on a grid of direction pairs.
+
+    Weights are found on the default grid, whichever the errors are measured on.
+
+    Args:
+        model: a fitted manifold.
+        grid_name: `default`, or `hikichi` for the 1,458,000 pairs of Hikichi & Iwasaki.
+        compare: also run what takes long: models of other settings, and large ones that are fitted once per
+            material.
+        all_bands: measure errors in all bands, not in about 20 of them.
+        anchors: fits to the evaluated materials, for comparison; see `anchors.anchor`.
+        workers: who fit models without each material.
+        file: of the model, from which others than this process read it.
+    Raises:
+        UsageError: the grid is unknown, or an anchor.
+        LibraryError: a material cannot be read.
+        ManifoldError: a worker was lost.
+    """
+    if model.space.landmarks is not None:
+        raise UsageError(
+            f"a report on a map of {model.space.materials_in_words}, expected all to be laid out: its methods leave "
+            "out every material; a model's information lists the left-out errors of a sample"
+        )
+    grid = RusinkiewiczGrid.named(grid_name)
+    for source in {*anchors} - {PRINCIPLED}:
+        neural_fits(source, model.names, model.bands)  # refused before any long work
+    replaced = replaced_keys(model)
+    own = [*model_methods(model), *(m for m in baseline_methods() if m.key not in replaced)]
+    others = [m for m in gplvm_methods() if m.key not in replaced]
+    chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
+    chosen += [*(others if compare else []), *(anchor(name) for name in anchors)]
+    materials, load = wall_clock(lambda: model.materials.with_negative_values())
+    data, tabulate = wall_clock(lambda: refits.tabulate(model, materials))
+    refitted: dict[str, Encoded] = {}
+    if file is not None and workers != HERE:
+        long = [m for m in chosen if m.refits and m.fits_model]
+        library = model.library.path
+        refitted = refits.refit_there(workers, long, len(model.names), file, library)
+    encoded, encode = wall_clock(lambda: _encode(data, chosen, refitted))
+    bands = np.arange(model.bands.count) if all_bands else data.bands
+    reuse = grid_name == "default" and not all_bands
+    blocks = data.blocks() if reuse else _measured_blocks(materials, bands, grid)
+
+    def evaluate_all() -> tuple[MethodResult, ...]:
+        predictions = [each.combinations for each in encoded]
+        errors = measure_errors(predictions, bands, blocks)
+        physical = plausibility_results(materials, data.bands, predictions)
+        colours = colour_results(materials, predictions)
+        balls = BallErrors(materials, data.bands)
+        # Eq. 22 sums over bands: those measured stand for all.
+        n_counted = grid.n_pairs * len(bands) / model.bands.count
+        return tuple(
+            _result(model, data, *each, balls, n_counted)
+            for each in zip(chosen, encoded, errors, physical, colours, strict=True)
+        )
+
+    results, evaluate = wall_clock(evaluate_all)
+    return Report(
+        names=model.names,
+        latents=tuple(tuple(float(v) for v in row) for row in model.X),
+        is_synthetic=tuple(model.library.attributes(name).is_synthetic for name in model.names),
+        bands=str(model.bands),
+        n_error_bands=len(bands),
+        grid=grid_name,
+        n_pairs=grid.n_pairs,
+        settings=dict(vars(model.settings)),
+        condition=model.gp.condition,
+        methods=results,
+        expected_errors=None if model.left_out is None else model.left_out.calibration(),
+        left_out=tuple(m.title for m in [*own, *others] if m not in chosen),
+        seconds={"load": load, "tabulate": tabulate, "encode": encode, "evaluate": evaluate},
+    )
+
+
+def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
+    """Whether a method is too slow for this many materials and bands to run by default."""
+    if not method.fits_model:
+        return False
+    samples = n_materials * min(method.sample_bands or 1, n_bands)
+    return n_materials * samples**2 > LONGEST_REFITS
+
+
+def _encode(data: Data, methods: Sequence[Method], known: Mapping[str, Encoded]) -> list[Encoded]:
+    """Predictions of every material by every method, as weights; those of some are known."""
+    encoded = []
+    for m, method in enumerate(methods):
+
+        def step(done: int, before: int = m * data.n_materials, title: str = method.title) -> None:
+            progress.report(before + done, len(methods) * data.n_materials, title)
+
+        with warnings.catch_warnings():  # of fits to compare with, whose maps nobody uses
+            warnings.simplefilter("ignore", IsolatedLatentsWarning)
+            encoded.append(known.get(method.key) or encode_all(data, method, step))
+    return encoded
+
+
+def _measured_blocks(
+    materials: Sequence[MeasuredBRDF], bands: Indices, grid: RusinkiewiczGrid
+) -> Iterator[Values]:
+    """Measured values on a grid in some bands, block by block."""
+    selected = [material.select_bands(bands.tolist()) for material in materials]
+    size = block_pairs(len(materials), len(bands))
+    total = -(-grid.n_pairs // size)
+    for done, (wi, wo, f) in enumerate(fitting.value_blocks(selected, grid, size), start=1):
+        yield Values(f, wi, wo)
+        progress.report(done, total, "direction pairs")
+
+
+def _result(
+    model: Manifold, data: Data, method: Method, encoded: Encoded, errors: PredictionErrors,
+    physical: Sequence[Plausibility], colour: tuple[ColourResult, ...], balls: BallErrors, n_counted: float,
+) -> MethodResult:  # fmt: skip
+    """All that is measured of one method."""
+    n_bands, negative = model.bands.count, errors.negative_share
+    ciede2000, itp = balls.of(encoded.combinations)
+    return MethodResult(
+        key=method.key,
+        title=method.title,
+        is_held_out=method.is_held_out,
+        numbers=method.numbers(n_bands),
+        bytes=_needed_bytes(model.library, model.names, method),
+        fit_seconds=float(np.mean(encoded.fit_times)),
+        encode_seconds=sum(encoded.encode_times) / data.n_materials,
+        predict_seconds=errors.seconds / data.n_materials,
+        rmse=tuple(errors.rmse(n_counted).tolist()),
+        **_summary("relative_error", errors.linear),
+        **_summary("cube_root_error", errors.cube_root),
+        **_summary("ball_delta_e", ciede2000),
+        **_summary("ball_delta_e_itp", itp),
+        negative_share=0.0 if errors.is_clipped else negative,
+        clipped_share=negative if errors.is_clipped else 0.0,
+        reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical])),
+        max_albedo=float(np.nanmax([p.max_albedo for p in physical])),
+        colour=colour,
+        **_calibration(data, method, encoded),
+    )
+
+
+def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int:
+    """Bytes needed to predict: files, or their warps and sample bands, and the numbers of all materials."""
+    n_bands = library.bands.count
+    unused = 1.0 - min(method.sample_bands or n_bands, n_bands) / n_bands
+    files = [library.attributes(name) for name in names]
+    return _BYTES_PER_NUMBER * method.numbers(n_bands) * len(names) + sum(
+        info.bytes - round(unused * 4 * int(np.prod(info.shape))) for info in files
+    )
+
+
+def _summary(name: str, errors: Array) -> dict[str, Any]:
+    """Errors per material, their median and 90th percentile, as `MethodResult` names them."""
+    median, p90 = MedianAndP90.of(errors)
+    return {name: tuple(errors.tolist()), f"median_{name}": median, f"p90_{name}": p90}
+
+
+def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]:
+    """Standardised errors of what is held out, where every prediction has a variance."""
+    if not method.is_held_out or any(c.variance is None for c in encoded.combinations):
+        return {"standardised_error": None, "rms_standardised_error": None}
+    z = np.array([standardised_error(data, i, c) for i, c in enumerate(encoded.combinations)])
+    return {"standardised_error": tuple(z.tolist()), "rms_standardised_error": float(np.sqrt(np.mean(z**2)))}

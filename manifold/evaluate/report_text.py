@@ -1,0 +1,245 @@
+"""A report as text for people, at most 80 columns wide."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from manifold.evaluate.report import MethodResult, Report
+from manifold.names import counted
+from manifold.text_tables import table_lines
+
+_WIDTH = 80
+_SHOWN_COORDINATES = 2  # of a latent, so that a row fits 80 columns
+# Methods whose errors every material shows: column title per key, most honest first, as many as fit.
+_MATERIAL_COLUMNS = {
+    "blend_refitted": "refitted",
+    "blend_encoded": "encoded",
+    "gp_refitted": "refitted",
+    "gp_encoded": "encoded",
+    "gp_latents_kept": "kept",
+    "linear": "linear",
+    "nearest": "nearest",
+}
+_SHOWN_METHODS = 4
+_OWN_METHODS = ("blend_refitted", "gp_refitted", "blend_encoded", "gp_encoded")  # most honest first
+_LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # of standardised errors, within which a method counts as calibrated
+_MANY_DIGITS = 1e5
+_KINDS = {
+    "blend": "Blends of materials: {}, and two colours per band",
+    "material": "GPLVM of whole materials: {}",
+}
+
+Columns = Sequence[tuple[str, Callable[[MethodResult], str]]]
+"""Titles of columns, and what they show of a method."""
+
+_ERRORS: Columns = (
+    ("linear", lambda m: _fixed(m.median_relative_error)),
+    ("p90", lambda m: _fixed(m.p90_relative_error)),
+    ("cube root", lambda m: _fixed(m.median_cube_root_error)),
+    ("p90", lambda m: _fixed(m.p90_cube_root_error)),
+    ("CIEDE2000", lambda m: f"{m.median_ball_delta_e:.2f}"),
+    ("p90", lambda m: f"{m.p90_ball_delta_e:.2f}"),
+)
+_ERROR_NOTE = """\
+Reconstructions use the material they predict; the mix of two uses it to choose
+the two. Latents kept, or others kept: latents (and of blends, paths of colours)
+fitted with the material, which is then predicted without it. All other methods
+are fitted without the material.
+a + b per band: a coordinates that all bands share, and b of every band.
+Medians and 90th percentiles of materials. linear: relative, cosine-weighted,
+dominated by highlights; cube root: the same of cube roots, closer to perceived
+differences; CIEDE2000: mean over a ball in a studio, D65."""
+
+_PLAUSIBILITY: Columns = (
+    ("RMSE", lambda m: f"{np.nanmedian(m.rmse):.3g}"),
+    ("negative", lambda m: f"{m.negative_share:.2%}"),
+    ("reciprocity", lambda m: f"{m.reciprocity_error:.3f}"),
+    ("albedo", lambda m: f"{m.max_albedo:.2f}"),
+    ("ball ITP", lambda m: f"{m.median_ball_delta_e_itp:.1f}"),
+)
+_PLAUSIBILITY_NOTE = """\
+RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr. negative: share of values;
+measured files have some too. reciprocity, albedo: error and largest value of
+the worst material. ball ITP: mean Delta E_ITP of the ball (ITU-R BT.2124) on a
+display whose white has 100 cd/m2, median."""
+
+_COLOUR_NOTE = """\
+dE: CIEDE2000 of the radiance factor pi f. angle: spectral angle in degrees
+between the spectra of the reflected light. Means over six directions of a
+multi-angle instrument (light at 45 degrees; aspecular -15, 15, 25, 45, 75,
+110); medians of materials."""
+
+_COSTS: Columns = (
+    ("numbers", lambda m: str(m.numbers)),
+    ("MB kept", lambda m: f"{m.bytes / 1e6:.1f}"),
+    ("fit s", lambda m: f"{m.fit_seconds:.3f}"),
+    ("encode ms", lambda m: f"{1e3 * m.encode_seconds:.1f}"),
+    ("predict ms", lambda m: f"{1e3 * m.predict_seconds:.0f}"),
+)
+_COST_NOTE = """\
+numbers: per material. MB kept: numbers and measured values that predictions
+need, of all materials. Wall-clock times: of one fit, of encoding one material,
+and of predicting it wherever errors are measured."""
+
+_CALIBRATION: Columns = (
+    ("rms z", lambda m: f"{m.rms_standardised_error:.2f}"),
+    ("median z", lambda m: f"{np.median(m.standardised_error or 0.0):.2f}"),
+    ("calibrated", lambda m: _calibrated(m.rms_standardised_error or 0.0)),
+)
+_CALIBRATION_NOTE = f"""\
+z: error of the mapped values in the standard deviations the method expected;
+calibrated: root mean square from {_LOWEST_RMS} to {_HIGHEST_RMS:g}."""
+
+_EXPECTED_NOTE = """\
+Of materials left out of the map, the others kept where they are, and errors
+expected without them; rank corr.: of expected with true errors; below 2x: true
+errors that are below twice the expected."""
+
+
+def lead(report: Report) -> str:
+    """Three sentences: the model's own error for left-out materials, that of baselines, and whether it is expected."""
+    by_key = {m.key: m for m in report.methods}
+    own = next(by_key[key] for key in _OWN_METHODS if key in by_key)
+    nearest, linear = by_key["nearest"], by_key["linear"]
+    how = "a model fitted without it" if "refitted" in own.key else "the map of the others"
+    expected = report.expected_errors and report.expected_errors["ball"]
+    last = (
+        "The model is not calibrated: it expects no errors."
+        if not expected
+        else f"For {expected.below_twice:.0%} of the materials the error is less than twice what the model expects."
+    )
+    return (
+        f"A left-out material, found by {how} from its own data, differs from the measured one by "
+        f"{own.median_ball_delta_e:.1f} CIEDE2000 of the rendered ball in the median, nine in ten by less than "
+        f"{own.p90_ball_delta_e:.1f}. The most similar other material differs by {nearest.median_ball_delta_e:.1f} in "
+        f"the median, a linear mix of the two nearest by {linear.median_ball_delta_e:.1f}. {last}"
+    )
+
+
+def format_report(report: Report) -> str:
+    """Short tables of all methods, then the materials, then times; plain text that ends in a newline."""
+    methods = report.methods
+    illuminants = list(enumerate(c.illuminant for c in methods[0].colour))
+    colours: Columns = (
+        *((f"dE {name}", lambda m, k=k: f"{m.colour[k].median_delta_e:.2f}") for k, name in illuminants),
+        *(
+            (f"angle {name}", lambda m, k=k: f"{m.colour[k].median_spectral_angle_deg:.2f}")
+            for k, name in illuminants
+        ),
+    )
+    calibrated = [m for m in methods if m.rms_standardised_error is not None]  # blends have no variance
+    lines = [
+        *_heading(report),
+        "",
+        *textwrap.wrap(lead(report), _WIDTH, break_on_hyphens=False),
+        "",
+        *_section("method", methods, _ERRORS, _ERROR_NOTE),
+        *_section("values", methods, _PLAUSIBILITY, _PLAUSIBILITY_NOTE),
+        *_section("colour", methods, colours, _COLOUR_NOTE),
+        *_section("cost", methods, _COSTS, _COST_NOTE),
+        *(_section("calibration", calibrated, _CALIBRATION, _CALIBRATION_NOTE) if calibrated else []),
+        *_expected_errors(report),
+        *_materials(report),
+        *_closing(report),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _section(title: str, methods: Sequence[MethodResult], columns: Columns, note: str) -> list[str]:
+    """A row per method."""
+    rows = [(m.title, *(show(m) for _, show in columns)) for m in methods]
+    return _table((title, *(head for head, _ in columns)), rows, note)
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], note: str) -> list[str]:
+    """A table, the first column to the left and the others to the right, and what it shows."""
+    head, *body = table_lines(columns, rows, numeric=[k > 0 for k in range(len(columns))])
+    return [head, "-" * len(head), *body, "", *note.splitlines(), ""]
+
+
+def _calibrated(rms: float) -> str:
+    return "overconfident" if rms > _HIGHEST_RMS else "underconfident" if rms < _LOWEST_RMS else "yes"
+
+
+def _heading(report: Report) -> list[str]:
+    """What was evaluated."""
+    synthetic, total = sum(report.is_synthetic), 3 if report.bands == "RGB" else int(report.bands.split()[0])
+    some = f" ({synthetic} of them synthetic)" if synthetic else ""
+    kind = " (synthetic corpus)" if synthetic == len(report.names) else some
+    in_bands = "" if report.n_error_bands == total else f", in {report.n_error_bands} bands"
+    s = report.settings
+    dimensions = counted(s["latent_dim"], "dimension")
+    return [
+        f"{len(report.names)} materials{kind}, {report.bands}",
+        f"{_KINDS[s['kind']].format(dimensions)}; mapping {s['mapping']}",
+        f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
+        f"condition of K {report.condition:.3g}",
+        f"Errors over {report.n_pairs:,} direction pairs (grid '{report.grid}'){in_bands}",
+    ]
+
+
+def _fixed(error: float) -> str:
+    """A relative error with three decimals; that of a black material, over nothing, as a power of ten."""
+    return f"{error:.3f}" if error < _MANY_DIGITS else f"{error:.0e}"
+
+
+def _expected_errors(report: Report) -> list[str]:
+    """Calibration of the expected errors."""
+    if report.expected_errors is None:
+        return ["No expected errors: not calibrated; embed again, with four materials or more.", ""]
+    digits = {"ball": 2, "cube_root": 3}
+    rows = [
+        (
+            name.replace("_", " "),
+            *(f"{value:.{digits[name]}f}" for value in (*c.true, *c.expected)),
+            f"{c.rank_correlation:.2f}",
+            f"{c.below_twice:.0%}",
+        )
+        for name, c in report.expected_errors.items()
+    ]
+    columns = ("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x")
+    return _table(columns, rows, _EXPECTED_NOTE)
+
+
+def _materials(report: Report) -> list[str]:
+    """One row per material: latent, and held-out errors."""
+    by_key = {m.key: m for m in report.methods}
+    shown = [key for key in _MATERIAL_COLUMNS if key in by_key][:_SHOWN_METHODS]
+    first = by_key[shown[0]]
+    head = ("material", "latent", "CIEDE2000", *(_MATERIAL_COLUMNS[key] for key in shown))
+    rows = [
+        (
+            name,
+            _latent(report.latents[k]),
+            f"{first.ball_delta_e[k]:.2f}",
+            *(_fixed(by_key[key].relative_error[k]) for key in shown),
+        )
+        for k, name in enumerate(report.names)
+    ]
+    note = (
+        f"CIEDE2000: of '{first.title}'.\n"
+        f"To its right: linear errors, first of the same method ({_MATERIAL_COLUMNS[shown[0]]})."
+    )
+    return _table(head, rows, note)
+
+
+def _closing(report: Report) -> list[str]:
+    """Times, and what was not run."""
+    s = report.seconds
+    lines = [
+        f"Loading {s['load']:.1f} s, tabulating {s['tabulate']:.1f} s, fitting and encoding "
+        f"{s['encode']:.1f} s, evaluating {s['evaluate']:.1f} s."
+    ]
+    if report.left_out:
+        lines.append(f"{len(report.left_out)} more methods take long: a comparison runs them too.")
+    return lines
+
+
+def _latent(x: Sequence[float]) -> str:
+    """The first coordinates; the JSON report holds them all."""
+    return ", ".join(
+        [*(f"{v:+.2f}" for v in x[:_SHOWN_COORDINATES]), *(["..."] if x[_SHOWN_COORDINATES:] else [])]
+    )

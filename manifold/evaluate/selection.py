@@ -1,0 +1,134 @@
+"""Choice of mapping and number of dimensions by held-out error.
+
+The materials are dealt into folds. Every candidate is fitted without a fold, embeds its materials from their data,
+and is judged by what it decodes; up to twenty materials every fold holds one, which is leave-one-out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from manifold import progress
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.errors import UsageError
+from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
+from manifold.evaluate.errors import BallErrors, MedianAndP90, measure_errors
+from manifold.evaluate.latent_models import fit_settings
+from manifold.evaluate.tabulated import Data
+from manifold.mapping import MAPPINGS
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model.settings import Settings
+from manifold.names import counted
+from manifold.records import evenly_spaced
+
+GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
+MAX_BANDS = 12  # evenly spaced, besides those that are samples
+MAX_DIMENSIONS = 6
+PAYS = 0.05  # an added dimension has to take this share off the error
+LEAVE_ONE_OUT_UP_TO = 20  # materials; more are dealt into FOLDS
+FOLDS = 5
+_TOLERANCE = 1e-4  # of the fits: finer ones move no error by more than it varies between folds
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One setting and its held-out errors.
+
+    Attributes:
+        mapping, latent_dim: the setting.
+        error: geometric mean over materials of the linear error, which the choice is made by.
+        linear, cube_root, ball: the three errors over materials; see `PredictionErrors` and `BallErrors`.
+        seconds: of fitting and encoding all folds.
+        is_chosen: whether it won.
+    """
+
+    mapping: str
+    latent_dim: int
+    error: float
+    linear: MedianAndP90
+    cube_root: MedianAndP90
+    ball: MedianAndP90
+    seconds: float
+    is_chosen: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        errors = {name: getattr(self, name)._asdict() for name in ("linear", "cube_root", "ball")}
+        return {**vars(self), **errors}
+
+
+def choose(
+    materials: Sequence[MeasuredBRDF],
+    settings: Settings,
+    *,
+    mapping: bool,
+    latent_dim: bool,
+) -> tuple[Settings, list[Candidate]]:
+    """Choose a mapping at the given number of dimensions, then the number of dimensions under that mapping.
+
+    Args:
+        materials: at least four, of the same bands.
+        settings: what is not chosen; its `latent_dim` is where the choice of a mapping is made.
+        mapping, latent_dim: what to choose.
+    Returns:
+        The settings chosen, and all candidates that were tried, in order.
+    Raises:
+        UsageError: there are fewer than four materials.
+    """
+    if len(materials) < 4:
+        raise UsageError(
+            f"found {counted(len(materials), 'material')}, expected at least 4 to choose by held-out error; "
+            "choose mapping and dimensions yourself, or import more"
+        )
+    trials = _Trials(materials, settings)
+    most = min(MAX_DIMENSIONS, len(materials) - 2)
+    tried: dict[tuple[str, int], Candidate] = {}
+    mappings = list(MAPPINGS) if mapping and settings.kind != "blend" else [settings.mapping]
+    total = len(mappings) * mapping + most * latent_dim
+
+    def attempt(name: str, count: int) -> Candidate:
+        if (name, count) not in tried:
+            with progress.listen(None):
+                tried[name, count] = trials.run(name, count)
+            progress.report(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
+        return tried[name, count]
+
+    start = min(settings.latent_dim, most)
+    best = min((attempt(name, start) for name in mappings), key=lambda c: c.error)
+    if latent_dim:
+        best = attempt(best.mapping, 1)
+        for count in range(2, most + 1):
+            more = attempt(best.mapping, count)
+            if more.error < (1.0 - PAYS) * best.error:
+                best = more
+            elif count > best.latent_dim + 1:
+                break  # two in a row that did not pay
+    chosen = replace(settings, mapping=best.mapping, latent_dim=best.latent_dim)
+    return chosen, [replace(c, is_chosen=c is best) for c in tried.values()]
+
+
+class _Trials:
+    """Values of all materials, and their held-out errors under any setting."""
+
+    def __init__(self, materials: Sequence[MeasuredBRDF], settings: Settings) -> None:
+        n_bands, N = materials[0].bands.count, len(materials)
+        bands = np.union1d(evenly_spaced(n_bands, MAX_BANDS), evenly_spaced(n_bands, settings.sample_bands))
+        self._settings = settings
+        self._data = Data.evaluate(materials, GRID, bands, stride=1)
+        self._balls = BallErrors(materials, bands)
+        self._splits = leave_out(N, N if N <= LEAVE_ONE_OUT_UP_TO else FOLDS)
+
+    def run(self, name: str, latent_dim: int) -> Candidate:
+        """Held-out errors of one setting."""
+        fit = fit_settings(replace(self._settings, mapping=name, latent_dim=latent_dim), tolerance=_TOLERANCE)
+        encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))
+        found = encoded.combinations
+        (errors,) = measure_errors([found], self._data.bands, [self._data])
+        mean = float(np.exp(np.mean(np.log(np.maximum(errors.linear, 1e-12)))))
+        linear, cube_root = MedianAndP90.of(errors.linear), MedianAndP90.of(errors.cube_root)
+        ball = MedianAndP90.of(self._balls.of(found)[0])
+        return Candidate(name, latent_dim, mean, linear, cube_root, ball, seconds)

@@ -1,0 +1,206 @@
+"""Failure modes of manifolds: settings, libraries and latents that give unreliable predictions.
+
+Most of them ask for a plastic that lies between the measured ones, and count its error in that of the nearest
+measured material.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.evaluate.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, in_space, predict
+from manifold.evaluate.stability.trials import BALL, HALF_OF_NEAREST, Limit, Measurement, Mode, Trial
+from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
+from manifold.model.manifold import Manifold
+from manifold.records import BsdfFile
+
+KINDS = ("material", "blend")
+
+
+def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
+    """A measured plastic that is not in the family."""
+    return MeasuredBRDF(bed.file(alpha, COLOURS[1]))
+
+
+def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
+    """Error of a prediction of the held-out plastic over that of the nearest material of the family."""
+    truth = held_out(bed)
+    nearest = bed.cached(
+        "error of the nearest", lambda: min(bed.error(MeasuredBRDF(file), truth) for file in bed.family)
+    )
+    return bed.error(found, truth) / nearest
+
+
+def _held_out_in(bed: TestBed, model: Manifold) -> Measurement:
+    """The held-out plastic, embedded in a model."""
+    truth = held_out(bed)
+    brdf, messages = bed.embed(model, truth)
+    return Measurement(in_error_of_nearest(bed, brdf), messages)
+
+
+def _of_kinds(trial: Callable[[str, TestBed, float], Measurement]) -> dict[str, Trial]:
+    """A trial for each kind of manifold."""
+    return {kind: partial(trial, kind) for kind in KINDS}
+
+
+def _fitted(files: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
+    """The held-out plastic in a model of each kind, fitted to files that depend on the severity."""
+    return _of_kinds(partial(_fitted_to, files))
+
+
+def _fitted_to(
+    files: Callable[[TestBed, float], Sequence[BsdfFile]], kind: str, bed: TestBed, severity: float
+) -> Measurement:
+    return _held_out_in(bed, bed.fit(files(bed, severity), kind))
+
+
+# -- the kernel --------------------------------------------------------------------------------------------
+
+
+def _rescaled(kind: str, bed: TestBed, length_scale: float) -> Measurement:
+    """The held-out plastic at its latent, under a length scale that the latents were not fitted for."""
+    truth, fitted = held_out(bed), bed.model(kind)
+    known = fitted.embed(truth)
+    kernel = replace(fitted.space.kernel, length_scale=length_scale)
+    model = in_space(fitted, replace(fitted.space, kernel=kernel))  # type: ignore[type-var]
+    brdf, messages = predict(model, known.latent, known.colours)
+    return Measurement(in_error_of_nearest(bed, brdf), messages)
+
+
+def _with_prior(kind: str, bed: TestBed, length_scale: float) -> Measurement:
+    """The held-out plastic under a length scale that the prior keeps the latents from following."""
+    return _held_out_in(bed, bed.fit(bed.family, kind, prior=1.0, length_scale=length_scale))
+
+
+def _with_noise(kind: str, bed: TestBed, power: float) -> Measurement:
+    return _held_out_in(bed, bed.fit(bed.family, kind, mu=10.0**-power))
+
+
+# -- the library -------------------------------------------------------------------------------------------
+
+
+def _with_copies(bed: TestBed, count: float) -> list[BsdfFile]:
+    """The family, and copies of one member."""
+    return [*bed.family, *(replace(bed.family[4], name=f"copy_{k}") for k in range(int(count)))]
+
+
+def _scaled(file: BsdfFile, factor: float, name: str) -> BsdfFile:
+    return replace(file, name=name, spectra=(file.spectra * factor).astype(np.float32))
+
+
+def _with_near_copy(bed: TestBed, power: float) -> list[BsdfFile]:
+    return [*bed.family, _scaled(bed.family[4], 1.0 + 10.0**-power, "near_copy")]
+
+
+def _with_outlier(bed: TestBed, factor: float) -> list[BsdfFile]:
+    return [*bed.family, _scaled(bed.family[4], factor, "outlier")]
+
+
+def _of_few(kind: str, bed: TestBed, left_out: float) -> Measurement:
+    # The smoothest are left out first: what is held out comes to lie outside.
+    files = bed.family[int(left_out) :]
+    truth, model = held_out(bed), bed.fit(files, kind, latent_dim=2 if len(files) > 2 else 1)
+    brdf, messages = bed.embed(model, truth)
+    return Measurement(bed.ball_difference(brdf, truth), messages)
+
+
+def _in_dimensions(kind: str, bed: TestBed, count: float) -> Measurement:
+    return _held_out_in(bed, bed.fit(bed.family, kind, latent_dim=int(count)))
+
+
+def _sharper(kind: str, bed: TestBed, ratio: float) -> Measurement:
+    """A lobe sharper than any of the library, by a factor of roughness."""
+    truth = held_out(bed, ALPHAS[0] / ratio)
+    brdf, messages = bed.embed(bed.model(kind), truth)
+    return Measurement(bed.ball_difference(brdf, truth), messages)
+
+
+# -- colours -----------------------------------------------------------------------------------------------
+
+
+def _requested(bed: TestBed, reflectance: float) -> list[Measurement]:
+    """A grey of a reflectance, requested of every structure."""
+    model = bed.model("blend")
+    requested = np.full(model.bands.count, reflectance)
+    found = []
+    for x in model.X[::3]:
+        colours, claimed = model.colours.of_reflectance(x, requested)
+        brdf, messages = predict(model, x, colours, float(np.abs(claimed - requested).max()))
+        reached = brdf.albedo(from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0))
+        found.append(Measurement(float(np.abs(reached - requested).max()), messages))
+    return found
+
+
+MODES: tuple[Mode, ...] = (
+    Mode(
+        "short_length_scale", "the kernel of a shorter length scale with latents that were fitted for l = "
+        "1", "length scale l",
+        (1.0, 0.3, 0.1, 0.01), HALF_OF_NEAREST, _of_kinds(_rescaled),
+        "Predictions between materials revert to the mean: fit again with the default `length_scale`.",
+    ),
+    Mode(
+        "long_length_scale", "fits with a long length scale, whose prior keeps the latents near the "
+        "centre", "length scale l",
+        (1.0, 100.0, 1000.0), HALF_OF_NEAREST, _of_kinds(_with_prior),
+        "The map becomes linear: fit again with the default `length_scale` and `prior`.",
+    ),
+    Mode(
+        "no_noise", "the observation noise mu of a fit", "-log10 mu", (3.0, 10.0, 11.0), HALF_OF_NEAREST,
+        _of_kinds(_with_noise),
+        "Keep the default mu; below 1e-10 the covariance cannot be factorised, and the fit is refused.",
+    ),
+    Mode(
+        "duplicates", "copies of one material in the library", "copies", (1, 6), HALF_OF_NEAREST,
+        _fitted(_with_copies),
+        "No action needed: copies share a latent and only cost time.",
+    ),
+    Mode(
+        "near_duplicates", "a second measurement of a material in the library", "-log10 of the difference",
+        (1.0, 6.5), HALF_OF_NEAREST, _fitted(_with_near_copy),
+        "No action needed: nearly equal measurements get nearby latents.",
+    ),
+    Mode(
+        "outlier", "one material of the library that is too bright by a factor", "factor", (1.0, 10.0, 1000.0),
+        HALF_OF_NEAREST, _fitted(_with_outlier),
+        "Look for a material far from all others on `manifold map`, and build the library without it.",
+    ),
+    Mode(
+        "few_materials", "a library of only the roughest materials", "materials left out of 12", (4, 8, 10, 11),
+        replace(
+            BALL,
+            reason=f"{BALL.reason}: with the just noticeable difference, 2.3 (Mahy et al. 1994), blends of two "
+            "materials are silently wrong",
+        ),
+        _of_kinds(_of_few),
+        "Import more materials, on both sides of the requested one; a handful does not span a manifold.",
+    ),
+    Mode(
+        "many_dimensions", "latent dimensions, of 12 materials", "Q", (2, 11, 12), HALF_OF_NEAREST,
+        _of_kinds(_in_dimensions),
+        "Ask for fewer dimensions than materials; 2 or 3 suffice for most libraries.",
+    ),
+    Mode(
+        "sharper_than_library", "embedding of a lobe sharper than any measured", "times sharper",
+        (1.0, 1.25, 1.5, 2.0, 10.0),
+        BALL,
+        _of_kinds(_sharper),
+        "Import materials as sharp as that one: combining the lobes of a library does not give a sharper lobe.",
+    ),
+    Mode(
+        "impossible_reflectance", "a requested reflectance that no material has", "reflectance",
+        (0.3, 0.6, 0.9, 3.0),
+        Limit(
+            "difference between the requested and the predicted reflectance", 0.05,
+            "a step of 3 to 6 in CIELAB lightness between reflectances of 0.6 and 0.2",
+        ),
+        {"blend": _requested},
+        "Request a reflectance between those of the surrounding materials; the warning gives the error of the "
+        "nearest one.",
+    ),
+)  # fmt: skip

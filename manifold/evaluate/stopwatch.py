@@ -1,0 +1,143 @@
+"""Times of a chart, relative to a reference, and the rows that they are part of."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numba as nb
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from manifold.analytic import corpus
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.metrics import RusinkiewiczGrid
+from manifold.records import Array
+
+REFERENCE = "syn_satin_gold"
+REFERENCE_PAIRS = 8192
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class RelativeTime:
+    """A time in times of the reference: the median of repeated runs, and their interquartile range."""
+
+    median: float
+    spread: float
+
+    @classmethod
+    def of(cls, ratios: Sequence[float] | Array) -> RelativeTime:
+        """Of repeated runs."""
+        low, median, high = np.percentile(ratios, [25, 50, 75])
+        return cls(float(median), float(high - low))
+
+    @classmethod
+    def of_several(cls, runs: Sequence[Array]) -> RelativeTime:
+        """Of repeated runs of several works: their median, with the spread of runs about that of their own work."""
+        medians = np.array([np.median(ratios) for ratios in runs])
+        apart = np.concatenate([ratios / m for ratios, m in zip(runs, medians, strict=True)])
+        median = float(np.median(medians))
+        return cls(median, median * cls.of(apart).spread)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChartRow:
+    """One setting: its costs, and medians over materials of its errors.
+
+    Attributes:
+        key, title, family, is_held_out: as of a `Method`.
+        relative_error: linear, cosine-weighted, over a grid, in some of the bands.
+        cube_root_error: the same of cube roots; see `metrics.cube_root_error`.
+        rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
+        delta_e, delta_e_itp: mean CIEDE2000 and Delta E_ITP of the ball; see `ball_colours`.
+        p90: 90th percentiles of these five over materials, by their names.
+        fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
+            it was not measured.
+        predict: time to predict a whole material, at all direction pairs at which it is stored.
+        bytes: of what predictions read: files, and the numbers of all materials.
+        warnings: what fits warned of, once per fold.
+    """
+
+    key: str
+    title: str
+    family: str
+    is_held_out: bool = True
+    relative_error: float
+    cube_root_error: float
+    rmse: float
+    delta_e: float
+    delta_e_itp: float
+    p90: dict[str, float] = field(default_factory=dict)
+    fit: RelativeTime | None
+    predict: RelativeTime
+    bytes: int
+    warnings: tuple[str, ...] = ()
+
+
+def summary(errors: Sequence[Sequence[float]] | Array) -> dict[str, Any]:
+    """Errors (N, 5) as `HeldOut.errors` gives them, over materials: what a row holds of them."""
+    names = ("relative_error", "cube_root_error", "rmse", "delta_e", "delta_e_itp")
+    medians, p90 = np.percentile(errors, [50, 90], axis=0).tolist()
+    return {**dict(zip(names, medians, strict=True)), "p90": dict(zip(names, p90, strict=True))}
+
+
+class Stopwatch:
+    """Processor times as ratios to that of a reference run just before, so that neither the machine nor others count.
+
+    The reference is one evaluation of a synthetic material in 195 bands at 8192 direction pairs.
+    """
+
+    def __init__(self) -> None:
+        """Measure the reference material, which is the same everywhere."""
+        (material,) = (m for m in corpus.isotropic_materials() if m.name == REFERENCE)
+        self._brdf = MeasuredBRDF(corpus.measure(material))
+        self._pairs = some_pairs(REFERENCE_PAIRS)
+        self._runs: list[float] = []
+        self.lap(lambda: None)  # compiles
+        self._runs.clear()
+
+    def lap(self, work: Callable[[], Result]) -> tuple[Result, float]:
+        """The result of some work, and its time relative to the reference."""
+        start = time.process_time()
+        self._brdf.eval_at(self._pairs)
+        middle = time.process_time()
+        result = work()
+        end = time.process_time()
+        self._runs.append(middle - start)
+        return result, (end - middle) / (middle - start)
+
+    def laps(self, work: Callable[[], object], count: int) -> Array:
+        """The times that some work takes again and again, after a run that does not count."""
+        work()
+        return np.array([self.lap(work)[1] for _ in range(count)])
+
+    @property
+    def reference_seconds(self) -> float:
+        """Median processor time of the reference."""
+        return float(np.median(self._runs))
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Compiled loops and BLAS on one core, whose time depends least on what else runs."""
+    threads = nb.get_num_threads()
+    nb.set_num_threads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        nb.set_num_threads(threads)
+
+
+def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> DirectionPairs:
+    """Direction pairs above the horizon, spread evenly over a grid, by default 45 x 23 x 12."""
+    wi, wo, above = (grid or RusinkiewiczGrid.named("default")).directions()
+    rows = np.flatnonzero(above)
+    rows = rows[np.linspace(0, len(rows) - 1, count).astype(int)]
+    return DirectionPairs(wi[rows], wo[rows])

@@ -1,0 +1,112 @@
+"""Forms of storage of the measured files: complete, compact, float16, few bands, few angles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from manifold.colour.conversion import interpolation_matrix
+from manifold.colour.illuminants import illuminant_power
+from manifold.evaluate.budget import reduced_file
+from manifold.library.compacting import encode
+from manifold.records import Array, Bands, BsdfFile
+
+_FLOAT_BYTES = 4
+
+
+@dataclass(frozen=True)
+class Storage:
+    """A form in which measured files are stored.
+
+    Attributes:
+        key, title: part of those of a setting.
+        reduce: a file as it is stored.
+        bands: how many bands are stored; None is all.
+        number_bytes: bytes of a number.
+        stored_bytes: of a reduced file, where that is not what its numbers take.
+    """
+
+    key: str
+    title: str
+    reduce: Callable[[BsdfFile], BsdfFile]
+    bands: int | None = None
+    number_bytes: int = _FLOAT_BYTES
+    stored_bytes: Callable[[BsdfFile], int] | None = None
+
+    def file_bytes(self, stored: BsdfFile, band_share: float = 1.0) -> int:
+        """Bytes of a stored file that evaluation reads: values in a share of the bands, and distributions."""
+        if self.stored_bytes is not None:
+            return self.stored_bytes(stored)
+        tables = stored.ndf.size + stored.sigma.size + stored.vndf.size
+        return round((tables + band_share * stored.spectra.size) * self.number_bytes)
+
+
+WHOLE = Storage("", "", lambda file: file)
+"""As measured, float32."""
+
+
+def compact() -> Storage:
+    """The compact form of libraries at its default tolerance, which is read as a whole."""
+    sizes: dict[str, int] = {}
+
+    def reduce(file: BsdfFile) -> BsdfFile:
+        found = encode(file)
+        sizes[file.name] = found.stored_bytes
+        return replace(file, **found.decode())
+
+    return Storage("compact", "compact", reduce, stored_bytes=lambda file: sizes[file.name])
+
+
+def half() -> Storage:
+    """All tables as float16; what is too large becomes its largest number."""
+    return Storage("half", "float16", _halved, number_bytes=2)
+
+
+def few_bands(count: int) -> Storage:
+    """Values at a few wavelengths, chosen for D65; between them predictions are linear."""
+
+    def reduce(file: BsdfFile) -> BsdfFile:
+        nodes, projection = _projection(file.bands, count)
+        return reduced_file.with_bands(file, nodes, projection)
+
+    return Storage(f"{count}_of_bands", f"{count} bands kept", reduce, bands=count)
+
+
+def few_angles(*, outgoing: int = 1, incident: int = 1) -> Storage:
+    """Every second, third ... row and column of the outgoing grid and of its warp, and incident elevation."""
+
+    def reduce(file: BsdfFile) -> BsdfFile:
+        T = len(file.theta_i_rad)
+        resolution = -(-file.spectra.shape[3] // outgoing)
+        kept = np.unique(np.append(np.arange(0, T, incident), T - 1))
+        warp = -(-file.vndf.shape[2] // outgoing)
+        return reduced_file.with_angles(file, kept, resolution=resolution, warp_nodes=warp)
+
+    what = {(True, False): "outgoing grid", (False, True): "incidences"}.get(
+        (outgoing > 1, incident > 1), "both grids"
+    )
+    return Storage(f"angles_{outgoing}_{incident}", f"1/{max(outgoing, incident)} {what}", reduce)
+
+
+def interpolation(bands: Bands, count: int) -> Array:
+    """The matrix (B, r) from r stored bands back to all."""
+    nodes, _ = _projection(bands, count)
+    return interpolation_matrix(nodes, np.asarray(bands.wavelengths_nm))
+
+
+def _projection(bands: Bands, count: int) -> tuple[Array, Array]:
+    return reduced_file.few_bands(bands, bands, illuminant_power(bands, "D65"), count)
+
+
+def _halved(file: BsdfFile) -> BsdfFile:
+    most = np.finfo(np.float16).max
+
+    def half(values: Array) -> Array:
+        return np.clip(values, -most, most).astype(np.float16).astype(np.float32)
+
+    return replace(
+        file,
+        spectra=half(file.spectra), ndf=half(file.ndf), sigma=half(file.sigma), vndf=half(file.vndf),
+    )  # fmt: skip

@@ -1,0 +1,157 @@
+"""Values of all materials at the direction pairs that methods learn from, and their Gram matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from manifold import progress
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.encoding import PAIR_STRIDE
+from manifold.mapping import Mapping
+from manifold.metrics import RusinkiewiczGrid, relative_error
+from manifold.model import fitting
+from manifold.model.combination import Values
+from manifold.records import Array, Indices, evenly_spaced
+
+MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
+_BLOCK_VALUES = 10_000_000  # measured values held at once, of all materials together
+
+
+@dataclass(frozen=True, eq=False)
+class Data(Values):
+    """The data of methods: values of N materials at P direction pairs, in B' of their B bands.
+
+    Attributes:
+        f: in 1/sr, shape (N, P, B').
+        wi, wo: unit vectors (P, 3).
+        bands: which of all bands the values are in, increasing, shape (B',); by default all.
+        n_bands: B.
+        stride: one in so many direction pairs serves to find a latent by decoded values.
+        materials: that were evaluated, for methods that look at other direction pairs too.
+    """
+
+    bands: Indices = field(default=None)  # type: ignore[arg-type]
+    n_bands: int = 0
+    stride: int = PAIR_STRIDE
+    materials: Sequence[MeasuredBRDF] = field(default=(), repr=False)
+    _made: dict[Hashable, Any] = field(default_factory=dict, repr=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.bands is None:
+            object.__setattr__(self, "bands", np.arange(self.f.shape[2]))
+            object.__setattr__(self, "n_bands", self.f.shape[2])
+
+    @classmethod
+    def evaluate(
+        cls,
+        materials: Sequence[MeasuredBRDF],
+        grid: RusinkiewiczGrid,
+        bands: Indices | None = None,
+        *,
+        stride: int = PAIR_STRIDE,
+    ) -> Data:
+        """Evaluate materials on a grid.
+
+        Args:
+            materials: N of them, of the same bands.
+            grid: direction pairs.
+            bands: which bands, increasing; by default at most MAX_BANDS, evenly spaced.
+            stride: see `Data`.
+        """
+        n_bands = materials[0].bands.count
+        bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
+        selected = [material.select_bands(bands.tolist()) for material in materials]
+        blocks = []
+        total = -(-grid.n_pairs // fitting.BLOCK_PAIRS)
+        for block in fitting.value_blocks(selected, grid):
+            blocks.append(block)
+            progress.report(len(blocks), total, "direction pairs")
+        wi, wo, f = zip(*blocks, strict=True)
+        return cls(
+            np.concatenate(f, axis=1),
+            np.concatenate(wi),
+            np.concatenate(wo),
+            bands,
+            n_bands,
+            stride,
+            materials,
+        )
+
+    def blocks(self) -> Iterator[Values]:
+        """The values, some direction pairs at a time."""
+        size = block_pairs(self.n_materials, len(self.bands))
+        for start in range(0, self.f.shape[1], size):
+            some = slice(start, start + size)
+            yield Values(self.f[:, some], self.wi[some], self.wo[some])
+
+    def cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """The cached result of `make` for a key."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+    def unmapped(self) -> Data:
+        """The same without what methods share, values in a mapped domain and their products: each pays its own."""
+        return Data(self.f, self.wi, self.wo, self.bands, self.n_bands, self.stride, self.materials)
+
+    @property
+    def n_materials(self) -> int:
+        """N."""
+        return len(self.f)
+
+    @property
+    def n_outputs(self) -> int:
+        """D: direction pairs times bands."""
+        return self.f.shape[1] * self.f.shape[2]
+
+    def gram(self, mapping: Mapping, bands: Indices | None = None, *, power: float = 1.0) -> Array:
+        """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has.
+
+        Args:
+            mapping: T.
+            bands: as for `samples`.
+        Returns:
+            Shape (N, N) of whole materials, (N * B_s, N * B_s) of single bands.
+        """
+
+        def products() -> Array:
+            weight = np.sqrt(self.cosines**power)
+            flat = self.samples(mapping, bands) * (
+                np.repeat(weight, self.f.shape[2]) if bands is None else weight
+            )
+            return flat @ flat.T
+
+        return self.cached((repr(mapping), power, None if bands is None else tuple(bands.tolist())), products)
+
+    def samples(self, mapping: Mapping, bands: Indices | None = None) -> Array:
+        """T(f), sample by sample.
+
+        Args:
+            mapping: T.
+            bands: which bands are samples of their own, shape (B_s,), counted among all; None where whole materials
+                are samples.
+        Returns:
+            Shape (N, P * B') of whole materials, (N * B_s, P) of single bands.
+        """
+        if bands is None:
+            return self.mapped(mapping).reshape(self.n_materials, -1)
+        return self.mapped_samples(mapping, np.searchsorted(self.bands, bands))
+
+    def available_bands(self, count: int) -> Indices:
+        """At most `count` of the bands here, as evenly spaced over all bands as they can be."""
+        wanted = evenly_spaced(self.n_bands, count)
+        nearest = np.abs(self.bands[None] - wanted[:, None]).argmin(axis=1)
+        return np.unique(self.bands[nearest])
+
+    def relative_error(self, i: int, predicted: Array) -> float:
+        """Of a prediction (P, B') of material i, weighted by the cosines."""
+        return relative_error(self.f[i], predicted, self.cosines)
+
+
+def block_pairs(n_materials: int, n_bands: int) -> int:
+    """Direction pairs of a block of values."""
+    return int(np.clip(_BLOCK_VALUES // (n_materials * n_bands), 64, 16384))

@@ -1,5 +1,0 @@
-"""Experiments on fitted models: held-out accuracy, speed against accuracy, failure modes, budgets for scenes."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

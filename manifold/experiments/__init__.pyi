@@ -1,3 +1,0 @@
-from . import budget, chart, evaluation, stability
-
-__all__ = ["budget", "chart", "evaluation", "stability"]

@@ -1,0 +1,5 @@
+"""BSDFs fitted to materials, their JSON, and files for engines."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,264 @@
+"""The work behind `manifold export`: a fit, a prediction or a file in; a file of an engine out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from manifold import disk
+from manifold.batch import Batch, Outcome, Task
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.orientation import aligned
+from manifold.errors import UsageError
+from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
+from manifold.fit import fit_samples, pictures
+from manifold.fit.exports.direct import at_bounds, fit_target
+from manifold.fit.exports.document import Export
+from manifold.fit.exports.principled_values import Principled
+from manifold.fit.exports.targets import Target, TargetBRDF
+from manifold.fit.fit_metrics import NOTICEABLE, BallDifference
+from manifold.fit.principled import fit_bsdf
+from manifold.io_rgl import material_name, read_bsdf
+from manifold.library.identity import file_sha256
+from manifold.library.store import Library
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
+from manifold.model.places import PlaceLike
+from manifold.plots import figures
+from manifold.plots.slice_figures import Source
+from manifold.progress import Stages
+from manifold.records import BsdfFile
+from manifold.render import fit_json
+from manifold.render.fitted_brdf import FittedBRDF
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A material that is to be exported.
+
+    Attributes:
+        name: of the material.
+        source: where it comes from, plain values.
+        fit: content of its fit's JSON.
+        material: what the loss is measured against; the fit itself if None.
+        against: what that is: `measured file` or another origin, `prediction` or `fit`.
+    """
+
+    name: str
+    source: dict[str, Any]
+    fit: dict[str, Any]
+    material: BRDF | None
+    against: str
+
+
+def subject_of_source(source: MaterialSource, against: Path | None = None) -> Subject:
+    """The material that a user names; arguments and errors as of `subject_of` and `subject_of_prediction`."""
+    if isinstance(source, FileSource):
+        return subject_of(source.path, against)
+    if against is not None:
+        raise UsageError(f"{source}: a material is compared with itself, and a fit with {against}; name one")
+    if isinstance(source, LibrarySource):
+        return subject_in_library(Library(source.library), source.name)
+    return subject_of_prediction(source.model, source.place, library=source.library, colour=source.colour)
+
+
+def subject_of(path: Path, against: Path | None = None) -> Subject:
+    """The material of a fit's JSON or of a `.bsdf` file, which is fitted.
+
+    Args:
+        path: the file.
+        against: for a fit, the measured file to compare with; the fit itself if None.
+    Raises:
+        UsageError, FileFormatError: a file cannot be used.
+    """
+    if path.suffix.lower() == ".bsdf":
+        if against is not None:
+            raise UsageError(
+                f"{path}: a measured file is compared with itself, and a fit with {against}; name one"
+            )
+        return subject_of_file(read_bsdf(path), {"file": path.name, "sha256": file_sha256(path)})
+    content = fit_json.read(path)
+    source = {"fit": path.name, "sha256": file_sha256(path), "of": content["source"]}
+    name = content["source"]["name"]
+    if against is None:
+        return Subject(name, source, content, None, "fit")
+    file = read_bsdf(against)
+    # as the fitted sample lay, which a library may have turned
+    material = MeasuredBRDF(aligned(file)).turned(np.deg2rad(content.get("rotation_deg", 0.0)))
+    return Subject(name, source, content, material, f"{file.origin} file")
+
+
+def subject_of_prediction(
+    model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
+    ) -> Subject:  # fmt: skip
+    """The material that a model predicts at a latent, fitted.
+
+    Raises:
+        UsageError, LatentError, ModelError: the model or the latent cannot be used.
+    """
+    stages = Stages({"reading materials": 3, "fitting": 7})
+    loaded = Manifold.load(model, library)
+    place = loaded.place(latent)
+    stages.begin("reading materials")
+    loaded.prepare()
+    chosen = choose_colour(loaded, place, colour)
+    brdf = loaded.predict(place, chosen.colours)
+    name = latent if isinstance(latent, str) and latent in loaded.names else "predicted"
+    source = {
+        "model": model.name,
+        "model_sha256": file_sha256(model),
+        "latent": place.latent.tolist(),
+        "colour": chosen.words,
+    }
+    stages.begin("fitting")
+    fit = fit_json.document(fit_bsdf(brdf), fit_json.Source(name))
+    return Subject(name, source, fit, brdf, "prediction")
+
+
+def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
+    """The material of a file, fitted, with plain values that say where it comes from."""
+    fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
+    return Subject(file.name, source, fit, MeasuredBRDF(file), f"{file.origin} file")
+
+
+def subject_in_library(library: Library, name: str) -> Subject:
+    """A material of a library, fitted."""
+    info = library.attributes(name)
+    described = {"library": library.path.name, "file": info.source_file, "sha256": info.sha256}
+    return subject_of_file(library.read(name), described)
+
+
+def export(
+    subject: Subject, target: Target, path: Path, *, is_mapped: bool = False, picture: Path | None = None
+) -> Outcome[Subject]:
+    """Write a material for a target.
+
+    Args:
+        subject: the material.
+        target: where to.
+        path: the file.
+        is_mapped: compute the target's parameters from those of `principled`, instead of fitting its own model to the
+            material from there on.
+        picture: of the material beside the target's model, drawn there; none if None.
+    Raises:
+        UsageError: the fit has no counterpart in engines, or a file cannot be written.
+    """
+    if picture is not None:
+        figures.require_writable(picture)
+    rotation_deg = subject.fit.get("rotation_deg", 0.0)
+    principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"], rotation_deg)
+    parameters, fitted = target.parameters(principled), FittedBRDF(subject.fit)
+    material = fitted if subject.material is None else subject.material
+    is_flattened = principled.anisotropic > 0.0 and parameters == target.parameters(
+        replace(principled, anisotropic=0.0)
+    )
+    if not is_mapped:
+        parameters = fit_target(target, parameters, fit_samples.from_brdf(material))
+    model = TargetBRDF(target, parameters)
+    made = Export(
+        name=subject.name,
+        target=target.name,
+        parameters=parameters,
+        source=subject.source,
+        method="mapping" if is_mapped else "direct",
+        ball=BallDifference.between(model, material),
+        principled_ball=None if subject.material is None else BallDifference.between(fitted, material),
+        against=subject.against,
+    )
+    disk.write_bytes(path, target.content(made, principled))
+    if picture is not None:
+        sources = [Source(subject.against, material), Source(f"exported: {target.name}", model)]
+        pictures.picture_of_brdfs(subject.name, sources, picture)
+    notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
+    if made.ball.unseen_light > NOTICEABLE:
+        better = "; a fit of the target's own model is more accurate" * is_mapped
+        notes = (f"visibly different from the {subject.against}{better}", *notes)
+    ends = () if is_mapped else at_bounds(target, parameters)
+    if ends:
+        notes = (f"at the end of the range: {', '.join(ends)}", *notes)
+    if is_flattened:
+        notes = (f"anisotropic, but {target.name} has no anisotropy: the same at all azimuths", *notes)
+    return Outcome(subject.name, path, subject, made.to_json(), notes=notes)
+
+
+class _Source(NamedTuple):
+    """A material to export: its name, what identifies its content, and what reads it."""
+
+    name: str
+    identity: str
+    read: Callable[[], Subject]
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def export_all(
+    source: Path,
+    target: Target,
+    folder: Path,
+    *,
+    is_mapped: bool = False,
+    with_pictures: bool = False,
+) -> list[Outcome[_Source]]:
+    """Write every material of a library, or every `.bsdf` file and fit of a folder; what is done is left.
+
+    Args:
+        source: the library or the folder; of the folder, at every depth.
+        target: for all.
+        folder: where to; made if missing. Its `exports.jsonl` names what is done.
+        is_mapped: as in `exports.export`.
+        with_pictures: whether to draw each material beside the target's model, into NAME.png.
+    Returns:
+        One outcome per material; one that cannot be exported does not stop the others.
+    Raises:
+        UsageError: there is nothing to export, or the folder cannot be used.
+    """
+    subjects = list(_subjects(source))
+    if not subjects:
+        raise UsageError(
+            f"{source}: neither a library nor a folder with .bsdf files or fits; name another source"
+        )
+    if folder.suffix.lower() == target.suffix and not folder.is_dir():
+        raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
+
+    def made_of(source: _Source) -> dict[str, Any]:
+        return {"material": source.identity, "target": target.name, "mapped": is_mapped}
+
+    make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures)
+    todo = [Task(s.name, folder / f"{s.name}{target.suffix}", s) for s in subjects]
+    return Batch(folder, "exports").run(todo, make, made_of)
+
+
+def _export(
+    source: _Source, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool
+) -> dict[str, Any]:
+    picture = path.with_suffix(".png") if with_pictures else None
+    return export(source.read(), target, path, is_mapped=is_mapped, picture=picture).content or {}
+
+
+def _subjects(source: Path) -> Iterator[_Source]:
+    """Every material of a source, none read yet."""
+    if (source / "zarr.json").is_file():
+        library = Library(source)
+        for name in library.names:
+            yield _Source(
+                name, library.attributes(name).content_sha256, partial(subject_in_library, library, name)
+            )
+        return
+    fits: dict[str, Path] = {}
+    files: dict[str, Path] = {}
+    for path in sorted(source.rglob("*")):
+        kind = {".bsdf": files, ".json": fits if path.name.endswith(".fit.json") else None}.get(path.suffix)
+        if kind is None or not path.is_file():
+            continue
+        name = material_name(Path(path.name.removesuffix(".fit.json")))
+        if kind.setdefault(name, path) != path:
+            raise UsageError(f"{path} and {kind[name]} have the same name; export them into two folders")
+    for name in sorted({*fits, *files}):
+        used = [path for path in (fits.get(name), files.get(name)) if path is not None]
+        yield _Source(name, "".join(map(file_sha256, used)), partial(subject_of, *used))

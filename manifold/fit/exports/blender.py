@@ -1,0 +1,177 @@
+"""Blender's Principled BSDF (4.0 and later): values of its sockets, a script that sets them, and Cycles' BRDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manifold.analytic.fresnel import fresnel_dielectric
+from manifold.fit.exports import lobes, openpbr
+from manifold.fit.exports.document import Export, Parameter, defaults
+from manifold.fit.exports.layers import zeltner_layer
+from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.fit.exports.thin_film import film_over_f82, film_over_index_cycles
+from manifold.records import Array
+
+PARAMETERS = {
+    "Base Color": Parameter([0.8, 0.8, 0.8], is_free=True),
+    "Metallic": Parameter(0.0, is_free=True),
+    "Roughness": Parameter(0.5, is_free=True, low=0.02),
+    "IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
+    "Specular IOR Level": Parameter(0.5),
+    "Specular Tint": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "Anisotropic": Parameter(0.0),
+    "Anisotropic Rotation": Parameter(0.0),
+    "Coat Weight": Parameter(0.0, is_free=True),
+    "Coat Roughness": Parameter(0.03, is_free=True, low=0.02),
+    "Coat IOR": Parameter(1.5, low=1.0, high=2.0),
+    "Sheen Weight": Parameter(0.0, is_free=True),
+    "Sheen Roughness": Parameter(0.5, is_free=True, low=openpbr.FUZZ_ROUGHNESS),
+    "Sheen Tint": Parameter([1.0, 1.0, 1.0]),
+    "Thin Film Thickness": Parameter(0.0, low=50.0, high=1200.0),
+    "Thin Film IOR": Parameter(1.33, low=1.0, high=2.5),
+}
+"""Every socket that exports may set; colours without alpha."""
+
+DEFAULTS = defaults(PARAMETERS)
+
+COAT = ("Coat Weight", "Coat Roughness")
+SHEEN = ("Sheen Weight", "Sheen Tint", "Sheen Roughness")
+FILM = ("Thin Film Thickness", "Thin Film IOR")
+
+_SCRIPT = '''"""{sentence}
+
+Run in Blender's text editor, or: blender FILE.blend --python THIS. It creates the material or changes the one of its
+name, and keeps it where no object uses it yet; save the file afterwards. Colours are scene-linear Rec. 709.
+"""
+
+import bpy
+
+if bpy.app.version < (4, 0, 0):  # its Principled BSDF has other sockets
+    raise RuntimeError("this material needs Blender 4.0 or later, found " + bpy.app.version_string)
+
+NAME = {name}
+VALUES = {values}
+if VALUES["Thin Film Thickness"] and bpy.app.version < (5, 0, 0):  # its metals have no film
+    raise RuntimeError("the thin film of this material needs Blender 5.0 or later, found " + bpy.app.version_string)
+
+material = bpy.data.materials.get(NAME) or bpy.data.materials.new(NAME)
+material.use_fake_user = True
+if bpy.app.version < (5, 0, 0):  # later, materials always have nodes
+    material.use_nodes = True
+nodes = material.node_tree.nodes
+shader = next((n for n in nodes if n.type == "BSDF_PRINCIPLED"), None)
+if shader is None:
+    shader = nodes.new("ShaderNodeBsdfPrincipled")
+    output = next((n for n in nodes if n.type == "OUTPUT_MATERIAL"), None) or nodes.new("ShaderNodeOutputMaterial")
+    material.node_tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+shader.distribution = "MULTI_GGX"
+for key, value in VALUES.items():
+    if key.startswith("Thin Film") and key not in shader.inputs:  # Blender 4.0 and 4.1
+        continue
+    for link in shader.inputs[key].links:  # of a texture, whose value would be taken
+        material.node_tree.links.remove(link)
+    shader.inputs[key].default_value = (*value, 1.0) if isinstance(value, list) else value
+'''
+_NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would not find its material again
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Values of the sockets, all of `DEFAULTS`. Sheen is Zeltner's, as OpenPBR's fuzz."""
+    made = DEFAULTS | {
+        "Base Color": list(material.base_color),
+        "Metallic": material.metallic,
+        "Roughness": material.roughness,
+        "IOR": material.ior,
+        "Specular IOR Level": 0.0 if material.is_diffuse else 0.5,
+        "Anisotropic": material.anisotropic,
+        "Anisotropic Rotation": material.rotation_rad / (2.0 * np.pi),
+    }
+    if material.metallic == 0.0:  # for metals it is the edge's colour
+        made["Specular Tint"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
+    made |= material.scaled_sheen(*SHEEN, openpbr.FUZZ_SCALE, openpbr.FUZZ_ROUGHNESS)
+    return made | material.coat(*COAT)
+
+
+def script(export: Export) -> str:
+    """Python for Blender that makes or changes the material of this name."""
+    values = "{\n" + "".join(f"    {k!r}: {v!r},\n" for k, v in export.parameters.items()) + "}"
+    sentence = export.sentence().replace("\\", "/").replace('"', "'")
+    name = export.label.encode()[:_NAME_BYTES].decode(errors="ignore")
+    return _SCRIPT.format(sentence=sentence, name=repr(name), values=values)
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF in Cycles, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`; the distribution is Multiscatter GGX.
+        view, light: unit vectors (P, 3).
+    Source: Blender's manual, Principled BSDF, and Cycles 5.0 (svm/closure.h, bsdf_microfacet.h): what is below a layer
+    is scaled by one minus the layer's albedo, towards the viewer.
+    """
+    pairs = Pairs.of(view, light, 2.0 * np.pi * values["Anisotropic Rotation"])
+    base, tint, m = np.asarray(values["Base Color"]), np.asarray(values["Specular Tint"]), values["Metallic"]
+    aspect = float(np.sqrt(1.0 - 0.9 * values["Anisotropic"]))
+    alpha_x, alpha_y = min(values["Roughness"] ** 2 / aspect, 1.0), values["Roughness"] ** 2 * aspect
+    f0 = min(2.0 * values["Specular IOR Level"] * ior_to_f0(values["IOR"]), 0.99)
+    f: Array = np.broadcast_to(base / np.pi, (len(view), 3))
+    thickness_nm, film_ior = (values[name] for name in FILM)
+    film = (film_ior, thickness_nm) if thickness_nm else None
+    if f0 > 0.0 or film is not None:
+        ior = 2.0 / (1.0 - float(np.sqrt(f0))) - 1.0
+        f = _interface(pairs, f, ior, alpha_x, alpha_y, tint=tint, film=film)
+    if m:
+        fresnel = lobes.fresnel_f82(base, np.minimum(tint, 1.0), pairs.cos_d)
+        if film is not None:
+            fresnel = film_over_f82(*film, base, np.minimum(tint, 1.0), pairs.cos_d)
+        mean = base + (1.0 - base) / 21.0 - lobes.f82_dip(base, np.minimum(tint, 1.0)) / 126.0
+        scattered, _ = _scattered(pairs, mean, alpha_x, alpha_y)
+        f = (1.0 - m) * f + m * lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
+    if values["Coat Weight"]:
+        alpha = values["Coat Roughness"] ** 2
+        f = _interface(pairs, f, values["Coat IOR"], alpha, alpha, weight=values["Coat Weight"])
+    return zeltner_layer(
+        pairs, f, values["Sheen Weight"], np.asarray(values["Sheen Tint"]), values["Sheen Roughness"]
+    )
+
+
+def _interface(
+    pairs: Pairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
+    tint: Array | float = 1.0, film: tuple[float, float] | None = None,
+) -> Array:  # fmt: skip
+    """A rough dielectric over a BRDF `below` (P, 3), tinted along the normal; `film`: its index and thickness in nm."""
+    real = ior_to_f0(ior)
+    f0 = np.clip(real * np.broadcast_to(tint, 3), 0.0, 1.0)
+
+    def between(share: Array | float) -> Array:
+        return f0 + (1.0 - f0) * share
+
+    def filmed(cosine: Array, film: tuple[float, float]) -> Array:
+        found = film_over_index_cycles(*film, ior, cosine)
+        tinted = np.clip((1.0 - found) / (1.0 - real), 0.0, 1.0)  # less towards grazing
+        return found * (1.0 + tinted * (f0 / real - 1.0)) if real > 1e-5 else found
+
+    mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
+    scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
+    fresnel: Array
+    albedo: Array
+    if film is None:
+        fresnel = between((fresnel_dielectric(pairs.cos_d, np.array([ior])) - real) / (1.0 - real))
+        share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]
+        albedo = between(share) * scattered * single
+    else:  # its albedo is taken as a mirror's
+        fresnel, albedo = filmed(pairs.cos_d, film), filmed(pairs.cos_v, film)
+    most: Array = albedo.max(axis=1, keepdims=True)
+    lobe = lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
+    return weight * lobe + (1.0 - weight * most) * below
+
+
+def _scattered(pairs: Pairs, mean: Array, alpha_x: float, alpha_y: float) -> tuple[Array, Array]:
+    """The factor for light scattered between facets of mean reflectance (3,); the albedo without Fresnel, (P, 1)."""
+    single, average = lobes.single_scattering(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
+    multiple = mean * average / (1.0 - mean * (1.0 - average))
+    return 1.0 + multiple * (1.0 - single) / single, single

@@ -1,0 +1,195 @@
+"""Parameters of a target fitted to a material directly, with the target's own shading model, by the same criterion as
+`principled`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
+
+from manifold.fit.exports.principled_values import snapped
+from manifold.fit.exports.targets import Target, TargetBRDF
+from manifold.fit.fit_metrics import NOTICEABLE, Criterion
+from manifold.fit.fit_samples import FitSamples
+from manifold.records import Array
+
+_PAIRS = 512
+_RIDGE = 1e-3  # towards the mapped values, which undetermined parameters keep
+_COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
+_EVALUATIONS = 40
+_NONE = 2e-3  # a coat, a sheen or a film below this weight is none
+_GAIN = 0.8  # a film, or colour of a sheen, that is kept lowers squared residual and ball's difference below this share
+_FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
+_FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
+_FILM_STARTS = 3  # that are refined
+
+
+def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
+    """Parameters of a target whose model is nearest to a material, all of the target's.
+
+    A thin film is tried where the ball differs noticeably without. A sheen keeps the hue of its start, where there is
+    none grey; its colour is free where that is nearer to all samples as well, of which the fit sees a part.
+
+    Args:
+        target: whose model.
+        start: mapped parameters, which what is not fitted keeps.
+        samples: of the material, with its ball; at most 512 of them are used.
+    """
+    few = samples.as_rgb().subsample(_PAIRS)
+    free = [name for name, parameter in target.entries.items() if parameter.is_free]
+    fixed = list(target.hued)
+    hued = fixed + [name for name in target.sheen if name in free and np.ndim(start[name])]
+    problem = _Problem(target, start, free, few, hued)
+    with threadpool_limits(1):
+        x, cost = problem.nearest(problem.starts())
+        if any(np.any(problem.rounded(x)[name]) for name in hued if name not in fixed):
+            coloured, unseen = (
+                _Problem(target, start, free, few, fixed),
+                replace(samples.as_rgb(), pixels=None),
+            )
+            y, with_colour = coloured.nearest([coloured.vector(problem.rounded(x))])
+            gains = (
+                coloured.ball_difference(y) / problem.ball_difference(x),
+                (coloured.relative(y, unseen) / problem.relative(x, unseen)) ** 2,
+            )
+            if max(gains) < _GAIN:
+                problem, x, cost, hued = coloured, y, with_colour, fixed
+        found = problem.rounded(x)
+        difference = problem.ball_difference(x)
+        if target.film and difference > NOTICEABLE:
+            filmed = _Problem(target, start, [*free, *target.film], few, hued)
+            x, with_film = filmed.nearest(filmed.film_starts(found))
+            if with_film < _GAIN * cost and filmed.ball_difference(x) < _GAIN * difference:
+                return filmed.rounded(x)
+    return found
+
+
+def at_bounds(target: Target, values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Fitted parameters that ended at an end of their range which is not merely all or nothing, with the end."""
+    found = []
+    for name, parameter in target.entries.items():
+        if not parameter.is_free:
+            continue
+        ends = [] if parameter.is_share else [parameter.low]
+        ends += [parameter.high] * (not parameter.is_share or np.ndim(parameter.default) > 0)
+        margin = 2e-3 * (parameter.high - parameter.low)
+        reached = [end for end in ends if np.any(np.abs(np.asarray(values[name]) - end) <= margin)]
+        if reached and not np.array_equal(values[name], parameter.default):
+            found.append(f"{name} {reached[0]:g}")
+    return tuple(found)
+
+
+def _hue(colour: Any) -> Array:
+    """A colour over its largest channel, (3,); white for black."""
+    most = np.max(colour)
+    return np.asarray(colour) / most if most > 0.0 else np.ones(3)
+
+
+class _Problem:
+    """Residuals of a target's free parameters, laid out in one vector."""
+
+    def __init__(
+        self, target: Target, start: Mapping[str, Any], free: Sequence[str], samples: FitSamples,
+        hued: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        """Of `hued` colours the largest channel is free alone, in the hue of the start."""
+        self._start, self._target, self._free = dict(start), target, free
+        self._criterion = Criterion(samples, "appearance")
+        self._hues = {name: _hue(start[name]) for name in hued}
+        sizes = {name: 1 if name in hued else np.size(self._start[name]) for name in free}
+        self._names = [name for name, size in sizes.items() for _ in range(size)]  # of each number
+        entries = [target.entries[name] for name in self._names]
+        self._lower, self._upper = np.array([e.low for e in entries]), np.array([e.high for e in entries])
+        self._span = self._upper - self._lower
+        self._mapped = np.clip(self._numbers(start), self._lower, self._upper)
+
+    def vector(self, values: Mapping[str, Any]) -> Array:
+        """The vector of parameters, a little inside the bounds."""
+        margin = 1e-3 * self._span
+        return np.clip(self._numbers(values), self._lower + margin, self._upper - margin)
+
+    def _numbers(self, values: Mapping[str, Any]) -> Array:
+        numbers = (np.max(values[name]) if name in self._hues else values[name] for name in self._free)
+        return np.concatenate([np.atleast_1d(each) for each in numbers]).astype(float)
+
+    def nearest(self, starts: Sequence[Array]) -> tuple[Array, float]:
+        """The best minimum from several starts, and half of its squared residual."""
+        ends = [
+            least_squares(
+                self.residuals, x, bounds=(self._lower, self._upper), x_scale=self._span, max_nfev=_EVALUATIONS,
+                ftol=1e-5, xtol=1e-4,
+            )
+            for x in starts
+        ]  # fmt: skip
+        best = min(ends, key=lambda end: float(end.cost))
+        return best.x, float(best.cost)
+
+    def starts(self) -> list[Array]:
+        """The mapped values, and those with a rough coat."""
+        mapped = self.vector(self._start)
+        coated = mapped.copy()
+        for i, name in enumerate(self._names):
+            if name in self._target.coat[:1]:
+                coated[i] = max(coated[i], _COAT)
+            elif name in self._target.coat:
+                coated[i] = _COAT_ROUGHNESS
+        return [mapped, coated]
+
+    def film_starts(self, values: Mapping[str, Any]) -> list[Array]:
+        """Parameters with the thin films that lower their residual most, of all that are tried."""
+        *weight, thickness, ior = self._target.film
+        thickest = self._target.entries[thickness].high
+        films = [
+            dict.fromkeys(weight, _FILM_WEIGHT) | {thickness: share * thickest, ior: n}
+            for share in _FILM_THICKNESSES
+            for n in _FILM_IORS
+        ]
+        starts = [self.vector(dict(values) | film) for film in films]
+        return sorted(starts, key=lambda x: float(np.sum(self.residuals(x) ** 2)))[:_FILM_STARTS]
+
+    def _model(self, x: Array) -> TargetBRDF:
+        """The target's model with the parameters of a vector."""
+        made, at = dict(self._start), 0
+        for name in self._free:
+            if name in self._hues:
+                made[name] = (x[at] * self._hues[name]).tolist()
+                at += 1
+                continue
+            size = np.size(made[name])
+            made[name] = x[at : at + size].tolist() if isinstance(made[name], list) else float(x[at])
+            at += size
+        return TargetBRDF(self._target, made)
+
+    def residuals(self, x: Array) -> Array:
+        """Those of the criterion, relative, and of the distance from the mapped values."""
+        rows = self._criterion.residual(self._f_cos(x)) / self._criterion.norm
+        return np.concatenate([rows.ravel(), _RIDGE * (x - self._mapped) / self._span])
+
+    def ball_difference(self, x: Array) -> float:
+        """Mean CIEDE2000 of the ball, in the light of the fit."""
+        return self._criterion.ball_difference(self._f_cos(x))
+
+    def relative(self, x: Array, samples: FitSamples) -> float:
+        """The relative residual of other samples."""
+        f_cos = self._model(x).eval(samples.wi, samples.wo) * samples.wo[:, 2:]
+        return Criterion(samples, "appearance").relative(f_cos)
+
+    def _f_cos(self, x: Array) -> Array:
+        at = self._criterion
+        return self._model(x).eval(at.wi, at.wo) * at.wo[:, 2:]
+
+    def rounded(self, x: Array) -> dict[str, Any]:
+        """The parameters, values near 0 and 1 as these; coats, sheens and films of negligible weight are removed."""
+        made, target = dict(self._model(x).values), self._target
+        for name in self._free:
+            if target.entries[name].is_share:
+                value = made[name]
+                made[name] = list(map(snapped, value)) if isinstance(value, list) else snapped(value)
+        for names in (target.coat, target.sheen, target.film):
+            if names and np.max(made[names[0]]) < _NONE:
+                made |= {name: target.entries[name].default for name in names}
+        return made

@@ -1,0 +1,93 @@
+"""The description of one exported material for one target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from manifold import __version__
+from manifold.fit.fit_metrics import BallDifference
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a target's model.
+
+    Attributes:
+        default: of the target; a list of three for a colour.
+        is_free: whether a direct fit changes it.
+        low, high: the range of direct fits.
+    """
+
+    default: Any
+    is_free: bool = False
+    low: float = 0.0
+    high: float = 1.0
+
+    @property
+    def is_share(self) -> bool:
+        """Whether it ranges from 0 to 1, where a fit that comes near an end means that end."""
+        return (self.low, self.high) == (0.0, 1.0)
+
+
+def defaults(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """The target's value of every parameter that is not set."""
+    return {name: parameter.default for name, parameter in parameters.items()}
+
+
+@dataclass(frozen=True)
+class Export:
+    """A material as parameters of a target.
+
+    Attributes:
+        name: of the material.
+        target: name of the target.
+        parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
+        source: where the parameters come from, plain values.
+        method: `direct`, a fit of the target's own model; or `mapping`, from the parameters of `principled`.
+        ball: difference of the target's own model from what `against` names.
+        principled_ball: that of Mitsuba's `principled`; None where that is what `against` names.
+        against: `measured file`, `prediction` or `fit`.
+    """
+
+    name: str
+    target: str
+    parameters: Mapping[str, Any]
+    source: Mapping[str, Any]
+    method: str
+    ball: BallDifference
+    principled_ball: BallDifference | None
+    against: str
+
+    @property
+    def label(self) -> str:
+        """The name, with a question mark for what does not print, which programs refuse in names."""
+        return "".join(c if c.isprintable() else "?" for c in self.name)
+
+    def about(self) -> dict[str, Any]:
+        """Everything but the parameters, as plain values."""
+        return {
+            "program": f"manifold {__version__}",
+            "material": self.name,
+            "target": self.target,
+            "source": dict(self.source),
+            "method": self.method,
+            "ciede2000": self.ball.unseen_light,
+            "ciede2000_in_fitted_light": self.ball.fitted_light,
+            "principled_ciede2000": None
+            if self.principled_ball is None
+            else self.principled_ball.unseen_light,
+            "against": self.against,
+        }
+
+    def sentence(self) -> str:
+        """One line for people."""
+        return (
+            f"{self.label}: Exported by manifold {__version__} for {self.target}; "
+            f"mean CIEDE2000 {self.ball.unseen_light:.2f} on the ball, against the {self.against}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return self.about() | {"parameters": dict(self.parameters)}

@@ -1,0 +1,184 @@
+"""glTF 2.0: metallic-roughness with its extensions as parameters, as JSON of a material, and as a BRDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from manifold.directions import from_spherical
+from manifold.fit.exports import lobes
+from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.fit.exports.thin_film import film_over_f0
+from manifold.records import Array
+
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo, docs/how-to/export.md
+
+PARAMETERS = {
+    "baseColorFactor": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "metallicFactor": Parameter(1.0, is_free=True),
+    "roughnessFactor": Parameter(1.0, is_free=True, low=0.02),
+    "ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
+    "specularFactor": Parameter(1.0),
+    "specularColorFactor": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "clearcoatFactor": Parameter(0.0, is_free=True),
+    "clearcoatRoughnessFactor": Parameter(0.0, is_free=True, low=0.02),
+    "sheenColorFactor": Parameter([0.0, 0.0, 0.0], is_free=True),
+    "sheenRoughnessFactor": Parameter(0.0, is_free=True, low=SHEEN_ROUGHNESS),
+    "anisotropyStrength": Parameter(0.0),
+    "anisotropyRotation": Parameter(0.0),
+    "iridescenceFactor": Parameter(0.0),
+    "iridescenceIor": Parameter(1.3, low=1.0, high=2.5),
+    "iridescenceThicknessMaximum": Parameter(400.0, low=50.0, high=1200.0),
+}
+"""Every parameter that exports may set, with the specification's defaults."""
+
+DEFAULTS = defaults(PARAMETERS)
+
+COAT = ("clearcoatFactor", "clearcoatRoughnessFactor")
+SHEEN = ("sheenColorFactor", "sheenRoughnessFactor")
+FILM = ("iridescenceFactor", "iridescenceThicknessMaximum", "iridescenceIor")
+
+EXTENSIONS: dict[str, tuple[str, ...]] = {
+    "KHR_materials_ior": ("ior",),
+    "KHR_materials_specular": ("specularFactor", "specularColorFactor"),
+    "KHR_materials_clearcoat": ("clearcoatFactor", "clearcoatRoughnessFactor"),
+    "KHR_materials_sheen": ("sheenColorFactor", "sheenRoughnessFactor"),
+    "KHR_materials_anisotropy": ("anisotropyStrength", "anisotropyRotation"),
+    "KHR_materials_iridescence": FILM,
+}
+
+_LAMBDA_ROUGH = np.array([21.5473, 3.82987, 0.19823, -1.97760, -4.32054])
+_LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
+    alpha_x, alpha_y = material.alphas
+    made = DEFAULTS | {
+        "baseColorFactor": list(material.base_color),
+        "metallicFactor": material.metallic,
+        "roughnessFactor": float(np.sqrt(min(alpha_y, 1.0))),
+    }
+    if material.metallic < 1.0:
+        made["ior"] = material.ior
+        made["specularFactor"] = 0.0 if material.is_diffuse else 1.0
+        made["specularColorFactor"] = material.specular_tint.tolist()
+    made |= material.coat(*COAT)
+    if np.any(material.sheen_colour > 0.0):
+        made["sheenColorFactor"] = np.clip(SHEEN_SCALE * material.sheen_colour, 0.0, 1.0).tolist()
+        made["sheenRoughnessFactor"] = SHEEN_ROUGHNESS
+    if material.anisotropic > 0.0:
+        made["anisotropyStrength"] = float(np.sqrt(min((alpha_x - alpha_y) / max(1.0 - alpha_y, 1e-6), 1.0)))
+        made["anisotropyRotation"] = material.rotation_rad
+    return made
+
+
+def to_json(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """A material of glTF: extensions only where they differ from their defaults."""
+    material: dict[str, Any] = {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*values["baseColorFactor"], 1.0],
+            "metallicFactor": values["metallicFactor"],
+            "roughnessFactor": values["roughnessFactor"],
+        },
+    }
+    extensions = {}
+    for extension, names in EXTENSIONS.items():
+        entries = {key: values[key] for key in names if values[key] != DEFAULTS[key]}
+        if entries:
+            extensions[extension] = entries
+    if extensions:
+        material["extensions"] = extensions
+    return material
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions. The thin
+    film, which they leave open, as three.js and Khronos' renderer have it: at the angle of the viewer with the normal;
+    the diffuse is what it is without, as in three.js.
+    """
+    pairs = Pairs.of(view, light, values["anisotropyRotation"])
+    base = np.asarray(values["baseColorFactor"])
+    alpha = values["roughnessFactor"] ** 2
+    along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2
+    specular = lobes.specular_joint(pairs, along, alpha)[:, None]
+    metal = specular * _filmed(values, pairs, lobes.schlick(base, 1.0, pairs.cos_d), base)
+    f0 = np.minimum(ior_to_f0(values["ior"]) * np.asarray(values["specularColorFactor"]), 1.0)
+    strength = values["specularFactor"]
+    bare = lobes.schlick(f0 * strength, np.full(3, strength), pairs.cos_d)
+    dielectric = (1.0 - bare.max(axis=1, keepdims=True)) * base / np.pi
+    dielectric = dielectric + specular * _filmed(values, pairs, bare, f0 * strength)
+    f: Array = dielectric + values["metallicFactor"] * (metal - dielectric)
+    f = _sheen(values, pairs, f)
+    if values["clearcoatFactor"]:
+        coat_alpha = values["clearcoatRoughnessFactor"] ** 2
+        coat = lobes.specular_joint(pairs, coat_alpha, coat_alpha)[:, None]
+        share = values["clearcoatFactor"] * lobes.schlick(0.04, 1.0, pairs.cos_v)
+        f = f + share * (coat - f)
+    return f
+
+
+def _filmed(values: Mapping[str, Any], pairs: Pairs, bare: Array, f0: Array) -> Array:
+    """A Fresnel term (P, 3) with the share of the thin film."""
+    weight, thickness_nm, ior = (float(values[name]) for name in FILM)
+    if not weight:
+        return bare
+    return bare + weight * (film_over_f0(ior, thickness_nm, f0, pairs.cos_v) - bare)
+
+
+def _sheen(values: Mapping[str, Any], pairs: Pairs, base: Array) -> Array:
+    colour: Array = np.asarray(values["sheenColorFactor"])
+    if not np.any(colour):
+        return base
+    roughness = values["sheenRoughnessFactor"]
+    scale: Array = np.minimum(
+        1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_v),
+        1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_l),
+    )
+    return _sheen_lobe(pairs, roughness)[:, None] * colour + scale[:, None] * base
+
+
+def _sheen_lobe(pairs: Pairs, roughness: float) -> Array:
+    """`D V` of the sheen, (P,)."""
+    alpha = max(roughness, 0.05) ** 2
+    shadowing = 1.0 + _lambda(pairs.cos_v, alpha) + _lambda(pairs.cos_l, alpha)
+    return lobes.charlie(pairs, roughness) / (4.0 * shadowing * pairs.cos_v * pairs.cos_l)
+
+
+def _lambda(cosine: Array, alpha: float) -> Array:
+    a, b, c, d, e = _LAMBDA_ROUGH + (1.0 - alpha) ** 2 * (_LAMBDA_SMOOTH - _LAMBDA_ROUGH)
+
+    def fit(x: Array | float) -> Array:
+        return np.asarray(a / (1.0 + b * np.power(x, c)) + d * np.asarray(x) + e)
+
+    return np.exp(np.where(cosine < 0.5, fit(cosine), 2.0 * fit(0.5) - fit(np.maximum(1.0 - cosine, 0.0))))
+
+
+def _sheen_albedo(roughness: float, cosine: Array) -> Array:
+    nodes, albedo = _sheen_table(round(float(roughness), 6))
+    return np.interp(cosine, nodes, albedo)
+
+
+@lru_cache(maxsize=64)
+def _sheen_table(roughness: float) -> tuple[Array, Array]:
+    """Directional albedo of a white sheen, by quadrature."""
+    nodes = np.linspace(0.02, 1.0, 24)
+    cos_l, phi = (np.arange(48) + 0.5) / 48, (np.arange(48) + 0.5) / 48 * np.pi
+    c, p = (a.ravel() for a in np.meshgrid(cos_l, phi))
+    light = from_spherical(np.arccos(c), p)
+    albedo = []
+    for node in nodes:
+        view = np.broadcast_to([np.sqrt(1.0 - node**2), 0.0, node], light.shape)
+        albedo.append(np.mean(_sheen_lobe(Pairs.of(view, light), roughness) * c) * 2.0 * np.pi)
+    return nodes, np.minimum(albedo, 1.0)

@@ -1,0 +1,58 @@
+"""MaterialX documents (`.mtlx`) of one surface shader and one material."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from typing import Any
+
+from manifold.fit.exports import openpbr, standard_surface
+from manifold.fit.exports.document import Export
+
+NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
+    "openpbr": ("open_pbr_surface", openpbr.DEFAULTS),
+    "standard-surface": ("standard_surface", standard_surface.DEFAULTS),
+}
+"""Category and defaults of the shader node of each target."""
+
+TURN = ("tangent", "normal", "rotate3d")
+"""Nodes that turn the tangent of OpenPBR, which has no parameter for its anisotropy's direction: `in` and `axis` of
+the third are the first two."""
+
+
+def identifier(name: str) -> str:
+    """A name that MaterialX, its shaders and USD accept: GLSL ES has no two underscores in a row."""
+    made = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    return made if re.match(r"[A-Za-z]", made) else f"material_{made}".rstrip("_")
+
+
+def mtlx(export: Export) -> bytes:
+    """The document; inputs that have their defaults are left out. Colours are linear Rec. 709."""
+    category, defaults = NODES[export.target]
+    name = identifier(export.name)
+    # lin_rec709: MaterialX's name of linear colours of Rec. 709 primaries
+    root = ET.Element("materialx", version="1.39", colorspace="lin_rec709", doc=export.sentence())
+    shader = ET.SubElement(root, category, name=f"{name}_shader", type="surfaceshader")
+    for key, value in export.parameters.items():
+        if value != defaults[key] and key == "geometry_tangent":
+            nodes = [ET.SubElement(root, kind, name=f"{name}_{kind}", type="vector3") for kind in TURN]
+            for node in nodes[:2]:
+                ET.SubElement(node, "input", name="space", type="string", value="world")
+            for entry, node in zip(("in", "axis"), nodes, strict=False):
+                ET.SubElement(nodes[2], "input", name=entry, type="vector3", nodename=node.get("name", ""))
+            ET.SubElement(nodes[2], "input", name="amount", type="float", value=_number(-value))  # clockwise
+            ET.SubElement(shader, "input", name=key, type="vector3", nodename=nodes[2].get("name", ""))
+        elif value != defaults[key]:
+            is_colour = isinstance(value, list)
+            text = ", ".join(map(_number, value)) if is_colour else _number(value)
+            ET.SubElement(shader, "input", name=key, type="color3" if is_colour else "float", value=text)
+    material = ET.SubElement(root, "surfacematerial", name=name, type="material")
+    ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"{name}_shader")
+    ET.indent(root)
+    document: str = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0"?>\n{document}\n'.encode()
+
+
+def _number(value: float) -> str:
+    return f"{value:.9g}"

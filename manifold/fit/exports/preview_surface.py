@@ -1,0 +1,83 @@
+"""UsdPreviewSurface 2.6: parameters, and its BRDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manifold.fit.exports import lobes
+from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.principled_values import Principled, ior_to_f0
+from manifold.records import Array
+
+PARAMETERS = {
+    "useSpecularWorkflow": Parameter(0),
+    "diffuseColor": Parameter([0.18, 0.18, 0.18], is_free=True),
+    "specularColor": Parameter([0.0, 0.0, 0.0], is_free=True),
+    "roughness": Parameter(0.5, is_free=True, low=0.02),
+    "clearcoat": Parameter(0.0, is_free=True),
+    "clearcoatRoughness": Parameter(0.01, is_free=True, low=0.02),
+}
+"""Every parameter that exports may set."""
+
+DEFAULTS = defaults(PARAMETERS)
+
+COAT = ("clearcoat", "clearcoatRoughness")
+
+HUED = ("specularColor",)
+"""The diffuse part loses Fresnel's share per channel in OpenUSD, and its mean in MaterialX: a fitted colour of
+highlights that complements that of the diffuse would look right in one of them alone."""
+
+_IOR = 1.5  # the default, which here is the coat's alone
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Parameters of a material, all of `DEFAULTS`; sheen and anisotropy have no counterpart.
+
+    The specular workflow: with the metallic one a material of metallic 0.3 would reflect 0.3 of white.
+    """
+    base, m = np.asarray(material.base_color), material.metallic
+    f0 = 0.0 if material.is_diffuse else ior_to_f0(material.ior)
+    tinted = f0 * material.specular_tint
+    return (
+        DEFAULTS
+        | material.coat(*COAT)
+        | {
+            "useSpecularWorkflow": 1,
+            "diffuseColor": ((1.0 - m) * base).tolist(),
+            "specularColor": np.clip((1.0 - m) * tinted + m * base, 0.0, 1.0).tolist(),
+            "roughness": material.roughness,
+        }
+    )
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: UsdPreviewSurface specification 2.6, specular workflow; the lobes, which it leaves open, as in OpenUSD's own
+    previewSurface: GGX with Schlick's masking, the diffuse scaled by one minus Fresnel, the coat added.
+    """
+    pairs = Pairs.of(view, light)
+    white = np.ones(3)
+    fresnel = lobes.schlick(np.asarray(values["specularColor"]), white, pairs.cos_d)
+    coat = lobes.schlick(ior_to_f0(_IOR) * white, white, pairs.cos_d)
+    f: Array = (
+        np.asarray(values["diffuseColor"]) / np.pi * (1.0 - fresnel)
+        + fresnel * _lobe(pairs, values["roughness"])
+        + values["clearcoat"] * coat * _lobe(pairs, values["clearcoatRoughness"])
+    )
+    return f
+
+
+def _lobe(pairs: Pairs, roughness: float) -> Array:
+    """`D G / (4 cos cos)`, (P, 1)."""
+    alpha = max(roughness, 0.001) ** 2
+    k = 0.5 * alpha
+    masking = (pairs.cos_v * (1.0 - k) + k) * (pairs.cos_l * (1.0 - k) + k)
+    return (lobes.ggx(pairs, alpha, alpha) / (4.0 * masking))[:, None]

@@ -1,0 +1,176 @@
+"""The targets of exports: names, suffixes, parameters, shading models and writers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.fit.exports import (
+    blender,
+    glb,
+    gltf,
+    materialx,
+    openpbr,
+    preview_surface,
+    standard_surface,
+    unity,
+    unreal,
+    usd,
+)
+from manifold.fit.exports.document import Export, Parameter, defaults
+from manifold.fit.exports.principled_values import Principled
+from manifold.records import Array, Bands
+
+Brdf = Callable[[Mapping[str, Any], Array, Array], Array]
+Content = Callable[[Export, Principled], bytes]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A target of exports.
+
+    Attributes:
+        name: as users say it.
+        suffix: of its files; several targets share `.json`.
+        title: in words.
+        entries: every parameter that exports may set, by name.
+        parameters: values of all of them for a material.
+        brdf: the target's own shading model, f in 1/sr of parameters, view and light.
+        content: the file of an export.
+        coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
+        film: those of the thin film, the thickness and the index last; empty where there is none.
+        hued: colours whose hue no fit changes, since renderers disagree on what another one does.
+    """
+
+    name: str
+    suffix: str
+    title: str
+    entries: Mapping[str, Parameter]
+    parameters: Callable[[Principled], dict[str, Any]]
+    brdf: Brdf
+    content: Content
+    coat: tuple[str, ...]
+    sheen: tuple[str, ...]
+    film: tuple[str, ...]
+    hued: tuple[str, ...] = ()
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        """The target's value of every parameter that is not set."""
+        return defaults(self.entries)
+
+
+@dataclass(frozen=True)
+class TargetBRDF:
+    """A target's own model with values of its parameters, as a BRDF in linear sRGB."""
+
+    target: Target
+    values: Mapping[str, Any]
+    bands: Bands = Bands(None)  # noqa: RUF009
+    is_isotropic: bool = True
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., 3), for unit vectors that broadcast, wi to the viewer; 0 below the horizon."""
+        wi, wo = np.broadcast_arrays(wi, wo)
+        f = np.zeros(wi.shape)
+        above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
+        f[above] = self.target.brdf(self.values, wi[above], wo[above])
+        return f
+
+
+def _json(conventions: Mapping[str, str]) -> Content:
+    def content(export: Export, material: Principled) -> bytes:
+        made = export.to_json() | {"about": export.sentence(), "conventions": dict(conventions)}
+        if export.target == "unreal":
+            made["shading_model"] = unreal.shading_model(export.parameters)
+        return (json.dumps(made, indent=2, allow_nan=False) + "\n").encode()
+
+    return content
+
+
+def _usd_materialx(export: Export, material: Principled) -> bytes:
+    return usd.usda(export, openpbr.parameters(material)).encode()
+
+
+_BLENDER = {
+    "Base Color": "scene-linear Rec. 709 (sRGB primaries), 0 to 1",
+    "Roughness": "0 to 1; GGX alpha is its square; Coat Roughness alike",
+    "IOR": "of the surface; Specular IOR Level 0.5 leaves its reflectance as it is",
+}
+
+
+def _target(name: str, suffix: str, title: str, model: ModuleType, content: Content) -> Target:
+    """A target whose parameters and shading model are those of a module."""
+    sheen, film, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "HUED"))
+    return Target(
+        name,
+        suffix,
+        title,
+        model.PARAMETERS,
+        model.parameters,
+        model.brdf,
+        content,
+        model.COAT,
+        sheen,
+        film,
+        hued,
+    )
+
+
+_ALL = (
+    _target("gltf", ".glb", "glTF 2.0, metallic-roughness and extensions", gltf, lambda e, _: glb.glb(e)),
+    _target("openpbr", ".mtlx", "MaterialX, open_pbr_surface", openpbr, lambda e, _: materialx.mtlx(e)),
+    _target(
+        "standard-surface", ".mtlx", "MaterialX, standard_surface", standard_surface,
+        lambda e, _: materialx.mtlx(e),
+    ),
+    _target("usd", ".usda", "USD, UsdPreviewSurface", preview_surface, lambda e, _: usd.usda(e).encode()),
+    _target(
+        "usd-materialx", ".usda", "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
+        preview_surface, _usd_materialx,
+    ),
+    _target(
+        "blender", ".py", "Blender 4 and later, Principled BSDF, a script", blender,
+        lambda e, _: blender.script(e).encode(),
+    ),
+    _target("blender-json", ".json", "Blender 4 and later, Principled BSDF, values", blender, _json(_BLENDER)),
+    _target(
+        "unreal", ".json", "Unreal Engine 5, Default Lit or Clear Coat", unreal, _json(unreal.CONVENTIONS)
+    ),
+    _target("unity", ".json", "Unity, High Definition pipeline, Lit", unity, _json(unity.CONVENTIONS)),
+)  # fmt: skip
+
+TARGETS: Mapping[str, Target] = {target.name: target for target in _ALL}
+"""The targets by name."""
+
+
+def target_of(name: str | None, path: Path) -> Target:
+    """The target of that name, or the one of a file's suffix.
+
+    Raises:
+        UsageError: there is none, or the suffix is another's.
+    """
+    suffix = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
+    if name is not None:
+        if name not in TARGETS:
+            raise UsageError(f"no target is called {name!r}, expected one of {', '.join(TARGETS)}")
+        target = TARGETS[name]
+        if path.suffix.lower() != target.suffix:
+            raise UsageError(f"{path}: {suffix}, expected {target.suffix} for {name}")
+        return target
+    fitting = [target for target in _ALL if target.suffix == path.suffix.lower()]
+    if not fitting:
+        endings = dict.fromkeys(target.suffix for target in _ALL)
+        known = ", ".join(f"{e} ({', '.join(t.name for t in _ALL if t.suffix == e)})" for e in endings)
+        raise UsageError(f"{path}: {suffix}, expected one of {known}")
+    if path.suffix.lower() == ".json":
+        names = ", ".join(target.name for target in fitting)
+        raise UsageError(f"{path}: several targets are JSON; name one of {names}")
+    return fitting[0]

@@ -1,0 +1,105 @@
+"""Unity, High Definition pipeline: properties of the Lit shader, with their conventions, and its BRDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manifold.colour.conversion import decode_srgb, encode_srgb
+from manifold.fit.exports import lobes
+from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.principled_values import Principled
+from manifold.records import Array
+
+PARAMETERS = {
+    "_BaseColor": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "_Metallic": Parameter(0.0, is_free=True),
+    "_Smoothness": Parameter(0.5, is_free=True, high=0.98),
+    "_Anisotropy": Parameter(0.0),
+    "_TangentMap": Parameter(0.0),
+    "_CoatMask": Parameter(0.0, is_free=True),
+}
+"""Every property that exports may set."""
+
+DEFAULTS = defaults(PARAMETERS)
+
+COAT = ("_CoatMask",)
+
+CONVENTIONS: dict[str, str] = {
+    "_BaseColor": "sRGB-encoded, 0 to 1, as Unity's colour properties are",
+    "_Metallic": "0 to 1",
+    "_Smoothness": "0 to 1; perceptual roughness is 1 minus it, GGX alpha the square of that",
+    "_Anisotropy": "-1 to 1; alpha along the tangent (1 + a), across (1 - a) times the square of roughness",
+    "_TangentMap": "degrees, counterclockwise seen from outside, by which a map turns the tangent",
+    "_CoatMask": "0 to 1; the coat has index 1.5 and a fixed smoothness",
+}
+
+_SMOOTH_COAT = 0.1  # GGX alpha: a rougher coat would turn into a sharp highlight
+_COAT_ALPHA, _F0 = 0.01, 0.04
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Properties of a material, all of `DEFAULTS`; reflectance at normal incidence is Unity's 0.04."""
+    roughness, anisotropy = material.around_mean
+    coat = material.coat_weight if material.coat_alpha <= _SMOOTH_COAT else 0.0
+    return DEFAULTS | {
+        "_BaseColor": encode_srgb(np.asarray(material.base_color)).tolist(),
+        "_Metallic": material.metallic,
+        "_Smoothness": 1.0 - float(np.sqrt(_widened(roughness**2, 1.0 / _narrowing(coat)))),
+        "_Anisotropy": anisotropy,
+        "_TangentMap": float(np.rad2deg(material.rotation_rad)),
+        "_CoatMask": coat,
+    }
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF for lights without extent, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick;
+    light scattered between facets as Turquin 2019 has it.
+    """
+    pairs = Pairs.of(view, light, np.deg2rad(values["_TangentMap"]))
+    base, m, coat = decode_srgb(np.asarray(values["_BaseColor"])), values["_Metallic"], values["_CoatMask"]
+    f0 = _F0 + m * (base - _F0)
+    f90 = min(16.5 * float(f0.sum()), 1.0)  # nothing below 2 % is a surface: shadowing
+    alpha = _widened((1.0 - values["_Smoothness"]) ** 2, _narrowing(coat))
+    below_air = f0 * (0.326846 + (0.978946 - 0.283835 * f0) * f0) - 0.0256868  # below the coat's index of 1.5
+    f0 = f0 + coat * (np.clip(below_air, 0.0, 1.0) - f0)
+    a = values["_Anisotropy"]
+    specular: Array = lobes.specular_joint(pairs, alpha * (1.0 + a), alpha * (1.0 - a))[:, None]
+    specular = specular * lobes.schlick(f0, f90, pairs.cos_d)
+    diffuse: Array = (1.0 - m) * base * _burley(pairs, float(np.sqrt(alpha)))
+    if coat:
+        fresnel = coat * lobes.schlick(_F0, 1.0, pairs.cos_d)
+        layer = lobes.specular_joint(pairs, _COAT_ALPHA, _COAT_ALPHA)[:, None]
+        specular = specular * (1.0 - fresnel) ** 2 + fresnel * layer
+        diffuse = diffuse * (1.0 - coat * fresnel)
+    single, _ = lobes.single_scattering(alpha, pairs.cos_v)
+    specular = specular * (1.0 + f0 * (1.0 / single - 1.0))
+    return diffuse + specular
+
+
+def _narrowing(coat: float) -> float:
+    """By how much a coat multiplies the `2 / alpha^2 - 2` of the base below it."""
+    return (1.0 + coat * (1.0 / 1.5 - 1.0)) ** 2
+
+
+def _widened(alpha: float, factor: float) -> float:
+    """GGX alpha whose `2 / alpha^2 - 2` is `factor` times that of another."""
+    if factor == 1.0:
+        return alpha
+    return float(np.sqrt(2.0 / (factor * (2.0 / max(alpha, 1e-4) ** 2 - 2.0) + 2.0)))
+
+
+def _burley(pairs: Pairs, roughness: float) -> Array:
+    """Burley's diffuse term in 1/sr, (P, 1), with Unity's normalisation."""
+    f90 = 0.5 + 2.0 * roughness * pairs.cos_d**2
+    at_light = 1.0 + (f90 - 1.0) * (1.0 - pairs.cos_l) ** 5
+    at_view = 1.0 + (f90 - 1.0) * (1.0 - pairs.cos_v) ** 5
+    return (at_light * at_view / (1.03571 * np.pi))[:, None]

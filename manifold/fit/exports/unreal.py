@@ -1,0 +1,86 @@
+"""Unreal Engine 5: inputs of the Default Lit and Clear Coat shading models, with their conventions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manifold.fit.exports import lobes
+from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.principled_values import Principled
+from manifold.records import Array
+
+PARAMETERS = {
+    "BaseColor": Parameter([0.5, 0.5, 0.5], is_free=True),
+    "Metallic": Parameter(0.0, is_free=True),
+    "Specular": Parameter(0.5, is_free=True),
+    "Roughness": Parameter(0.5, is_free=True, low=0.02),
+    "Anisotropy": Parameter(0.0),
+    "Tangent": Parameter(0.0),
+    "ClearCoat": Parameter(0.0, is_free=True),
+    "ClearCoatRoughness": Parameter(0.1, is_free=True, low=0.02),
+}
+"""Every input that exports may set, with the value that an unconnected one has."""
+
+DEFAULTS = defaults(PARAMETERS)
+
+COAT = ("ClearCoat", "ClearCoatRoughness")
+
+CONVENTIONS: dict[str, str] = {
+    "BaseColor": "linear Rec. 709 (sRGB primaries), 0 to 1; encode as sRGB for an sRGB texture",
+    "Metallic": "0 to 1",
+    "Specular": "0 to 1; reflectance at normal incidence is 0.08 times it",
+    "Roughness": "0 to 1; GGX alpha is its square",
+    "Anisotropy": "-1 to 1; alpha along the tangent (1 + a), across (1 - a) times the square of Roughness",
+    "Tangent": "degrees, counterclockwise seen from outside, by which that input turns the tangent",
+    "ClearCoat": "0 to 1, shading model Clear Coat, index 1.5",
+    "ClearCoatRoughness": "0 to 1; GGX alpha is its square",
+}
+
+
+def shading_model(values: Mapping[str, Any]) -> str:
+    """Name of the shading model that takes all of the values."""
+    return "Clear Coat" if values["ClearCoat"] > 0.0 else "Default Lit"
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
+    roughness, anisotropy = material.around_mean
+    return (
+        DEFAULTS
+        | material.coat(*COAT)
+        | {
+            "BaseColor": list(material.base_color),
+            "Metallic": material.metallic,
+            "Specular": 0.0 if material.is_diffuse else material.specular,
+            "Roughness": roughness,
+            "Anisotropy": anisotropy,
+            "Tangent": float(np.rad2deg(material.rotation_rad)),
+        }
+    )
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: Karis 2013 (Lambert, GGX, Schlick); the coat attenuates what is below by its Fresnel term, both ways.
+    """
+    pairs = Pairs.of(view, light, np.deg2rad(values["Tangent"]))
+    base, m = np.asarray(values["BaseColor"]), values["Metallic"]
+    alpha, a = values["Roughness"] ** 2, values["Anisotropy"]
+    f0 = (1.0 - m) * 0.08 * values["Specular"] + m * base
+    f90 = np.minimum(50.0 * f0[1], 1.0)  # nothing below 2 % is a surface: shadowing
+    specular = lobes.specular_correlated(pairs, max(alpha * (1.0 + a), 1e-3), max(alpha * (1.0 - a), 1e-3))
+    f: Array = (1.0 - m) * base / np.pi + specular[:, None] * lobes.schlick(f0, f90, pairs.cos_d)
+    if values["ClearCoat"]:
+        coat_alpha = values["ClearCoatRoughness"] ** 2
+        fresnel = values["ClearCoat"] * lobes.schlick(0.04, 1.0, pairs.cos_d)
+        coat = lobes.specular_correlated(pairs, coat_alpha, coat_alpha)[:, None]
+        f = f * (1.0 - fresnel) ** 2 + fresnel * coat
+    return f

@@ -1,0 +1,123 @@
+"""USD layers (`.usda`) of a ball and a plane whose material is UsdPreviewSurface, with or without OpenPBR beside it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from manifold.fit.exports import glb, openpbr, preview_surface
+from manifold.fit.exports.document import Export
+from manifold.fit.exports.glb import Mesh
+from manifold.fit.exports.materialx import TURN, identifier
+
+OPENPBR_ID = "ND_open_pbr_surface_surfaceshader"
+
+
+def usda(export: Export, openpbr_parameters: Mapping[str, Any] | None = None) -> str:
+    """The layer: y up, metres, `outputs:surface` for previews and `outputs:mtlx:surface` for MaterialX renderers.
+
+    Args:
+        export: with the parameters of UsdPreviewSurface.
+        openpbr_parameters: the same material's, as `openpbr.parameters` gives them; None leaves that surface out, which
+            checkers without USD's plugin for MaterialX do not know.
+    """
+    output = second = ""
+    name = identifier(export.name)
+    path = f"/World/Materials/{name}"
+    if openpbr_parameters is not None:
+        output = f"            token outputs:mtlx:surface.connect = <{path}/OpenPBR.outputs:out>\n"
+        values = dict(openpbr_parameters)
+        turned = _turned_tangent(path, values.pop("geometry_tangent"))
+        tangent = f"                float3 inputs:geometry_tangent.connect = <{path}/rotate3d.outputs:out>\n"
+        second = f"""
+            def Shader "OpenPBR"
+            {{
+                uniform token info:id = "{OPENPBR_ID}"
+{_inputs(values, openpbr.DEFAULTS)}{tangent if turned else ""}                token outputs:out
+            }}
+{turned}"""
+    return f"""#usda 1.0
+(
+    defaultPrim = "World"
+    doc = {json.dumps(export.sentence(), ensure_ascii=False)}
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+
+def Xform "World"
+{{
+    def Scope "Materials"
+    {{
+        def Material "{name}"
+        {{
+            token outputs:surface.connect = <{path}/Preview.outputs:surface>
+{output}
+            def Shader "Preview"
+            {{
+                uniform token info:id = "UsdPreviewSurface"
+{_inputs(export.parameters, preview_surface.DEFAULTS)}                token outputs:surface
+            }}
+{second}        }}
+    }}
+
+{_mesh(glb.ball(), path, (0.0, 1.0, 0.0))}
+{_mesh(glb.plane(), path, (0.0, 0.0, -2.5))}}}
+"""
+
+
+def _turned_tangent(path: str, degrees: float) -> str:
+    """Nodes of MaterialX that turn the tangent; none for 0."""
+    if not degrees:
+        return ""
+    world = '                string inputs:space = "world"\n'
+    turn = f"                float inputs:amount = {-degrees:.9g}\n"  # clockwise
+    for name, node in zip(("in", "axis"), TURN, strict=False):
+        turn += f"                float3 inputs:{name}.connect = <{path}/{node}.outputs:out>\n"
+    return "".join(
+        f"""
+            def Shader "{kind}"
+            {{
+                uniform token info:id = "ND_{kind}_vector3"
+{inputs}                float3 outputs:out
+            }}
+"""
+        for kind, inputs in zip(TURN, (world, world, turn), strict=True)
+    )
+
+
+def _inputs(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
+    lines = []
+    for key, value in values.items():
+        if value != defaults[key]:
+            kind = {list: "color3f", int: "int"}.get(type(value), "float")
+            text = _tuple(value) if isinstance(value, list) else f"{value:.9g}"
+            lines.append(f"{' ' * 16}{kind} inputs:{key} = {text}\n")
+    return "".join(lines)
+
+
+def _tuple(values: Any) -> str:
+    return "(" + ", ".join(f"{float(v):.9g}" for v in values) + ")"
+
+
+def _mesh(mesh: Mesh, material: str, place: tuple[float, float, float]) -> str:
+    points = ", ".join(_tuple(p) for p in mesh.positions)
+    normals = ", ".join(_tuple(n) for n in mesh.normals)
+    extent = f"{_tuple(mesh.positions.min(axis=0))}, {_tuple(mesh.positions.max(axis=0))}"
+    return f"""    def Mesh "{mesh.name}" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {{
+        float3[] extent = [{extent}]
+        int[] faceVertexCounts = [{", ".join(["3"] * len(mesh.triangles))}]
+        int[] faceVertexIndices = [{", ".join(map(str, mesh.triangles.ravel()))}]
+        rel material:binding = <{material}>
+        point3f[] points = [{points}]
+        normal3f[] normals = [{normals}] (
+            interpolation = "vertex"
+        )
+        uniform token subdivisionScheme = "none"
+        double3 xformOp:translate = {_tuple(place)}
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
+"""

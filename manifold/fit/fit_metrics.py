@@ -1,0 +1,180 @@
+"""The measures in which a fitted BSDF is compared with samples, and the residuals that a fit minimises."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.brdf.measured import EvaluableBRDF
+from manifold.colour import ball_colours
+from manifold.colour.conversion import srgb_to_xyz
+from manifold.errors import UsageError
+from manifold.fit.fit_samples import FitSamples
+from manifold.records import Array
+
+METRICS = ("appearance", "cube-root", "linear", "log")
+_KNEE = 1e-3  # of the mean value: below, roots and logarithms turn linear, so that 0 has a finite slope
+_BALL = 3.0  # a relative residual of 3 % of the samples weighs as much as cube roots of pixels that are off by 0.01
+_SHOULDER = (
+    0.1  # slope of the logarithm that values above display white follow, which a display shows as white
+)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A measure T of reflectance; residuals are `sqrt(weight) (T(f*_cos) - T(f_cos))`.
+
+    All are smooth and odd, so that slightly negative values of a colour outside the gamut do no harm. That of
+    `appearance` is the cube root.
+
+    Attributes:
+        name: one of `METRICS`.
+        knee: where roots and logarithms turn linear, in 1/sr.
+    """
+
+    name: str
+    knee: float
+
+    @classmethod
+    def of(cls, name: str, samples: FitSamples) -> Metric:
+        """The measure for some samples.
+
+        Raises:
+            UsageError: the name is unknown.
+        """
+        if name not in METRICS:
+            raise UsageError(f"no residual is called {name!r}, expected one of {', '.join(METRICS)}")
+        mean = np.average(samples.f_cos, axis=0, weights=samples.weight).mean()
+        return cls(name, _KNEE * float(mean))
+
+    def __call__(self, x: Array) -> Array:
+        """T(x), same shape."""
+        if self.name == "linear":
+            return np.asarray(x, float)
+        if self.name == "log":
+            return np.arcsinh(x / self.knee)
+        return x / np.cbrt(x * x + self.knee**2)
+
+    def slope(self, x: Array) -> Array:
+        """Derivative of T, same shape."""
+        if self.name == "linear":
+            return np.ones_like(x, dtype=float)
+        if self.name == "log":
+            return 1.0 / np.sqrt(x * x + self.knee**2)
+        square = x * x + self.knee**2
+        return (x * x / 3.0 + self.knee**2) / (square * np.cbrt(square))
+
+
+NOTICEABLE = 2.3
+"""A just noticeable CIEDE2000. Source: Mahy et al. 1994."""
+
+
+@dataclass(frozen=True)
+class BallDifference:
+    """Mean CIEDE2000 between the balls of two materials.
+
+    Attributes:
+        unseen_light: in the light in which errors are measured everywhere, which fits do not see.
+        fitted_light: in that of fits, from behind.
+    """
+
+    unseen_light: float
+    fitted_light: float
+
+    @classmethod
+    def between(cls, fitted: EvaluableBRDF, material: EvaluableBRDF) -> BallDifference:
+        """Of a fit and its material."""
+        balls = ball_colours.ball(), ball_colours.ball(turned_deg=180.0)
+        both = [(brdf.eval(balls[0].wi, balls[0].wo), brdf.bands) for brdf in (fitted, material)]
+        return cls(*(ball_colours.delta_e(*(ball.xyz(*one) for one in both)) for ball in balls))
+
+    def __str__(self) -> str:
+        return f"{self.unseen_light:.2f}; in the light of the fit {self.fitted_light:.2f}"
+
+
+class Criterion:
+    """Residuals of a BSDF against samples and, of metric `appearance`, the pixels of a ball that they come with.
+
+    Rows are those of the samples, then those of the pixels, whose cube roots are compared as a display shows them: what
+    is brighter than white weighs little.
+
+    Attributes:
+        samples, metric: what is compared, and in which measure.
+        wi, wo: direction pairs at which values are needed, those of the samples first; (P, 3).
+        norm: of the rows of a black surface, what relative residuals are divided by.
+    """
+
+    def __init__(self, samples: FitSamples, name: str) -> None:
+        self.samples, self.metric = samples, Metric.of(name, samples)
+        self._root = np.sqrt(samples.weight)[:, None]
+        self._target = self._root * self.metric(samples.f_cos)
+        self._pixels = samples.pixels if name == "appearance" else None
+        self.wi, self.wo, self.norm = samples.wi, samples.wo, float(np.linalg.norm(self._target))
+        if self._pixels is not None:
+            self.wi = np.concatenate([samples.wi, self._pixels.wi])
+            self.wo = np.concatenate([samples.wo, self._pixels.wo])
+            shown = _DISPLAY(_shown(self._pixels.values)[0])
+            self._scale = _BALL * self.norm / np.sqrt(len(shown))
+            self._shown = self._scale * shown
+            self.norm = float(np.hypot(self.norm, np.linalg.norm(self._shown)))
+
+    def residual(self, f_cos: Array) -> Array:
+        """Rows (..., R, B) of values (..., P, B); more pairs than are needed may follow."""
+        m = len(self.samples)
+        rows = self._root * self.metric(f_cos[..., :m, :]) - self._target
+        if self._pixels is None:
+            return np.asarray(rows)
+        shown = _DISPLAY(_shown(self._pixels.of(f_cos[..., m:, :]))[0])
+        return np.concatenate([rows, self._scale * shown - self._shown], axis=-2)
+
+    def slope(self, f_cos: Array, slope: Array) -> Array:
+        """Derivatives of the rows (R, B, n) by those of the values (P, B), which are (P, B, n)."""
+        m = len(self.samples)
+        rows = (self._root * self.metric.slope(f_cos[:m]))[..., None] * slope[:m]
+        if self._pixels is None:
+            return np.asarray(rows)
+        shown, shoulder = _shown(self._pixels.of(f_cos[m:]))
+        of_pixels = self._pixels.of(slope[m:].reshape(len(slope) - m, -1)).reshape(*shown.shape, -1)
+        return np.concatenate([rows, (self._scale * _DISPLAY.slope(shown) * shoulder)[..., None] * of_pixels])
+
+    def relative(self, f_cos: Array) -> float:
+        """`||rows|| / norm` of values (P, B)."""
+        return float(np.linalg.norm(self.residual(f_cos))) / self.norm
+
+    def ball_difference(self, f_cos: Array) -> float:
+        """Mean CIEDE2000 between the pixels of values (P, 3) in linear sRGB and of the material."""
+        assert self._pixels is not None
+        both = self._pixels.of(f_cos[len(self.samples) :]), self._pixels.values
+        return ball_colours.delta_e(*(srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in both))
+
+
+_DISPLAY = Metric("appearance", _KNEE)
+
+
+def _shown(pixels: Array) -> tuple[Array, Array]:
+    """Linear values as a display shows them, with a soft end at white, and the derivatives."""
+    above = np.maximum(pixels, 1.0)
+    shown = np.where(pixels > 1.0, 1.0 + _SHOULDER * np.log(above), np.maximum(pixels, 0.0))
+    return shown, np.where(pixels > 1.0, _SHOULDER / above, (pixels > 0.0).astype(float))
+
+
+def relative_residuals(samples: FitSamples, f_cos: Array) -> dict[str, float]:
+    """Relative residuals in every measure, by its name, of values at the direction pairs of `appearance`."""
+    return {name: Criterion(samples, name).relative(f_cos) for name in METRICS}
+
+
+def best_diffuse(criterion: Criterion) -> tuple[Array, float]:
+    """The constant-albedo diffuse that fits best: its albedo per band (B,), and its sum of squared residuals.
+
+    The sum is what a fit has to stay below. Source: Gauss-Newton, band by band.
+    """
+    samples = criterion.samples
+    white = np.repeat(criterion.wo[:, 2:] / np.pi, samples.bands.count, axis=1)  # f_cos of a white diffuser
+    x, w = white[: len(samples)], samples.weight[:, None]
+    albedo = np.sum(w * x * samples.f_cos, axis=0) / np.sum(w * x * x, axis=0)
+    for _ in range(50):
+        slope = criterion.slope(albedo * white, white[..., None])[..., 0]
+        step = -np.sum(slope * criterion.residual(albedo * white), axis=0) / np.sum(slope**2, axis=0)
+        albedo = np.maximum(albedo + step, 0.2 * albedo)  # a fifth at once, at most: roots are steep at 0
+    return albedo, float(np.sum(criterion.residual(albedo * white) ** 2))

@@ -1,0 +1,247 @@
+"""The work behind `manifold fit`: files or a prediction in, one JSON per material out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from manifold import disk
+from manifold.batch import APPEARANCE, Batch, Outcome, Task, appearance
+from manifold.brdf.measured import BRDF
+from manifold.colour.narrow_bands import with_spectra
+from manifold.errors import ManifoldError, UsageError
+from manifold.estimate.inputs import FIT, Input, is_rgl
+from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource, read_source, source_file
+from manifold.fit import fit_samples
+from manifold.fit.fit_samples import FitSamples
+from manifold.fit.pictures import picture_of_fit
+from manifold.fit.principled import METHODS, fit_bsdf
+from manifold.formats import registry
+from manifold.io_rgl import read_bsdf
+from manifold.library.identity import file_sha256, require_material_name
+from manifold.library.store import Library
+from manifold.model import diagnostics
+from manifold.model.diagnostics import Prediction
+from manifold.model.manifold import Manifold
+from manifold.names import printable
+from manifold.progress import Stages
+from manifold.records import BsdfFile
+from manifold.render import backend, fit_json
+from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
+from manifold.render.fit_json import Source
+from manifold.render.fitted_brdf import FittedBRDF
+from manifold.work import HERE, Workers
+
+Measured = FileSource | LibrarySource
+"""A file, or a material of a library."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Settings of a fit.
+
+    Attributes:
+        family, method, metric, noise, wide_colours: as in `principled.fit_bsdf`.
+        sample: which of an instrument's file with several.
+    """
+
+    family: BsdfFamily | None = None
+    method: str = "gauss-newton"
+    metric: str = "appearance"
+    noise: float = 0.01
+    wide_colours: bool = False
+    sample: str | None = None
+
+    def name_of(self, source: Measured) -> str:
+        """Of the material that is fitted."""
+        return self.sample or source.name
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, on which a fit depends beside its material."""
+        return vars(self) | {"family": None if self.family is None else self.family.to_json()}
+
+    def fit(
+        self,
+        target: BRDF | BsdfFile | FitSamples,
+        source: Source,
+        notes: Sequence[str] = (),
+    ) -> dict[str, Any]:
+        """The content of the JSON of a fit; its notes begin with those given."""
+        found = fit_bsdf(
+            target, self.family, method=self.method, metric=self.metric, noise=self.noise,
+            wide_colours=self.wide_colours,
+        )  # fmt: skip
+        return fit_json.document(replace(found, notes=(*notes, *found.notes)), source)
+
+    def matches(self, content: dict[str, Any]) -> bool:
+        """Whether a written fit has these settings, and was made by this version of the program."""
+        families = [self.family]
+        if self.family is None:
+            families = [default_principled(known, wide_colours=self.wide_colours) for known in (True, False)]
+            families.append(diffuse(wide_colours=self.wide_colours))
+        return (
+            content["program"] == fit_json.PROGRAM
+            and content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families if family]
+            and (content["method"], content["metric"]) == (self.method, self.metric)
+            and content["hyperparameters"] == asdict(METHODS[self.method]()) | {"noise": self.noise}
+        )
+
+
+def read_family(path: Path) -> BsdfFamily:
+    """A BSDF family from a JSON file of `type`, `parameters` and `fixed`; see `BsdfFamily.to_json`.
+
+    Raises:
+        UsageError: the file is missing.
+        FileFormatError: it is no such description.
+    """
+    return fit_json.family_of(disk.read_json(path, "a JSON description of a BSDF"), str(path))
+
+
+def fit_file(source: Path | Measured, target: Path, settings: FitSettings) -> Outcome[Measured]:
+    """Fit a file or a material of a library and write the JSON, unless an earlier run has.
+
+    Returns:
+        The fit, or why there is none.
+    Raises:
+        UsageError: the JSON cannot be written.
+        RendererError: Mitsuba is missing.
+    """
+    backend.imported()
+    disk.require_writable(target)
+    measured = FileSource(source) if isinstance(source, Path) else source
+    name = settings.name_of(measured)
+    try:
+        require_material_name(name)
+        content, was_there = _fitted(name, measured, target, settings)
+        return Outcome(name, target, measured, content, was_there)
+    except ManifoldError as error:
+        return Outcome(printable(name), target, measured, failure=str(error))
+    except OSError as error:
+        failure = f"{measured} cannot be read ({error.strerror})"
+        return Outcome(printable(name), target, measured, failure=failure)
+
+
+def fits_in(folder: Path) -> Batch:
+    """Fits of many materials."""
+    columns: dict[str, Callable[[dict[str, Any]], Any]] = {
+        "BSDF": lambda content: content["bsdf"]["type"],
+        **APPEARANCE,
+        "CIEDE2000": lambda content: None if content["ball"] is None else content["ball"]["unseen_light"],
+        "residual": lambda content: content["residuals"][content["metric"]],
+        "diffuse": lambda content: content["diffuse_residual"],
+        "minima": lambda content: len(content["minima"]),
+    }
+    return Batch(folder, "fits", columns, "CIEDE2000", has_balls=True)
+
+
+def fit_all(
+    sources: Sequence[Input], batch: Batch, settings: FitSettings, *, with_pictures: bool = False,
+    workers: Workers = HERE,
+) -> list[Outcome[Input]]:  # fmt: skip
+    """Fit many materials, one JSON each; up-to-date fits are kept.
+
+    Args:
+        sources: see `inputs.find_inputs`.
+        batch: see `fits_in`.
+        settings: how.
+        with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
+        workers: who makes them.
+    Returns:
+        One outcome per source, in order; one that cannot be fitted does not stop the others.
+    Raises:
+        RendererError: Mitsuba is missing.
+        UsageError, FileFormatError, ManifoldError: as `Batch.run`.
+    """
+    backend.imported()
+    how = settings.to_json() | {"pictures": with_pictures}
+    todo = [Task(one.name, batch.folder / f"{one.name}{FIT}", one) for one in sources]
+    make = partial(_fit_input, settings=settings, with_pictures=with_pictures)
+    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers)
+
+
+def fit_prediction(place: PlaceSource, output: Path | None, settings: FitSettings) -> Outcome[Prediction]:
+    """Fit the material that a model predicts at a place; arguments as in `fit_file`.
+
+    Raises:
+        UsageError, LatentError, ModelError: the model, the latent or the output cannot be used.
+    """
+    path = Path("predicted.fit.json") if output is None else output
+    disk.require_writable(path)
+    stages = Stages({"reading materials": 3, "fitting": 7})
+    loaded = Manifold.load(place.model, place.library)
+    stages.begin("reading materials")
+    loaded.prepare()
+    predicted = diagnostics.predict(loaded, place.place, place.colour)
+    source = Source(
+        name=path.name.removesuffix(".json").removesuffix(".fit"),
+        latent=tuple(predicted.latent.tolist()),
+        model=place.model.name,
+        model_sha256=file_sha256(place.model),
+        colour=predicted.colour,
+    )
+    stages.begin("fitting")
+    content = settings.fit(predicted.brdf, source)
+    fit_json.write_document(path, content)
+    return Outcome(source.name, path, predicted, content)
+
+
+def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictures: bool) -> dict[str, Any]:
+    if isinstance(source.source, PlaceSource):
+        content = fit_prediction(source.source, target, settings).content or {}
+    else:
+        settings = replace(settings, sample=source.sample)
+        content, _ = _fitted(source.name, source.source, target, settings)
+    if with_pictures:
+        with source_file(source.source) as file:
+            if is_rgl(file):
+                picture_of_fit(target, file, target.with_suffix(".png"))
+    return content | appearance(target, FittedBRDF(content))
+
+
+def _fitted(name: str, source: Measured, target: Path, settings: FitSettings) -> tuple[dict[str, Any], bool]:
+    """The content of the JSON of a fit, which is written, and whether an earlier run had."""
+    if isinstance(source, LibrarySource):
+        info = Library(source.library).attributes(source.name)
+        origin = Source(name=name, file=info.source_file, sha256=info.sha256)
+    else:
+        origin = Source(name=name, file=source.path.name, sha256=file_sha256(source.path))
+    there = _earlier(target, origin, settings)
+    if there is not None:
+        return there, True
+    content = _fit(source, origin, settings)
+    fit_json.write_document(target, content)
+    return content, False
+
+
+def _fit(measured: Measured, source: Source, settings: FitSettings) -> dict[str, Any]:
+    """The content of the fit of a material, or of an instrument's file with what was ambiguous or left out as notes."""
+    if isinstance(measured, LibrarySource):
+        return settings.fit(read_source(measured), source)
+    path = measured.path
+    known = registry.identify(path)
+    if known is None:
+        if settings.sample is not None:
+            raise UsageError(f"{path} holds one material, found a sample {settings.sample}; leave it out")
+        return settings.fit(read_bsdf(path), source)
+    readings = with_spectra(registry.read_readings(path, settings.sample, fit_samples.MAX_PAIRS))
+    notes = readings.notes
+    if readings.gloss:
+        notes += ("fits do not use gloss; `manifold complete` does, and its file can be fitted",)
+    return settings.fit(fit_samples.from_readings(readings), source, notes)
+
+
+def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, Any] | None:
+    """The fit that an earlier run wrote for the same file and settings, or None."""
+    if not target.is_file():
+        return None
+    try:
+        content = fit_json.read(target)
+    except ManifoldError:
+        return None  # not a fit, or of another version: it is written anew
+    known = content["source"]
+    is_same = (known["name"], known["sha256"]) == (source.name, source.sha256) and settings.matches(content)
+    return content if is_same and fit_json.is_untouched(content) else None

@@ -1,0 +1,386 @@
+"""Bounded Gauss-Newton from the starts of a coarse global search, and all the minima it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import qmc
+
+from manifold import progress
+from manifold.errors import NumericalError
+from manifold.fit.fit_metrics import Criterion
+from manifold.fit.fit_samples import FitSamples
+from manifold.progress import Stages
+from manifold.records import Array, Indices, Mask
+from manifold.render.bsdf_evaluation import evaluator
+from manifold.render.bsdf_parameters import BsdfFamily, Layout
+
+_BAND_ITERATIONS, _BAND_PAIRS = 20, 512  # of `refine_bands`, at most
+_VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
+
+
+@dataclass(frozen=True)
+class GaussNewton:
+    """Hyperparameters of the default method.
+
+    Attributes:
+        n_search: parameter vectors of the coarse search, a power of two.
+        search_pairs: direction pairs on which it is evaluated.
+        n_starts: of those vectors, how many are refined; where the samples are no more than `coarse_pairs`, also the
+            best vectors with a low and with a high value of each shared parameter, in and out of that quarter of its
+            range.
+        coarse_pairs: direction pairs of the first refinement.
+        coarse_iterations, iterations: evaluations allowed per start, coarse and fine.
+        tolerance: relative change of the cost, and of the parameters, at which a refinement ends.
+        n_fine: how many distinct minima of the coarse refinement are refined on all pairs.
+        n_walks, n_scan: how often, and at how many points, the valley around the best minimum is searched for others.
+        seed: of the quasi-random search.
+    """
+
+    n_search: int = 512
+    search_pairs: int = 160
+    n_starts: int = 6
+    coarse_pairs: int = 320
+    coarse_iterations: int = 6
+    iterations: int = 60
+    tolerance: float = 1e-5
+    n_fine: int = 3
+    n_walks: int = 4
+    n_scan: int = 96
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """An end of a refinement.
+
+    Attributes:
+        p: parameter values, shape (K,).
+        cost: sum of squared residuals over all samples.
+        converged: whether the refinement ended by itself, not by its limit.
+        part: of the ranges that it was kept in: lower and upper ends, each (K,). The best there, but perhaps no
+            minimum. None where nothing was confined.
+    """
+
+    p: Array
+    cost: float
+    converged: bool
+    part: tuple[Array, Array] | None = None
+
+
+class Residuals:
+    """Residuals as functions of what the optimiser sees, shape (R * B,), value and Jacobian shared."""
+
+    def __init__(self, family: BsdfFamily, criterion: Criterion) -> None:
+        self.criterion = criterion
+        self.evaluator = evaluator(family, criterion.wi, criterion.wo, 3)
+        self.layout = self.evaluator.layout
+        self._last: tuple[bytes, Array, Array] | None = None
+
+    def _both(self, t: Array) -> tuple[Array, Array]:
+        key = t.tobytes()
+        if self._last is None or self._last[0] != key:
+            residual, J = self.by_parameter(self.layout.outward(t))
+            self._last = key, residual, J * self.layout.slope(t)
+        return self._last[1], self._last[2]
+
+    def value(self, t: Array) -> Array:
+        """Residuals (R * B,) at t (K,)."""
+        return self._both(t)[0]
+
+    def jacobian(self, t: Array) -> Array:
+        """Their derivatives by t, shape (R * B, K)."""
+        return self._both(t)[1]
+
+    def by_parameter(self, p: Array) -> tuple[Array, Array]:
+        """Residuals (R * B,) and their derivatives by the parameters themselves, (R * B, K)."""
+        value, slope = self.evaluator.jacobian(p)
+        slope[~np.isfinite(slope)] = 0.0  # a derivative that is infinite at the end of a range moves nothing
+        J = self.criterion.slope(value, slope)
+        return self.criterion.residual(value).ravel(), J.reshape(-1, self.layout.size)
+
+
+def minimize(
+    residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None,
+    kept: Mask | None = None,
+) -> Minimum:  # fmt: skip
+    """Refine parameter values within their ranges.
+
+    Args:
+        residuals: what is minimised.
+        start: values (K,).
+        iterations, tolerance: where to end.
+        part: of the ranges, lower and upper ends (K,) each; all of them if None.
+        kept: which values stay as they are, bool (K,); none if None.
+    """
+    layout = residuals.layout
+    free = np.ones(layout.size, bool) if kept is None else ~kept
+    at = layout.inward(start)
+    lower, upper = (layout.inward(end)[free] for end in part or (layout.minimum, layout.maximum))
+    margin = 1e-3 * (upper - lower)
+
+    def whole(t: Array) -> Array:
+        out = at.copy()
+        out[free] = t
+        return out
+
+    found = least_squares(
+        lambda t: residuals.value(whole(t)),
+        np.clip(at[free], lower + margin, upper - margin),
+        lambda t: residuals.jacobian(whole(t))[:, free],
+        bounds=(lower, upper),
+        x_scale=upper - lower,
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=1e-12,
+        max_nfev=iterations,
+    )
+    p = np.where(free, layout.outward(whole(found.x)), start)
+    return Minimum(p, 2.0 * float(found.cost), found.status > 0, part)
+
+
+def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
+    """Parameter vectors spread over the ranges, and their costs on a few of the samples, best first.
+
+    Bands share their values in a vector, except those of an affine parameter: two evaluations give its best value
+    in every band, to first order in the residual's measure.
+
+    Returns:
+        Vectors (n, K) and costs (n,), those left out where the BSDF is not finite.
+    Raises:
+        NumericalError: it is finite nowhere.
+    """
+    layout, bsdf, metric = residuals.layout, residuals.evaluator, residuals.criterion.metric
+    samples = residuals.criterion.samples
+    rows = _spread(len(samples), options.search_pairs)
+    y, w = samples.f_cos[rows], samples.weight[rows][:, None]
+    names = [o.name for o in layout.family.parameters]
+    solved = next((o.name for o in layout.family.parameters if o.affine and o.per_band), None)
+    searched = [name for name in names if name != solved]
+    sobol = qmc.Sobol(max(len(searched), 1), seed=options.seed).random(options.n_search)
+    points = np.tile(layout.default, (options.n_search, 1))
+    for j, name in enumerate(searched):
+        o = layout.family.named(name)
+        low, high = o.inward(o.minimum), o.inward(o.maximum)
+        points[:, layout.slices[name]] = o.outward(low + (high - low) * sobol[:, j])[:, None]
+    if solved is None:
+        model = bsdf.values(points, rows)
+    else:
+        place, o = layout.slices[solved], layout.family.named(solved)
+        black, white = points.copy(), points.copy()
+        black[:, place], white[:, place] = 0.0, 1.0
+        both = bsdf.values(np.concatenate([black, white]), rows)
+        offset, gain = both[: len(points)], both[len(points) :] - both[: len(points)]
+        W = w * metric.slope(y) ** 2
+        best = np.sum(W * gain * (y - offset), axis=1) / np.maximum(np.sum(W * gain * gain, axis=1), 1e-30)
+        points[:, place] = np.clip(best, o.minimum, o.maximum)
+        model = offset + points[:, None, place] * gain
+    costs = np.sum(w * (metric(model) - metric(y)) ** 2, axis=(1, 2))
+    finite = np.isfinite(costs)
+    if not np.any(finite):
+        raise NumericalError(
+            f"BSDF {layout.family.type} gives no finite values anywhere in the ranges of {', '.join(names)}; check them"
+        )
+    points, costs = points[finite], costs[finite]
+    order = np.argsort(costs, kind="stable")
+    return points[order], costs[order]
+
+
+def distinct(scale: Array, minima: list[Minimum], distance: float) -> list[Minimum]:
+    """Minima, best first, without those within a distance (largest difference over the range) of a better one."""
+    kept: list[Minimum] = []
+    for one in sorted(minima, key=_cost):
+        if all(np.max(np.abs(one.p - other.p) / scale) > distance for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _cost(minimum: Minimum) -> float:
+    return minimum.cost
+
+
+def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
+    """Minima, best first, and of the rivals those that noise may hide and in whose part no such minimum lies.
+
+    Args:
+        minima: as `find_minima` returns them.
+        limit: difference of two costs that noise may hide.
+    """
+    best = minima[0].cost
+    kept = [one for one in minima if one.part is None]
+    for one in minima:
+        if one.part is None or one.cost - best > limit:
+            continue
+        lower, upper = one.part
+        if not any(
+            other.cost - best <= limit and np.all((other.p >= lower) & (other.p <= upper)) for other in kept
+        ):
+            kept.append(one)
+    return sorted(kept, key=lambda minimum: max(minimum.cost, best))
+
+
+def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
+    """All distinct minima found, best first; of few samples followed by rivals, see `select_minima`.
+
+    Args:
+        residuals: of all samples.
+        options: hyperparameters.
+    """
+    stages = Stages({"coarse search": 4, "refinement": 3, "valleys": 3})
+    stages.begin("coarse search")
+    layout = residuals.layout
+    scale = layout.maximum - layout.minimum
+    points, _ = search(residuals, options)
+    starts = _diverse(layout.inward(points), points, layout.is_per_band, options.n_starts)
+    samples = residuals.criterion.samples
+    few = samples.subset(_spread(len(samples), options.coarse_pairs))
+    first = Residuals(layout.family, Criterion(few, residuals.criterion.metric.name))
+    if len(few) == len(samples):  # few samples leave room for rivals
+        parts = _outer_quarters(points, layout)
+        rivals = [
+            minimize(first, start, options.iterations, options.tolerance, part)
+            for start, part in progress.each(parts)
+        ]
+        starts += [start for start, _ in parts] + [min(rivals, key=_cost).p for _ in parts[:1]]
+        stages.begin("refinement")
+        in_starts = progress.each(starts)
+        ends = [minimize(first, start, options.iterations, options.tolerance) for start in in_starts]
+        return [*distinct(scale, ends, 0.02), *sorted(rivals, key=_cost)]
+    rough = [minimize(first, start, options.coarse_iterations, 1e-4) for start in progress.each(starts)]
+    candidates = distinct(scale, rough, 0.05)
+    best = candidates[0].cost
+    chosen = [one for one in candidates if one.cost <= 4.0 * best][: options.n_fine]
+    stages.begin("refinement")
+    in_chosen = progress.each(chosen)
+    ends = [minimize(residuals, one.p, options.iterations, options.tolerance) for one in in_chosen]
+    best_end = min(ends, key=_cost)
+    stages.begin("valleys")
+    for _ in progress.each(range(options.n_walks)):
+        starts = _along_the_valley(residuals, best_end, options)
+        beside = [minimize(residuals, start, options.iterations, options.tolerance) for start in starts]
+        ends += beside
+        if not beside or min(map(_cost, beside)) >= best_end.cost * (1.0 - 1e-6):
+            break
+        best_end = min(beside, key=_cost)
+    return distinct(scale, ends, 0.02)
+
+
+def refine_bands(
+    family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
+) -> tuple[dict[str, float | list[float]], float]:
+    """Values of the parameters per band, each band by itself, what bands share kept.
+
+    Levenberg-Marquardt in all bands at once, at some of the samples. Values stay above 0: Mitsuba takes no negative
+    spectra.
+
+    Args:
+        family: what is fitted.
+        samples: to what, in B bands.
+        metric: measure of the residuals.
+        values: by name, in RGB; every band starts from their mean.
+    Returns:
+        All values by name, and the relative residual.
+    """
+    criterion = Criterion(samples.subset(_spread(len(samples), _BAND_PAIRS)), metric)
+    bands = evaluator(family, criterion.wi, criterion.wo, samples.bands.count)
+    layout = bands.layout
+    p = layout.join({name: np.mean(value) for name, value in values.items()})
+    own = [layout.slices[o.name] for o in family.parameters if o.per_band]
+    index = np.stack([np.arange(place.start, place.stop) for place in own], axis=1)  # (B, n)
+    lower, upper = np.maximum(layout.minimum, 0.0)[index], layout.maximum[index]
+    p[index] = np.clip(p[index], lower, upper)
+    value, slope = bands.band_jacobian(p)
+    cost = np.sum(criterion.residual(value) ** 2, axis=0)  # (B,)
+    damping = np.full(len(index), 1e-3)
+    for _ in range(_BAND_ITERATIONS):
+        residual, J = criterion.residual(value), criterion.slope(value, slope)  # (R, B), (R, B, n)
+        hessian = np.einsum("mbi,mbj->bij", J, J)
+        gradient = np.einsum("mbi,mb->bi", J, residual)
+        diagonal = np.einsum("bii->bi", hessian)
+        scaled = hessian + (damping[:, None] * diagonal + 1e-30)[:, None, :] * np.eye(len(own))
+        trial = p.copy()
+        trial[index] = np.clip(p[index] - np.linalg.solve(scaled, gradient[..., None])[..., 0], lower, upper)
+        new_value, new_slope = bands.band_jacobian(trial)
+        new_cost = np.sum(criterion.residual(new_value) ** 2, axis=0)
+        better = new_cost < cost
+        step = np.max(np.abs(trial - p)[index])
+        p[index[better]] = trial[index[better]]
+        value = np.where(better, new_value, value)
+        slope = np.where(better[:, None], new_slope, slope)
+        cost = np.where(better, new_cost, cost)
+        damping = np.where(better, 0.2 * damping, 10.0 * damping)
+        if step < 1e-6:
+            break
+    return layout.split(p), criterion.relative(value)
+
+
+def _spread(n: int, count: int) -> Indices:
+    """At most `count` of n rows, in no step with any regular order of the table, sorted."""
+    if n <= count:
+        return np.arange(n)
+    return np.sort(np.random.default_rng(0).permutation(n)[:count])
+
+
+def _diverse(inward: Array, points: Array, is_per_band: Mask, n: int) -> list[Array]:
+    """The first n points, best first, that differ from each other in what is shared by the bands."""
+    shared = inward[:, ~is_per_band]
+    if not shared.shape[1]:
+        return list(points[:n])
+    span = np.ptp(shared, axis=0)
+    unit = shared / np.where(span > 0, span, 1.0)
+    radius = 0.25 * np.sqrt(shared.shape[1])
+    chosen: list[int] = []
+    for k in range(len(unit)):
+        if all(np.linalg.norm(unit[k] - unit[other]) > radius for other in chosen):
+            chosen.append(k)
+            if len(chosen) == n:
+                break
+    return [points[k] for k in chosen]
+
+
+def _along_the_valley(full: Residuals, best: Minimum, options: GaussNewton) -> list[Array]:
+    """Starts in the dips of the cost along its flattest direction through a minimum, lowest first.
+
+    Few samples see a sharp lobe: along the valley in which a stronger and blunter lobe is nearly as good, the cost has
+    a dip wherever the lobe meets one of them.
+    """
+    layout = full.layout
+    lower, upper, at = (layout.inward(p) for p in (layout.minimum, layout.maximum, best.p))
+    J = full.jacobian(at) * (upper - lower)
+    direction = np.linalg.eigh(J.T @ J)[1][:, 0] * (upper - lower)
+    steps = np.linspace(-_VALLEY, _VALLEY, options.n_scan)
+    points: Array = at + steps[:, None] * direction
+    inside = np.all((points >= lower) & (points <= upper), axis=1)
+    if np.count_nonzero(inside) < 3:
+        return []
+    points = layout.outward(points[inside])
+    costs = np.sum(full.criterion.residual(full.evaluator.values(points)) ** 2, axis=(1, 2))
+    dips = 1 + np.flatnonzero((costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:]))
+    dips = dips[np.abs(steps[inside][dips]) > 1.5 * (steps[1] - steps[0])]  # the minimum itself
+    lowest = dips[np.argsort(costs[dips])][: options.n_fine]
+    return [points[i] for i in lowest if costs[i] <= 1.25 * best.cost]
+
+
+def _outer_quarters(points: Array, layout: Layout) -> list[tuple[Array, tuple[Array, Array]]]:
+    """The lowest and the highest quarter of each shared parameter's range: the best point there, and the part's ends.
+
+    Where samples do not tell two kinds of material apart, the cost may fall all the way from one to the other: the
+    second is then no minimum, and only found where the parameter is kept from leaving.
+    """
+    chosen = []
+    for k in np.flatnonzero(~layout.is_per_band):
+        quarter = 0.25 * (layout.maximum[k] - layout.minimum[k])
+        for low, high in (
+            (layout.minimum[k], layout.minimum[k] + quarter),
+            (layout.maximum[k] - quarter, layout.maximum[k]),
+        ):
+            inside = np.flatnonzero((points[:, k] >= low) & (points[:, k] <= high))
+            if inside.size:
+                lower, upper = layout.minimum.copy(), layout.maximum.copy()
+                lower[k], upper[k] = low, high
+                chosen.append((points[inside[0]], (lower, upper)))
+    return chosen

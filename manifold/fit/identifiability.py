@@ -1,0 +1,230 @@
+"""Identifiability of the parameters of a fit: standard errors, and whether the data determine them at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.stats import chi2
+
+from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals, minimize
+from manifold.records import Array, Mask
+from manifold.render.bsdf_parameters import FreeParameter, Layout
+
+DETERMINED = "determined"
+UNCERTAIN = "uncertain"
+UNSEEN = "not seen"
+AMBIGUOUS = "ambiguous"
+
+_CONFIDENCE = 0.99  # at which a second minimum counts as worse than the best
+_BOUND = 2e-3  # of the range: nearer to an end is at the end
+_CORRELATED = 0.9
+_STEP = 0.1  # of every range: how far a linear model is trusted
+
+
+@dataclass(frozen=True)
+class ParameterIdentifiability:
+    """Identifiability of one parameter, or of its value in one band.
+
+    Attributes:
+        name: of the parameter, with the band's index where there are several.
+        value: the fitted value.
+        standard_error: of the value, never more than that of a uniform guess over the range.
+        state: `determined` (twice the standard error is within the parameter's tolerance), `uncertain`,
+            `not seen` (the samples hardly depend on it), or `ambiguous` (another minimum, as good within the
+            noise, has a different value).
+        at_bound: whether the fit ended at an end of the range.
+        entangled_with: the parameter it is most correlated with, if the correlation exceeds 0.9 and it is not
+            determined, else None.
+        is_kept: whether it was left at the BSDF's default, since the samples do not determine it.
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    state: str
+    at_bound: bool
+    entangled_with: str | None
+    is_kept: bool = False
+
+    def __str__(self) -> str:
+        text = f"{self.value:.3f} +- {self.standard_error:.3f}, {self.state}"
+        if self.entangled_with is not None:
+            text += f" (correlated with {self.entangled_with})"
+        return text + ", left at its default" * self.is_kept + ", at the end of its range" * self.at_bound
+
+
+def residual_variance(residual: Array, n_parameters: int, floor: float) -> float:
+    """Variance of one residual: what the fit leaves over, but no less than that of the assumed noise.
+
+    Args:
+        residual: shape (n,).
+        n_parameters: K.
+        floor: variance that the assumed noise of the samples causes.
+    """
+    freedom = max(residual.size - n_parameters, 1)
+    return max(float(residual @ residual) / freedom, floor)
+
+
+def as_good_limit(variance: float, n_parameters: int) -> float:
+    """The difference of two costs that noise of this variance may hide: a chi-square test at 99 %."""
+    return variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
+
+
+def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
+    """The step (K,) of one Gauss-Newton iteration, no longer than a tenth of any range, and the cost it promises.
+
+    Args:
+        layout: of the K values.
+        p: fitted values (K,).
+        residual: shape (n,).
+        J: derivatives of the residuals by the values, shape (n, K).
+    """
+    span = layout.maximum - layout.minimum
+    room = np.array([layout.minimum - p, layout.maximum - p]) / span
+    low, high = np.clip(room, -_STEP, _STEP)
+    found = lsq_linear(
+        J * span, -residual, (low - 1e-9, high + 1e-9)
+    )  # a value at an end needs some room too
+    return found.x * span, 2.0 * float(found.cost)
+
+
+def is_different(
+    layout: Layout, p: Array, other: Array, statements: Sequence[ParameterIdentifiability]
+) -> bool:
+    """Whether other values (K,) differ from p in one that the samples determine at all, beyond error and tolerance."""
+    error = np.array([s.standard_error for s in statements])
+    is_seen = np.array([s.state != UNSEEN for s in statements])
+    apart = np.abs(other - p) > 2.0 * np.maximum(error, layout.tolerance)
+    return bool(np.any(apart & is_seen))
+
+
+def identify_parameters(
+    layout: Layout,
+    p: Array,
+    J: Array,
+    variance: float,
+    alternatives: list[Array],
+    kept: Mask | None = None,
+) -> tuple[ParameterIdentifiability, ...]:
+    """The identifiability of every value of the layout.
+
+    Args:
+        layout: of the K values.
+        p: fitted values (K,).
+        J: derivatives of the residuals by the values, shape (n, K).
+        variance: of one residual.
+        alternatives: other values (K,) that fit as well within the noise.
+        kept: which values were left at their defaults, bool (K,); none if None.
+
+    The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range:
+    it keeps directions that the samples do not see finite.
+    """
+    span = layout.maximum - layout.minimum
+    prior = span / np.sqrt(12.0)
+    scaled = J * prior  # unit prior
+    precision = scaled.T @ scaled / variance + np.eye(layout.size)
+    covariance = np.linalg.inv(precision)
+    unit_error = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(unit_error, unit_error))
+    np.fill_diagonal(correlation, 0.0)
+    is_kept = np.zeros(layout.size, bool) if kept is None else kept
+    made = []
+    for k, label in enumerate(layout.labels):
+        error = float(unit_error[k] * prior[k])
+        moved = any(
+            abs(other[k] - p[k]) > max(2.0 * error, 2.0 * layout.tolerance[k]) for other in alternatives
+        )
+        if unit_error[k] > 0.8:
+            state = UNSEEN
+        elif moved:
+            state = AMBIGUOUS
+        elif 2.0 * error <= layout.tolerance[k]:
+            state = DETERMINED
+        else:
+            state = UNCERTAIN
+        partner = int(np.argmax(correlation[k]))
+        entangled = state != DETERMINED and correlation[k, partner] > _CORRELATED
+        made.append(
+            ParameterIdentifiability(
+                name=label,
+                value=float(p[k]),
+                standard_error=error,
+                state=state,
+                at_bound=not is_kept[k]
+                and bool(min(p[k] - layout.minimum[k], layout.maximum[k] - p[k]) < _BOUND * span[k]),
+                entangled_with=layout.labels[partner] if entangled else None,
+                is_kept=bool(is_kept[k]),
+            )
+        )
+    return tuple(made)
+
+
+@dataclass(frozen=True, eq=False)
+class TriedDefaults:
+    """Which of K values were set to their defaults.
+
+    Attributes:
+        kept: left there, since the fit is as good; bool (K,).
+        refused: the fit was worse; bool (K,). The samples do see these.
+    """
+
+    kept: Mask
+    refused: Mask
+
+    @classmethod
+    def none(cls, size: int) -> TriedDefaults:
+        """Nothing was tried."""
+        return cls(np.zeros(size, bool), np.zeros(size, bool))
+
+
+def keep_undetermined(
+    residuals: Residuals,
+    best: Minimum,
+    statements: tuple[ParameterIdentifiability, ...],
+    limit: float,
+    options: GaussNewton,
+) -> tuple[Minimum, TriedDefaults]:
+    """The best minimum with undetermined values at their defaults, where that costs nothing, the others refined again.
+
+    Undetermined is what the samples do not see, and what is uncertain and ended at an end of its range that is not its
+    default. One after the other, the least certain first, is set to its default; it stays there where the fit is as
+    good within the noise.
+
+    Args:
+        residuals: of all samples.
+        best: the best minimum.
+        statements: of its K values.
+        limit: difference of two costs that noise may hide.
+        options: of the refinements.
+    Returns:
+        The minimum, and what became of the values that were set to defaults.
+    """
+    layout = residuals.layout
+    owners = layout.owner
+    tried, found = TriedDefaults.none(layout.size), best
+    open_ends = [
+        k
+        for k, s in enumerate(statements)
+        if owners[k].undetermined is not None
+        and (s.state == UNSEEN or (s.state == UNCERTAIN and s.at_bound and _is_moved(s, owners[k])))
+    ]
+    for k in sorted(open_ends, key=lambda k: -statements[k].standard_error / owners[k].range):
+        kept = tried.kept | (np.arange(layout.size) == k)
+        if np.all(kept):
+            break
+        start = found.p.copy()
+        start[k] = owners[k].undetermined
+        trial = minimize(residuals, start, options.iterations, options.tolerance, kept=kept)
+        if trial.cost - best.cost <= limit:
+            tried.kept[k], found = True, trial
+        else:
+            tried.refused[k] = True
+    return found, tried
+
+
+def _is_moved(statement: ParameterIdentifiability, parameter: FreeParameter) -> bool:
+    """Whether a value is not its default anyway."""
+    return abs(statement.value - (parameter.undetermined or 0.0)) > parameter.tolerance

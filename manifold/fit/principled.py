@@ -1,0 +1,376 @@
+"""Fit a Mitsuba BSDF, by default `principled`, to reflectance samples."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.brdf.orientation import rotation_of, rotation_of_brdf
+from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.errors import UsageError
+from manifold.fit import adam_and_swarm, fit_metrics, fit_samples, gauss_newton, identifiability
+from manifold.fit.adam_and_swarm import AdamOptions, SwarmOptions
+from manifold.fit.fit_metrics import NOTICEABLE, BallDifference, Criterion
+from manifold.fit.fit_samples import FitSamples
+from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
+from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
+from manifold.records import Array, Bands, BsdfFile
+from manifold.render import backend
+from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
+from manifold.render.fitted_brdf import FittedBRDF
+
+METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
+"""The methods by name, with the class of their hyperparameters."""
+
+_POOR_FIT = (
+    0.12  # relative residual: beyond it balls of measured materials look wrong, docs/explanation/fits.md
+)
+
+_LEAST_ANISOTROPY = 0.01  # alphas that differ by half a per cent
+
+_MIXES_CHANNELS = ("spec_tint", "sheen_tint")  # principled's: their luminance has no meaning between bands
+
+
+@dataclass(frozen=True)
+class FittedMinimum:
+    """One minimum of the residual.
+
+    Attributes:
+        values: by parameter; a list of three for a colour.
+        residual: relative, in the metric of the fit.
+        as_good: whether noise may hide its difference to the best.
+        converged: whether the optimiser ended by itself.
+    """
+
+    values: dict[str, float | list[float]]
+    residual: float
+    as_good: bool
+    converged: bool
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted BSDF, with residuals, minima and identifiability.
+
+    Attributes:
+        family: what was fitted.
+        values: the best values by parameter; a list of three, linear sRGB, for a colour.
+        bands: the bands of the samples.
+        spectra: for spectral samples, values per band of the parameters per band, by name.
+        method, metric: names.
+        hyperparameters: of the method, with the assumed noise.
+        residuals: relative residuals by metric, of the RGB fit.
+        diffuse_residual: that of the best constant-albedo diffuse, in the metric of the fit.
+        ball: difference of the balls of fit and material; None where that is known at samples alone.
+        spectral_residual: in the metric of the fit over all bands; None for RGB samples.
+        minima: all distinct minima found, best first.
+        statements: how well the samples determine each value.
+        notes: what a user should know, one line each.
+        n_pairs: number of samples.
+        variant: Mitsuba's.
+        seconds: of the fit, reading and sampling left out.
+        rotation_deg: azimuth by which the material's highlights lie turned from those of the BSDF, wide along x.
+    """
+
+    family: BsdfFamily
+    values: dict[str, float | list[float]]
+    bands: Bands
+    spectra: dict[str, list[float]]
+    method: str
+    metric: str
+    hyperparameters: dict[str, Any]
+    residuals: dict[str, float]
+    diffuse_residual: float
+    spectral_residual: float | None
+    minima: tuple[FittedMinimum, ...]
+    statements: tuple[ParameterIdentifiability, ...]
+    notes: tuple[str, ...] = field(default=())
+    ball: BallDifference | None = None
+    n_pairs: int = 0
+    variant: str = ""
+    seconds: float = 0.0
+    rotation_deg: float = 0.0
+
+    def __repr__(self) -> str:
+        residual = f"{self.metric} residual {self.residuals[self.metric]:.2%}"
+        return (
+            f"<FitResult: {self.family.type}, {residual}, minima: {len(self.minima)}, values {self.values}>"
+        )
+
+
+@backend.variant_kept()
+def fit_bsdf(
+    target: BRDF | BsdfFile | FitSamples,
+    family: BsdfFamily | None = None,
+    *,
+    method: str = "gauss-newton",
+    metric: str = "appearance",
+    noise: float = 0.01,
+    options: GaussNewton | AdamOptions | SwarmOptions | None = None,
+    wide_colours: bool = False,
+) -> FitResult:
+    """Fit the free parameters of a Mitsuba BSDF.
+
+    Spectral samples are fitted in linear sRGB under D65 first; the parameters per band, such as the base colour, are
+    then found in every band with the shared ones fixed.
+
+    Args:
+        target: a file (its unmeasured cells filled), any BRDF, or samples. Files and BRDFs are sampled on a grid,
+            anisotropic ones turned to where their highlights are wide along x, as `principled`'s are, and their
+            ball is lit in two lights: one for the fit, one for its error alone.
+        family: the BSDF with its free parameters. If None, `default_principled`; and from method gauss-newton
+            `diffuse()` where that fits better: no parameters make `principled` Lambertian.
+        method: one of `METHODS`.
+        metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` is that of the
+            colours of the ball and of cube roots at the samples; of samples without a ball, cube roots alone.
+        noise: relative standard deviation of the samples that the statements assume at least.
+        options: hyperparameters of the method.
+        wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
+    Raises:
+        UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
+        RendererError: Mitsuba is missing, or lacks the backend that the method needs.
+        ShapeError: the samples have wrong shapes or values that are no numbers.
+    """
+    options = _options(method, options)
+    if not (np.isfinite(noise) and 0 < noise < 1):
+        raise UsageError(f"noise {noise:g}, expected a share of the values between 0 and 1, such as 0.01")
+    rotation: float | None = None
+    if isinstance(target, BsdfFile):
+        if (rotation := rotation_of(target)) is not None:
+            rotation -= target.rotation_rad
+        target = MeasuredBRDF(fill_unmeasured(target))
+    elif not isinstance(target, FitSamples):
+        require_brdf(target, "what is fitted")
+        rotation = rotation_of_brdf(target)
+    if isinstance(target, FitSamples):
+        return _fit_or_diffuse(target, family, method, metric, noise, options, wide_colours)
+    samples = fit_samples.from_brdf(target, rotation or 0.0)
+    found = _fit_or_diffuse(samples, family, method, metric, noise, options, wide_colours)
+    degrees = round(float(np.rad2deg(rotation or 0.0)) % 180.0, 1) % 180.0  # highlights have no ends
+    fitted = FittedBRDF.of(found.family, found.values, found.bands, found.spectra, degrees)
+    degrees = 0.0 if fitted.is_isotropic else degrees
+    ball = BallDifference.between(fitted, target)
+    notes = found.notes
+    if degrees:
+        notes += (
+            f"turned: highlights are wide along {degrees:.1f} degrees from x (rotation_deg), those of the BSDF along "
+            "x; in Mitsuba, turn the tangents by it",
+        )
+    if ball.unseen_light > NOTICEABLE:
+        notes += (f"visibly different: mean CIEDE2000 {ball.unseen_light:.1f} on the ball",)
+    return replace(found, ball=ball, notes=notes, rotation_deg=degrees)
+
+
+def _fit_or_diffuse(
+    samples: FitSamples, family: BsdfFamily | None, method: str, metric: str, noise: float, options: Any,
+    wide_colours: bool,
+) -> FitResult:  # fmt: skip
+    """A fit of the family, or of what is fitted by default."""
+    if family is not None:
+        return _fit(samples, family, method, metric, noise, options)
+    default = default_principled(samples.is_isotropic, wide_colours=wide_colours)
+    found = _fit(samples, default, method, metric, noise, options)
+    is_worse = _is_worse_than_diffuse(found.residuals[metric], found.diffuse_residual)
+    if method != "gauss-newton" or not is_worse:
+        return found
+    plain = _fit(samples, diffuse(wide_colours=wide_colours), method, metric, noise, options)
+    if plain.residuals[metric] >= found.residuals[metric]:  # no reflectance that a surface can have
+        return found
+    note = f"diffuse: principled fits worse ({found.residuals[metric]:.2%} against {plain.residuals[metric]:.2%})"
+    return replace(plain, notes=(note, *plain.notes), seconds=found.seconds + plain.seconds)
+
+
+def _fit(
+    samples: FitSamples, family: BsdfFamily, method: str, metric: str, noise: float, options: Any,
+) -> FitResult:  # fmt: skip
+    if not samples.bands.is_rgb:
+        _require_independent_bands(family)
+    rgb = samples.as_rgb()
+    residuals = Residuals(family, Criterion(rgb, metric))
+    layout = residuals.layout
+    tried = TriedDefaults.none(layout.size)
+    start = time.perf_counter()
+    with threadpool_limits(1):  # small matrices: threads would only wait for each other
+        if isinstance(options, GaussNewton):
+            minima = gauss_newton.find_minima(residuals, options)
+            assessed = _assess(residuals, minima, noise, tried)
+            best, tried = identifiability.keep_undetermined(
+                residuals, minima[0], assessed.statements, assessed.limit, options
+            )
+            minima = [best, *minima[1:]]
+        elif isinstance(options, AdamOptions):
+            minima = [adam_and_swarm.adam(family, rgb, residuals, options)]
+        else:
+            minima = [adam_and_swarm.swarm(family, rgb, residuals, options)]
+        spectra, spectral_residual = _fit_spectra(family, samples, metric, layout.split(minima[0].p))
+    seconds = time.perf_counter() - start
+    return _result(
+        family, samples, residuals, minima, noise, tried, method=method, spectra=spectra,
+        hyperparameters=asdict(options) | {"noise": noise}, spectral_residual=spectral_residual, seconds=seconds,
+    )  # fmt: skip
+
+
+def _options(method: str, options: Any) -> Any:
+    if method not in METHODS:
+        raise UsageError(f"no method is called {method!r}, expected one of {', '.join(METHODS)}")
+    if options is None:
+        return METHODS[method]()
+    if not isinstance(options, METHODS[method]):
+        raise UsageError(f"method {method} got {type(options).__name__}, expected {METHODS[method].__name__}")
+    return options
+
+
+def _require_independent_bands(family: BsdfFamily) -> None:
+    """Tints depend on a luminance of three channels, which three bands of a spectrum do not have."""
+    mixing = [
+        name
+        for name in _MIXES_CHANNELS
+        if any(o.name == name for o in family.parameters) or family.fixed.get(name, 0)
+    ]
+    if family.type == "principled" and mixing:
+        raise UsageError(
+            f"{' and '.join(mixing)} need RGB samples: a tint has no meaning per band; leave them out, or fit RGB"
+        )
+
+
+def _noise_variance(criterion: Criterion, noise: float) -> float:
+    """Variance of a residual that relative noise of the samples causes, averaged over them."""
+    y = criterion.samples.f_cos
+    weight = criterion.samples.weight[:, None]
+    return float(np.mean(weight * (criterion.metric.slope(y) * noise * y) ** 2))
+
+
+def _fit_spectra(
+    family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
+) -> tuple[dict[str, list[float]], float | None]:
+    """Values per band of the parameters per band, the shared ones fixed, and the relative residual."""
+    own = [o.name for o in family.parameters if o.per_band]
+    if samples.bands.is_rgb or not own:
+        return {}, None
+    found, residual = gauss_newton.refine_bands(family, samples, metric, values)
+    return {name: found[name] for name in own}, residual  # type: ignore[misc]
+
+
+@dataclass(frozen=True, eq=False)
+class _Assessment:
+    """Minima worth listing, and how well the samples determine the values of the first.
+
+    Attributes:
+        minima, is_as_good: best first, and whether noise may hide the difference of each to the best.
+        statements: of the K values of the best.
+        n_different: minima as good as the best with values that differ beyond their errors.
+        residual, J: at the best, shapes (n,) and (n, K).
+        limit: difference of two costs that noise may hide.
+    """
+
+    minima: list[Minimum]
+    is_as_good: list[bool]
+    statements: tuple[ParameterIdentifiability, ...]
+    n_different: int
+    residual: Array
+    J: Array
+    limit: float
+
+
+def _assess(residuals: Residuals, minima: list[Minimum], noise: float, tried: TriedDefaults) -> _Assessment:
+    layout, best = residuals.layout, minima[0]
+    residual, J = residuals.by_parameter(best.p)
+    assumed = _noise_variance(residuals.criterion, noise)
+    variance = identifiability.residual_variance(residual, layout.size, assumed)
+    limit = identifiability.as_good_limit(variance, layout.size)
+    minima = gauss_newton.select_minima(minima, limit)
+    is_as_good = [one.cost - best.cost <= limit for one in minima]
+    others = [one.p for one, good in zip(minima[1:], is_as_good[1:], strict=True) if good]
+    statements = identifiability.identify_parameters(layout, best.p, J, variance, others, tried.kept)
+    statements = tuple(
+        replace(s, state=identifiability.UNCERTAIN) if refused and s.state == identifiability.UNSEEN else s
+        for s, refused in zip(statements, tried.refused, strict=True)
+    )
+    n_different = sum(identifiability.is_different(layout, best.p, p, statements) for p in others)
+    return _Assessment(minima, is_as_good, statements, n_different, residual, J, limit)
+
+
+def _result(
+    family: BsdfFamily, samples: FitSamples, residuals: Residuals, minima: list[Minimum], noise: float,
+    tried: TriedDefaults, **known: Any,
+) -> FitResult:  # fmt: skip
+    layout, best, criterion = residuals.layout, minima[0], residuals.criterion
+    metric, norm = criterion.metric.name, criterion.norm
+    assessed = _assess(residuals, minima, noise, tried)
+    everywhere = residuals.evaluator
+    if metric != "appearance":
+        everywhere = Residuals(family, Criterion(criterion.samples, "appearance")).evaluator
+    result = FitResult(
+        family=family,
+        values=layout.split(best.p),
+        bands=samples.bands,
+        metric=metric,
+        residuals=fit_metrics.relative_residuals(criterion.samples, everywhere.values(best.p)[0]),
+        diffuse_residual=float(np.sqrt(fit_metrics.best_diffuse(criterion)[1]) / norm),
+        minima=tuple(
+            FittedMinimum(layout.split(one.p), float(np.sqrt(one.cost) / norm), good, one.converged)
+            for one, good in zip(assessed.minima, assessed.is_as_good, strict=True)
+        ),
+        statements=assessed.statements,
+        n_pairs=len(samples),
+        variant=backend.mitsuba(colour="rgb").variant(),
+        **known,
+    )
+    notes = _notes(result, assessed.n_different, samples.is_isotropic)
+    step, cost = identifiability.gauss_newton_step(layout, best.p, assessed.residual, assessed.J)
+    step[tried.kept] = 0.0
+    most = int(np.argmax(np.abs(step) / layout.tolerance))
+    is_other = result.method != "gauss-newton"
+    if is_other and best.cost - cost > assessed.limit and np.abs(step[most]) > layout.tolerance[most]:
+        notes.append(
+            f"not a minimum of the {metric} residual: a Gauss-Newton step moves {layout.labels[most]} by "
+            f"{step[most]:+.3f}; use method gauss-newton"
+        )
+    return replace(result, notes=tuple(notes))
+
+
+def _notes(result: FitResult, n_others: int, is_isotropic: bool) -> list[str]:
+    """What a user should know of a fit."""
+    notes, statements = [], result.statements
+    for o in result.family.parameters:
+        value = result.values[o.name]
+        if isinstance(value, list) and (min(value) < 0 or max(value) > 1) and o.maximum <= 2:
+            colour = ", ".join(f"{v:.3f}" for v in value)
+            notes.append(f"{o.name} ({colour}) lies outside Rec. 709; it is not clamped")
+    if ends := [s.name for s in statements if s.at_bound]:
+        notes.append(f"at the end of the range: {', '.join(ends)}")
+    if n_others:
+        notes.append(f"ambiguous: {n_others + 1} solutions fit equally well within the noise; all are listed")
+    if unknown := [s.name for s in statements if s.state == identifiability.UNSEEN and not s.is_kept]:
+        notes.append(f"not determined by the data: {', '.join(unknown)}")
+    if kept := [s.name for s in statements if s.is_kept]:
+        notes.append(f"not determined by the data, left at the defaults: {', '.join(kept)}")
+    residual, diffuse = result.residuals[result.metric], result.diffuse_residual
+    if _is_worse_than_diffuse(residual, diffuse):
+        notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
+    if residual > _POOR_FIT:
+        notes.append(
+            f"{result.family.type} does not fit these samples: relative residual {100.0 * residual:.0f} %"
+        )
+    is_known = result.family.type in ("principled", "diffuse") and not result.family.fixed.get("anisotropic")
+    anisotropic = result.values.get("anisotropic")
+    if is_isotropic or not is_known:
+        return notes
+    if anisotropic is None:
+        notes.append("anisotropic, but fitted the same at all azimuths: let `anisotropic` be free")
+    elif isinstance(anisotropic, float) and anisotropic < _LEAST_ANISOTROPY:
+        notes.append(
+            "anisotropic, but fitted the same at all azimuths: principled's highlights are wider along x; where the "
+            "sample's are wider along y, turn it by a quarter about its normal"
+        )
+    return notes
+
+
+def _is_worse_than_diffuse(residual: float, diffuse: float) -> bool:
+    return residual > diffuse * (1.0 + 1e-6)  # both are found by iteration

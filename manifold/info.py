@@ -1,0 +1,410 @@
+"""Contents of a file, a library or a model, as rows and tables for `manifold info`.
+
+What only one of them needs (zarr, Numba, models) is imported where it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold.disk import begins_with
+from manifold.errors import LibraryError, UsageError
+from manifold.estimate.sources import FileSource, MaterialSource, source_file
+from manifold.formats import registry, tensor_file
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import Readings
+from manifold.io_rgl import read_bsdf
+from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
+from manifold.records import Bands, BsdfFile
+from manifold.render import backend
+
+_MOST_SAMPLES = 40  # listed one by one
+
+
+def inspect_instrument_file(
+    path: Path, format_name: str
+) -> tuple[dict[str, object], dict[str, Any], list[tuple[Sequence[str], Sequence[Sequence[object]]]]]:
+    """Samples, directions, bands, notes and texture of a file of a known format.
+
+    Returns:
+        labels and values, the same for JSON, and tables: their heads and rows.
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    records = registry.read_all(path)
+    first = records[0]
+    rows: dict[str, object] = {"format": format_name, "instrument": first.instrument}
+    rows |= {"samples": len(records)} if len(records) > 1 else {"sample": first.name}
+    rows |= _of_table(first) if isinstance(first, DenseTable) else _of_readings(first)
+    rows["values in 1/sr"] = _range(np.concatenate([record.values.ravel() for record in records]))
+    for k, note in enumerate(dict.fromkeys(note for record in records for note in record.notes), start=1):
+        rows[f"note {k}"] = note
+    size = path.stat().st_size
+    rows["size"] = f"{size / 1e6:.3g} MB" if size >= 1e5 else f"{size / 1e3:.3g} kB"
+    tables: list[tuple[Sequence[str], Sequence[Sequence[object]]]] = []
+    if len(records) > 1:
+        listed = [(r.name, _count(r), str(r.bands)) for r in records[:_MOST_SAMPLES]]
+        tables.append((("sample", "pairs", "bands"), listed))
+    textures = [record.texture for record in records if isinstance(record, Readings) and record.texture]
+    if textures:
+        rows["texture"] = "graininess, sparkle or images of the sample are below"
+        tables += [_texture_table(key, value) for key, value in textures[0].items()]
+    document = {"path": str(path), "format": format_name, "samples": [_document(r) for r in records]}
+    return rows, document, tables
+
+
+def _of_readings(readings: Readings) -> dict[str, object]:
+    theta_i = np.rad2deg(np.arccos(np.clip(readings.wi[:, 2], 0.0, 1.0)))
+    theta_o = np.rad2deg(np.arccos(np.clip(readings.wo[:, 2], 0.0, 1.0)))
+    incidences = np.unique(np.round(theta_i, 1))
+    return {
+        "readings": len(readings),
+        "bands": _bands(readings.bands),
+        "theta_i in degrees": [f"{t:g}" for t in incidences[:12]] + (["..."] if incidences.size > 12 else []),
+        "theta_o in degrees": f"{theta_o.min():.1f} to {theta_o.max():.1f}",
+        "measured values": f"{readings.measured.mean():.1%}",
+        **(
+            {"gloss": [f"{u:g} at {a:g} degrees" for a, u in readings.gloss.items()]}
+            if readings.gloss
+            else {}
+        ),
+    }
+
+
+def _of_table(table: DenseTable) -> dict[str, object]:
+    return {
+        "table": " x ".join(str(a.size) for a in table.axes) + f", {table.coordinates} angles",
+        "kind": "isotropic" if table.is_isotropic else "anisotropic",
+        "bands": _bands(table.bands),
+        "measured nodes": f"{table.measured.mean():.1%}",
+    }
+
+
+def _bands(bands: Bands) -> str:
+    return f"{bands}: {', '.join(bands.labels)}" if 1 < bands.count <= 4 and not bands.is_rgb else str(bands)
+
+
+def _range(values: Any) -> str:
+    return f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}" if np.any(np.isfinite(values)) else "none"
+
+
+def _count(record: registry.Record) -> int:
+    return len(record) if isinstance(record, Readings) else int(np.count_nonzero(record.measured))
+
+
+def _texture_table(key: str, value: Any) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
+    """Images by their size, a list of entries with their columns, or single values."""
+    if key == "images" and isinstance(value, Mapping):
+        return ("flake image", "size"), [(name, f"{len(data) / 1e3:.1f} kB") for name, data in value.items()]
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        columns = tuple(dict.fromkeys(column for entry in value for column in entry))
+        return columns, [[entry.get(c, "") for c in columns] for entry in value]
+    items = value.items() if isinstance(value, Mapping) else [(key, value)]
+    return ("texture", "value"), [(str(k), str(v)) for k, v in items]
+
+
+def _document(record: registry.Record) -> dict[str, Any]:
+    nm = record.bands.wavelengths_nm
+    document: dict[str, Any] = {
+        "name": record.name,
+        "instrument": record.instrument,
+        "wavelengths_nm": None if nm is None else list(nm),
+        "pairs": _count(record),
+        "notes": list(record.notes),
+    }
+    if isinstance(record, Readings):
+        document["gloss"] = {f"{angle:g}": units for angle, units in record.gloss.items()}
+        document["texture"] = {k: _plain(v) for k, v in record.texture.items()}
+    else:
+        document["shape"] = list(record.values.shape)
+    return document
+
+
+def _plain(value: Any) -> Any:
+    """Values that JSON has; images by their length in bytes."""
+    if isinstance(value, bytes):
+        return {"bytes": len(value)}
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+_FIT = b'{\n  "format": "manifold fit"'
+_KINDS = {
+    "blend": "blends of whole materials",
+    "material": "whole materials",
+}
+
+Table = tuple[Sequence[str], Sequence[Sequence[object]]]
+"""Column heads, and rows."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was found.
+
+    Attributes:
+        title: one line.
+        rows: labels and values.
+        document: the same for JSON.
+        tables: further tables, possibly none.
+        problems: what verification found, possibly nothing.
+    """
+
+    title: str
+    rows: dict[str, object]
+    document: dict[str, Any]
+    tables: Sequence[Table] = ()
+    problems: list[str] = field(default_factory=list)
+
+
+def inspect(
+    path: Path,
+    *,
+    library: Path | None = None,
+    verify: bool = False,
+) -> Inspection:
+    """Inspect a file of a BRDF or an instrument, a library, a model or the JSON of a fit, recognised by content.
+
+    Args:
+        path: what to look at.
+        library: where a model's library is now, if not where the model remembers it.
+        verify: read and hash a library again.
+    Raises:
+        UsageError: there is nothing at this path, or verification is asked of something else than a library.
+        FileFormatError, LibraryError, ModelError: it is damaged.
+    """
+    if not path.exists():
+        raise UsageError(
+            f"{path}: no such path; name a file of a BRDF or an instrument, a library, a model, or a fit"
+        )
+    if path.is_dir():
+        return _inspect_library(path, verify)
+    if verify:
+        raise UsageError(f"{path}: only libraries can be verified; this is a file")
+    if path.suffix in (".h5", ".hdf5") or begins_with(path, MAGIC, HDF5_MAGIC):
+        return _inspect_model(path, library)
+    if begins_with(path, _FIT):
+        return _inspect_fit(path)
+    if path.is_file() and (known := registry.identify(path)) is not None:
+        return Inspection(f"{path.name}: {known.name}", *inspect_instrument_file(path, known.name))
+    if path.is_file() and path.suffix.lower() != ".bsdf" and not begins_with(path, tensor_file.MAGIC):
+        raise registry.unknown(path)
+    return _inspect_file(read_bsdf(path), path)
+
+
+def inspect_source(
+    source: MaterialSource, *, library: Path | None = None, verify: bool = False,
+    ) -> Inspection:  # fmt: skip
+    """Inspect what a user names: a path, see `inspect`, or a material of a library or a prediction."""
+    if isinstance(source, FileSource):
+        return inspect(source.path, library=library, verify=verify)
+    with source_file(source) as path:
+        found = inspect(path, verify=verify)
+    return replace(found, title=f"{source}: RGL material", document=found.document | {"path": str(source)})
+
+
+def inspect_renderer() -> Inspection:
+    """Mitsuba's backend on this machine."""
+    backend.mitsuba()  # which says where it cannot be used
+    chosen = backend.choose()
+    rows: dict[str, object] = {
+        "Mitsuba": backend.mitsuba_version(),
+        "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
+        "libLLVM": chosen.library or "none",
+    }
+    if chosen.advice is not None:
+        rows["advice"] = chosen.advice
+    return Inspection("Renderer", rows, chosen.to_json())
+
+
+def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
+    from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
+
+    P, T, B, H, W = file.spectra.shape
+    mask = file.measured_mask
+    share = unmeasured_share(file, unmeasured_cells(file))
+    rows: dict[str, object] = {
+        "description": file.description,
+        "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
+        "bands": str(file.bands),
+        "theta_i in degrees": [f"{np.rad2deg(t):.1f}" for t in file.theta_i_rad],
+        "outgoing grid": f"{H} x {W}",
+        "ndf": " x ".join(str(n) for n in file.ndf.shape),
+        "vndf": " x ".join(str(n) for n in file.vndf.shape[2:]),
+        "pipeline version": ".".join(str(v) for v in file.version),
+        "measured cells": f"{mask.mean():.1%}",
+        "exact zeros": f"{np.mean(file.spectra == 0):.1%}",
+        "unmeasured cells above the horizon": f"{share:.1%}",
+        "values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g}",
+        "size": f"{path.stat().st_size / 1e6:.1f} MB",
+    }
+    document = {
+        "path": str(path),
+        "name": file.name,
+        "description": file.description,
+        "shape": [P, T, B, H, W],
+        "wavelengths_nm": None if file.wavelengths_nm is None else [float(w) for w in file.wavelengths_nm],
+        "theta_i_rad": [float(t) for t in file.theta_i_rad],
+        "phi_i_rad": [float(p) for p in file.phi_i_rad],
+        "version": list(file.version),
+        "measured_share": float(mask.mean()),
+        "zero_share": float(np.mean(file.spectra == 0)),
+        "unmeasured_share": share,
+    }
+    return Inspection(f"{path.name}: RGL material", rows, document)
+
+
+def _inspect_fit(path: Path) -> Inspection:
+    from manifold.render import fit_json
+
+    content = fit_json.read(path)
+    source, metric, entry = content["source"], content["metric"], content.get("target")
+    of = source["file"] or "a BRDF"
+    if source["latent"] is not None:
+        of = f"the prediction of {source['model']} at latent {_words(source['latent'])}"
+    rows: dict[str, object] = {
+        "material": source["name"],
+        "fitted to": of,
+        "BSDF": content["bsdf"]["type"],
+        "relative residual": f"{metric} {content['residuals'][metric]:.3f}",
+    }
+    if content["notes"]:
+        rows["notes"] = tuple(content["notes"])
+    tables = {"parameter": content["values"]}
+    if entry is not None:
+        ball = f"{entry['ciede2000']:.2f} CIEDE2000 on the ball"
+        rows["target"] = f"{entry['name']}, {ball} against the {entry['against']}"
+        tables[f"parameter of {entry['name']}"] = entry["parameters"]
+    return Inspection(
+        f"{path.name}: fit by {content['program']}",
+        rows,
+        content | {"path": str(path)},
+        [((head, "value"), [(k, _words(v)) for k, v in found.items()]) for head, found in tables.items()],
+    )
+
+
+def _words(value: float | list[float]) -> str:
+    """A number, a colour, or the range of a value per band."""
+    values = value if isinstance(value, list) else [value]
+    if len(values) > 4:
+        return f"{min(values):.4g} to {max(values):.4g} in {len(values)} bands"
+    return ", ".join(f"{v:.4g}" for v in values)
+
+
+def _inspect_library(path: Path, verify: bool) -> Inspection:
+    from manifold.library.identity import origins_in_words
+    from manifold.library.store import Library
+
+    library = Library(path)
+    materials = [library.attributes(name) for name in library.names]
+    others, size = origins_in_words(materials), library.disk_bytes
+    errors = [m.accuracy for m in materials if m.accuracy is not None]
+    rows: dict[str, object] = {
+        "materials": f"{len(materials)}" + (f", {others}" if others else ""),
+        "bands": str(library.bands),
+        "size": f"{size / 1e6:.1f} MB, as files {sum(m.bytes for m in materials) / 1e6:.1f} MB",
+        "content hash": library.content_hash,
+        "schema version": library.schema_version,
+    }
+    if errors:
+        rows["compact"] = [
+            f"{len(errors)} of the materials",
+            f"largest errors {max(e.ball for e in errors):.2f} CIEDE2000 of the ball, "
+            f"{max(e.cube_root for e in errors):.2%} cube-root error",
+        ]
+    problems = library.verify() if verify else []
+    if verify:
+        rows["verified"] = "all hashes match" if not problems else f"{len(problems)} damaged"
+    table = [
+        (
+            m.name,
+            f"{m.shape[3]} x {m.shape[4]}"
+            + (f" x {m.shape[0]} azimuths" if m.shape[0] > 1 else "")
+            + (f", turned by {np.rad2deg(m.rotation_rad):.1f} degrees" if m.rotation_rad else ""),
+            ".".join(str(v) for v in m.pipeline_version),
+            f"{m.bytes / 1e6:.1f}",
+            *(
+                ["-" if m.accuracy is None else f"{m.accuracy.ball:.2f}, {m.accuracy.cube_root:.2%}"]
+                if errors
+                else []
+            ),
+            m.description,
+        )
+        for m in materials
+    ]
+    document = {
+        "path": str(path),
+        "schema_version": library.schema_version,
+        "bands": str(library.bands),
+        "content_hash": rows["content hash"],
+        "bytes": size,
+        "materials": [asdict(material) for material in materials],
+        "verified": verify,
+        "problems": problems,
+    }
+    columns = ("material", "grid", "pipeline", "MB", *(["ball, cube root"] if errors else []), "description")
+    return Inspection(f"{path}: library", rows, document, [(columns, table)], problems)
+
+
+def _inspect_model(path: Path, library: Path | None) -> Inspection:
+    from manifold.model.manifold import Manifold
+    from manifold.model.model_file import restore
+
+    stored = read_model(path)
+    s, space, left_out = restore(path, stored)
+    found, missing = None, None
+    try:
+        found = Manifold.load(path, library).library
+    except LibraryError as error:
+        if library is not None:
+            raise
+        missing = str(error)
+    rows: dict[str, object] = {
+        "materials": space.materials_in_words,
+        "library": f"{missing}; predictions, renders and reports need it" if found is None else found.path,
+        "bands": stored.n_bands or "unknown without the library" if found is None else found.bands,
+        "kind": _KINDS[s.kind],
+        "latent dimensions": s.latent_dim,
+        "mapping": s.mapping,
+        "kernel": f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
+        "optimizer": s.optimizer,
+        "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
+        "size": f"{path.stat().st_size / 1e3:.1f} kB",
+    }
+    columns = ["material", *(f"x{k + 1}" for k in range(s.latent_dim))]
+    table: list[tuple[object, ...]] = [
+        (name, *space.printed(row)) for name, row in zip(stored.names, space.X, strict=True)
+    ]
+    errors = None
+    if left_out is not None:
+        low, high = np.quantile(np.column_stack([left_out.ball, left_out.cube_root]), (0.5, 0.9), axis=0)
+        rows["left-out errors"] = [
+            f"median {low[0]:.1f}, 90th percentile {high[0]:.1f} CIEDE2000 of the ball",
+            f"{low[1]:.0%}, {high[1]:.0%} cube-root error",
+            "the places of the others kept (reports fit them anew)",
+        ]
+        columns += ["left out: ball", "cube root"]
+        each = zip(
+            left_out.materials.tolist(), left_out.ball.tolist(), left_out.cube_root.tolist(), strict=True
+        )
+        errors = {stored.names[i]: {"ball": ball, "cube_root": root} for i, ball, root in each}
+        words = {name: (f"{e['ball']:.1f}", f"{e['cube_root']:.0%}") for name, e in errors.items()}
+        table = [(*row, *words.get(str(row[0]), ("", ""))) for row in table]
+    document = {
+        "path": str(path),
+        "library": str(stored.library if found is None else found.path),
+        "library_problem": missing,
+        "settings": dict(vars(s)),
+        "statistics": stored.statistics,
+        "latents": {name: row.tolist() for name, row in zip(stored.names, space.X, strict=True)},
+        "left_out": errors,
+    }
+    return Inspection(f"{path}: manifold model", rows, document, [(columns, table)])

@@ -1,0 +1,364 @@
+"""The likelihood of latents as a function of the data's Gram matrix, and after a move of one coordinate in O(N^2)."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import numba as nb
+import numpy as np
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from manifold.errors import NumericalError, ShapeError, UsageError
+from manifold.kernels import Kernel, radial_of_pair
+from manifold.records import Array
+from manifold.threads import one_blas_thread
+
+_SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
+
+
+class LatentObjective:
+    """F(X) and its gradient, by a fresh factorisation.
+
+    `F = 1/2 log|K| + N/2 log s^2 + prior/2 ||X||^2` with `s^2 = tr(K^-1 S) / (N D)`, constants dropped.
+
+    Args:
+        S: centred Gram matrix, shape (N, N).
+        n_outputs: D.
+        kernel: the covariance function.
+        prior: weight of the Gaussian prior per output.
+    Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, per output.
+    """
+
+    def __init__(self, S: Array, n_outputs: int, kernel: Kernel, prior: float = 0.0) -> None:
+        self.S = np.ascontiguousarray(S)
+        self.n_outputs = n_outputs
+        self.kernel = kernel
+        self.prior = prior
+
+    def __call__(self, X: Array) -> tuple[float, Array]:
+        """F at X (N, Q) and its gradient (N, Q).
+
+        `dF/dK = 1/2 K^-1 - N / (2 tr(K^-1 S)) K^-1 S K^-1`.
+
+        Source: Lawrence 2005, eq. 6, with the output variance profiled out.
+        """
+        return self.with_noise(X)[:2]
+
+    def with_noise(self, X: Array) -> tuple[float, Array, float]:
+        """F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
+        N = self.S.shape[0]
+        K, slope = self.kernel.training_and_slope(X)
+        P, log_det = self.factorise(K)
+        PS = P @ self.S
+        trace = float(np.trace(PS))
+        dK = 0.5 * P - (0.5 * N / trace) * (PS @ P)
+        gradient = self.kernel.gradient(X, dK, slope) + self.prior * X
+        return self.value_of(log_det, trace, float(np.sum(X**2))), gradient, float(np.trace(dK))
+
+    def value_of(self, log_det: float, trace: float, squared_norm: float) -> float:
+        """F of log|K|, tr(K^-1 S) and ||X||^2; inf where rounding made the trace negative."""
+        N = self.S.shape[0]
+        if not trace > 0.0:
+            return float("inf")
+        log_variance = np.log(trace / (N * self.n_outputs))
+        return float(0.5 * log_det + 0.5 * N * log_variance + 0.5 * self.prior * squared_norm)
+
+    def factorise(self, K: Array) -> tuple[Array, float]:
+        """The inverse of K (N, N), by Cholesky, and log|K|."""
+        L, failed = dpotrf(K, lower=1)
+        if failed:
+            raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
+        log_det = 2.0 * float(np.sum(np.log(np.diag(L))))
+        P, _ = dpotri(L, lower=1)  # its other half is 0
+        inverse = np.ascontiguousarray(P + P.T)
+        inverse.flat[:: len(K) + 1] *= 0.5
+        return inverse, log_det
+
+
+def pca_start(S: Array, n_components: int) -> Array:
+    """Principal components of a centred Gram matrix S (N, N), each of unit variance, shape (N, Q).
+
+    Axes the data do not span are 0. Each axis has its longer tail positive.
+    """
+    N = S.shape[0]
+    Q = min(n_components, N)
+    values, vectors = eigh(S, subset_by_index=[N - Q, N - 1])
+    X = np.zeros((N, n_components))
+    X[:, :Q] = vectors[:, ::-1] * np.sqrt(N)
+    X[:, :Q][:, values[::-1] <= N * np.finfo(float).eps * max(values[-1], 0.0)] = 0.0
+    return fix_gauge(X)
+
+
+def fix_gauge(X: Array) -> Array:
+    """Latents (N, Q) centred, each axis with its longer tail positive.
+
+    The likelihood does not depend on either. The longer tail is that with the larger sum of cubes, whose sign is robust
+    against rounding; on a symmetric axis it is that of the latent of largest magnitude.
+    """
+    X = X - X.mean(axis=0)
+    tail = np.sum(X**3, axis=0)
+    largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
+    is_symmetric = np.abs(tail) <= _SYMMETRIC * np.sum(np.abs(X) ** 3, axis=0)
+    return X * np.where(np.where(is_symmetric, largest, tail) < 0, -1.0, 1.0)
+
+
+def centre_gram(S: Array) -> Array:
+    """`H S H` with `H = I - 1 1^T / N`: the Gram matrix of the outputs less their mean, shape (N, N)."""
+    row = S.mean(axis=1)
+    centred = S - row[:, None] - row[None, :] + row.mean()
+    return 0.5 * (centred + centred.T)
+
+
+def blas_threads(N: int) -> AbstractContextManager[Any]:
+    """One BLAS thread for small matrices."""
+    return one_blas_thread if N <= 500 else nullcontext()
+
+
+def require_start(X0: Array, N: int, Q: int) -> Array:
+    """Latents as float64 (N, Q), copied, or ShapeError."""
+    X0 = np.array(X0, dtype=np.float64)
+    if X0.shape != (N, Q) or not np.all(np.isfinite(X0)):
+        raise ShapeError(f"latents have shape {X0.shape}, expected ({N}, {Q}) finite values")
+    return X0
+
+
+def require_different(centred: Array, power: float) -> None:
+    """Raise ShapeError where all samples are the same to rounding, by the trace of their centred Gram matrix (N, N).
+
+    `power` is the trace of the uncentred one.
+    """
+    if not np.trace(centred) > len(centred) * np.finfo(np.float64).eps * power:
+        raise ShapeError(f"all {len(centred)} samples are identical, expected at least two different ones")
+
+
+def require_prior(prior: float) -> None:
+    """Raise UsageError unless a weight of the prior can be used."""
+    if not 0 <= prior < np.inf:
+        raise UsageError(f"prior = {prior}, expected a finite weight >= 0")
+
+
+def require_gram(S: Array, n_outputs: int) -> Array:
+    """A Gram matrix as float64 (N, N).
+
+    Raises:
+        ShapeError: S is not square, symmetric and finite, N is below 2, or n_outputs below 1.
+    """
+    S = np.asarray(S, dtype=np.float64)
+    if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
+        raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")
+    if not np.all(np.isfinite(S)):
+        raise ShapeError("S has non-finite values, expected the Gram matrix of finite data")
+    if np.abs(S - S.T).max() > 1e-8 * np.abs(S).max():
+        raise ShapeError("S is not symmetric, expected a Gram matrix Y Y^T")
+    if n_outputs < 1:
+        raise ShapeError(f"n_outputs = {n_outputs}, expected at least 1")
+    return S
+
+
+_LARGEST_DRIFT = 2e-9  # entry of K P - I tolerated before P is computed afresh
+# Accepted before P is computed afresh in any case: log|K| and the trace accumulate rounding too.
+_MOST_MOVES = 500
+_LOG_DET, _TRACE, _SQUARED_NORM, _VALUE, _MOVES = range(5)
+
+
+class IncrementalObjective:
+    """F as a `MoveObjective`: a move of one coordinate of one latent costs O(N^2).
+
+    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with
+    `d_i = 0`. With `P = K^-1`, `p = P e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q`
+    and `t = (1 + b)^2 - a c`,
+
+        |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
+
+    Every move measures the error of P on the row it changed and on one more; P is computed afresh when that
+    exceeds 2e-9, and after 500 moves.
+
+    Args:
+        objective: F.
+        X: the start, shape (N, Q); copied.
+    Attributes:
+        n_refactorisations: how often P was computed afresh since the start, jumps not counted.
+    Source: Woodbury; Hikichi & Iwasaki, section 3.4, for the search it serves.
+    """
+
+    def __init__(self, objective: LatentObjective, X: Array) -> None:
+        self.objective = objective
+        self.n_refactorisations = 0
+        N, self._Q = X.shape
+        self._work = np.zeros((4, N))  # d, P d, S P d, S p
+        self._state = np.zeros(5)  # log|K|, tr(P S), ||X||^2, F, moves since P was computed
+        self._numbers = (*objective.kernel.numbers, float(objective.n_outputs), float(objective.prior))
+        self.move_to(X)
+
+    @property
+    def x(self) -> Array:
+        """The latents as one vector, row by row, shape (N Q,). A view: do not write to it."""
+        return self._X.reshape(-1)
+
+    @property
+    def value(self) -> float:
+        """F here."""
+        return float(self._state[_VALUE])
+
+    def move_to(self, x: Array) -> None:
+        """Make x (N Q,) the current point, by a fresh factorisation."""
+        self._X = np.array(x, dtype=np.float64).reshape(-1, self._Q)
+        self._factorise()
+
+    def _factorise(self) -> None:
+        self._K = self.objective.kernel.training(self._X)
+        self._P, log_det = self.objective.factorise(self._K)
+        trace = float(np.sum(self._P * self.objective.S))
+        squared_norm = float(np.sum(self._X**2))
+        value = self.objective.value_of(log_det, trace, squared_norm)
+        self._state[:] = log_det, trace, squared_norm, value, 0
+
+    def move(self, index: int, delta: float) -> float:
+        """Move coordinate `index` of x by delta, better or worse, and return F there."""
+        i, q = divmod(index, self._Q)
+        moved = _try_move(
+            self._X,
+            self._K,
+            self._P,
+            self.objective.S,
+            self._work,
+            self._state,
+            self._numbers,
+            i,
+            q,
+            delta,
+            False,
+        )
+        self._renew(
+            _make_move(self._X, self._K, self._P, self._work, self._state, i, q, self._X[i, q] + delta, moved)
+        )
+        return self.value
+
+    def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
+        """Try every coordinate both ways, keep each improvement at once; see `MoveObjective`."""
+        index = tried = 0
+        while index < steps.shape[0] and tried < budget:
+            index, more, has_drifted = _explore(
+                self._X, self._K, self._P, self.objective.S, self._work, self._state, self._numbers,
+                steps, heading, *limits, index, budget - tried,
+            )  # fmt: skip
+            tried += more
+            self._renew(has_drifted)
+        return tried
+
+    def _renew(self, has_drifted: bool) -> None:
+        if has_drifted:
+            self.n_refactorisations += 1
+            self._factorise()
+
+
+@nb.njit(cache=True)
+def _explore(X, K, P, S, work, state, numbers, steps, heading, lower, upper, index, budget):
+    """Explore from coordinate `index` on until P has drifted: the next index, moves tried, whether P has drifted."""
+    tried = 0
+    while index < steps.shape[0]:
+        i, q = divmod(index, X.shape[1])
+        here, before, has_drifted = X[i, q], tried, False
+        for sense in (heading[index], -heading[index]):
+            target = min(max(here + sense * steps[index], lower[index]), upper[index])
+            if target == here:
+                continue
+            if tried == budget:
+                return index, tried, False
+            moved = _try_move(X, K, P, S, work, state, numbers, i, q, target - here, tried > before)
+            tried += 1
+            if moved[-1] < state[_VALUE]:
+                heading[index] = sense
+                has_drifted = _make_move(X, K, P, work, state, i, q, target, moved)
+                break
+        index += 1
+        if has_drifted:
+            return index, tried, True
+    return index, tried, False
+
+
+@nb.njit(cache=True)
+def _try_move(X, K, P, S, work, state, numbers, i, q, delta, cached):
+    """Latent i moved by delta along axis q: t, a, b and c; log|K|, tr(P S), ||X||^2 and F there.
+
+    Leaves d, P d and S P d in `work`, and S P e_i, which moves of the same latent share (`cached`).
+    """
+    N, Q = X.shape
+    family, inverse_l2, n_outputs, prior = numbers
+    d, Pd, SPd, Sp = work[0], work[1], work[2], work[3]
+    for j in range(N):
+        squared = 0.0
+        for k in range(Q):
+            moved = X[i, k] + delta if k == q else X[i, k]
+            squared += (moved - X[j, k]) ** 2
+        d[j] = radial_of_pair(family, squared * inverse_l2) - K[i, j]
+        Pd[j] = 0.0
+        SPd[j] = 0.0
+    d[i] = 0.0
+    for j in range(N):  # symmetric: rows serve as columns, and the inner loop runs along memory
+        w = d[j]
+        for k in range(N):
+            Pd[k] += w * P[j, k]
+    for j in range(N):
+        w = Pd[j]
+        for k in range(N):
+            SPd[k] += w * S[j, k]
+    if not cached:
+        Sp[:] = 0.0
+        for j in range(N):
+            w = P[i, j]
+            for k in range(N):
+                Sp[k] += w * S[j, k]
+    a, b, c = P[i, i], Pd[i], 0.0
+    pSp, pSq, qSq = 0.0, 0.0, 0.0
+    for j in range(N):
+        c += d[j] * Pd[j]
+        pSp += P[i, j] * Sp[j]
+        pSq += Pd[j] * Sp[j]
+        qSq += Pd[j] * SPd[j]
+    t = (1.0 + b) * (1.0 + b) - a * c
+    if not t > 0.0:  # rounding: no real move makes K indefinite
+        return t, a, b, c, np.nan, np.nan, np.nan, np.inf
+    log_det = state[_LOG_DET] + np.log(t)
+    trace = state[_TRACE] + (c * pSp - 2.0 * (1.0 + b) * pSq + a * qSq) / t
+    squared_norm = state[_SQUARED_NORM] + delta * (2.0 * X[i, q] + delta)
+    if not trace > 0.0:
+        return t, a, b, c, log_det, trace, squared_norm, np.inf
+    value = 0.5 * (log_det + N * np.log(trace / (N * n_outputs)) + prior * squared_norm)
+    return t, a, b, c, log_det, trace, squared_norm, value
+
+
+@nb.njit(cache=True)
+def _make_move(X, K, P, work, state, i, q, target, moved):
+    """Make a move in place; whether rows i and another of K P - I show that P has drifted."""
+    N = K.shape[0]
+    d, Pd, p = work[0], work[1], work[2]
+    t, a, b, c = moved[:4]
+    X[i, q] = target
+    for k in range(4):  # a slice's shape would be checked: the message alone takes seconds to compile
+        state[k] = moved[4 + k]
+    state[_MOVES] += 1
+    for j in range(N):
+        p[j] = P[i, j]
+    for j in range(N):
+        along_p = (c * p[j] - (1.0 + b) * Pd[j]) / t
+        along_q = (a * Pd[j] - (1.0 + b) * p[j]) / t
+        for k in range(N):
+            P[j, k] += along_p * p[k] + along_q * Pd[k]
+        K[i, j] += d[j]
+        K[j, i] = K[i, j]
+    drift = 0.0
+    for row in (i, int(state[_MOVES]) % N):
+        residual = work[3]
+        residual[:] = 0.0
+        residual[row] = -1.0
+        for j in range(N):
+            w = K[row, j]
+            for k in range(N):
+                residual[k] += w * P[j, k]
+        for k in range(N):
+            if not abs(residual[k]) <= drift:  # NaN counts as drift
+                drift = abs(residual[k])
+    return not drift < _LARGEST_DRIFT or state[_MOVES] >= _MOST_MOVES

@@ -1,0 +1,96 @@
+"""The work behind `manifold explore`: the page as one file, or on the loopback interface."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from manifold import disk
+from manifold.errors import UsageError
+from manifold.fit.exports import TARGETS
+from manifold.model.blend_space import require_blends
+from manifold.model.manifold import Manifold
+from manifold.page.actions import Context
+from manifold.page.page import make_page
+from manifold.page.server import ExplorerServer
+from manifold.page.tables import tabulate, to_document
+
+
+def write_page(
+    model: Path,
+    output: Path,
+    *,
+    library: Path | None = None,
+) -> int:
+    """Write the page of a map of blends as one HTML file that asks for nothing; its size in bytes.
+
+    Args:
+        model: path of a model.
+        output: the file.
+        library: where the model's library is now, if not where the model has it.
+    Raises:
+        UsageError: the map is no map of blends, or the file cannot be written.
+        ModelError, LibraryError: the model or its library cannot be read.
+    """
+    disk.require_writable(output)
+    page = make_page(_document(_load(model, library)))
+    disk.write_text(output, page)
+    return len(page.encode())
+
+
+def server(
+    model: Path,
+    *,
+    library: Path | None = None,
+    folder: Path = Path(),
+    port: int = 0,
+) -> ExplorerServer:
+    """A server of the page that is listening on the loopback interface; `serve_until_interrupted` answers.
+
+    Args:
+        model, library: as of `write_page`.
+        folder: where the page's actions write.
+        port: to listen on; 0 is any that is free.
+    Raises:
+        UsageError: the map is no map of blends, the folder does not exist, or the port is taken.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such folder")
+    loaded = _load(model, library)
+    context = Context(
+        folder.resolve(), model.resolve(), loaded.library.path.resolve(), loaded.names, loaded.X.shape[1],
+        loaded.bands.is_rgb,
+    )  # fmt: skip
+    targets = [[target.name, target.title] for target in TARGETS.values()]
+    page = make_page(_document(loaded) | {"served": {"targets": targets}})
+    return ExplorerServer(page, context, port)
+
+
+def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], Any]) -> None:
+    """Answer requests until Ctrl-C, SIGTERM or SIGHUP, then cancel the commands that run or wait.
+
+    Args:
+        served: of `server`.
+        on_ready: called with the address of the page.
+    """
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
+    try:
+        on_ready(served.address)
+        served.serve_forever()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        served.server_close()
+
+
+def _load(model: Path, library: Path | None) -> Manifold:
+    loaded = Manifold.load(model, library)
+    require_blends(loaded.space)
+    return loaded
+
+
+def _document(model: Manifold) -> dict[str, Any]:
+    return to_document(model, tabulate(model))

@@ -1,0 +1,72 @@
+"""The self-contained page of a map: script, style and data in a single file."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from importlib.resources import files
+from typing import Any
+
+_MODULES = (
+    "colour", "numerics", "elements", "webgl", "blend", "shapes", "ball", "layout", "map", "plots", "state", "facts",
+    "tabs", "photo", "controls", "documents", "guests", "variants", "attributes", "served", "explorer",
+)  # fmt: skip  # a module after what it imports
+_BODY = re.compile(r'<body class="explorer">(.*)</body>', re.DOTALL)
+_IMPORT = re.compile(r"^import .*?;\n", re.MULTILINE | re.DOTALL)
+_EXPORT = re.compile(r"^export (?=(async )?(function|class|const|let) )", re.MULTILINE)
+
+
+def make_page(document: dict[str, Any]) -> str:
+    """The page as HTML.
+
+    Args:
+        document: of `tables.to_document`, JSON; with `served` where a program answers its requests.
+    """
+    script, style = page_script(), _source("style.css")
+    connect = "'self'" if document.get("served") else "'none'"
+    policy = (
+        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
+        f"connect-src {connect}; base-uri 'none'; form-action 'none'"
+    )
+    parts = {"POLICY": policy, "STYLE": style, "DATA": _json_in_html(document), "SCRIPT": script}
+    return re.sub(r"@(POLICY|STYLE|DATA|SCRIPT)@", lambda found: parts[found[1]], _source("page.html"))
+
+
+def page_script() -> str:
+    """The script of the page."""
+    return _joined("start")
+
+
+def widget_module() -> str:
+    """The same as an ES module that anywidget takes: it makes the page in an element of a notebook."""
+    body = re.sub(r"<script.*?</script>", "", _body(), flags=re.DOTALL)
+    constants = f"const STYLE = {json.dumps(_source('style.css'))}, BODY = {json.dumps(body)};\n"
+    return constants + _joined("widget")
+
+
+def _body() -> str:
+    found = _BODY.search(_source("page.html"))
+    assert found is not None
+    return found[1]
+
+
+def _joined(last: str) -> str:
+    """The modules as one, in the order in which they need each other."""
+    joined = [_EXPORT.sub("", _IMPORT.sub("", _source(f"{name}.js"))) for name in (*_MODULES, last)]
+    return "\n".join(joined)
+
+
+def _source(name: str) -> str:
+    return files("manifold.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _json_in_html(document: dict[str, Any]) -> str:
+    """JSON that cannot close the element it stands in, whatever names it holds."""
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

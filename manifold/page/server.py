@@ -1,0 +1,232 @@
+"""The server of the page, on the loopback interface.
+
+Pages of other sites cannot send requests: these carry a token that only the address of the page holds, the Host header
+names the loopback interface, and the Origin header the page. Bodies are bounded.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import threading
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
+from typing import Any, cast
+from urllib.parse import parse_qs, unquote
+
+from manifold.errors import UsageError
+from manifold.page.actions import Context, action, complete, locate, photograph, plain_name
+from manifold.page.jobs import Job, Queue
+
+LOOPBACK = "127.0.0.1"
+MOST_JSON = 1 << 20  # bytes
+MOST_FILE = 1 << 28
+_BLOCK = 1 << 16
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class _RequestError(Exception):
+    """A request that is answered by a status and a sentence."""
+
+    def __init__(self, status: HTTPStatus, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+class ExplorerServer(ThreadingHTTPServer):
+    """Serves one page on the loopback interface.
+
+    Attributes:
+        token: what requests must carry.
+        queue: of actions.
+        inputs: temporary folder of the files that the commands read.
+        naming: held from the choice of a free name until its job is queued.
+    """
+
+    daemon_threads = True
+    request_queue_size = 128  # connections that wait to be accepted
+
+    def __init__(self, page: str, context: Context, port: int = 0, queue: Queue | None = None) -> None:
+        """Listen on a port; 0 is any that is free.
+
+        Raises:
+            UsageError: the port is taken, or may not be used.
+        """
+        try:
+            super().__init__((LOOPBACK, port), _Handler)
+        except OSError as error:
+            raise UsageError(
+                f"port {port} cannot be listened on ({error.strerror}); choose another"
+            ) from None
+        self.page, self.context = page.encode(), context
+        self.token = secrets.token_urlsafe(24)
+        self.queue = Queue(context.folder) if queue is None else queue
+        self.naming = threading.Lock()
+        self._inputs = TemporaryDirectory(prefix="manifold-explore-")
+        self.inputs = Path(self._inputs.name)
+
+    def server_close(self) -> None:
+        """Stop listening, cancel everything, and remove what was dropped."""
+        super().server_close()
+        if hasattr(self, "queue"):  # the base class closes a server that could not listen
+            self.queue.close()
+            self._inputs.cleanup()
+
+    @property
+    def address(self) -> str:
+        """Of the page, token included."""
+        return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore broken connections."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server_version, sys_version = "manifold", ""
+    timeout = 10.0  # seconds without a byte
+
+    @property
+    def _explorer(self) -> ExplorerServer:
+        return cast(ExplorerServer, self.server)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged: addresses hold the token."""
+
+    def do_GET(self) -> None:
+        """The page, the state of jobs, and pictures that were rendered."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Actions."""
+        self._answer(self._post)
+
+    def _answer(self, method: Callable[[], None]) -> None:
+        try:
+            method()
+        except _RequestError as error:
+            self._send_json(error.status, {"error": str(error)})
+        except UsageError as error:
+            self._send_json(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+
+    def _get(self) -> None:
+        path, _, query = self.path.partition("?")
+        self._require_page(parse_qs(query).get("token", [""])[0] or self.headers.get("X-Token", ""))
+        jobs = self._explorer.queue.jobs
+        if path == "/":
+            self._send(HTTPStatus.OK, "text/html; charset=utf-8", self._explorer.page)
+        elif path == "/jobs":
+            self._send_json(HTTPStatus.OK, {"jobs": [job.to_json() for job in jobs]})
+        elif pictures := [j.action.picture for j in jobs if j.has_picture and path == f"/picture/{j.number}"]:
+            self._send(HTTPStatus.OK, "image/png", cast(Path, pictures[0]).read_bytes())
+        else:
+            raise _RequestError(HTTPStatus.NOT_FOUND, "no such address")
+
+    def _post(self) -> None:
+        self._require_page(self.headers.get("X-Token", ""))
+        if self.headers.get("Origin") != f"http://{self.headers.get('Host')}":
+            raise _RequestError(HTTPStatus.FORBIDDEN, "the request comes from another page")
+        server, kind = self._explorer, self.path.removeprefix("/do/")
+        if kind == "cancel":
+            is_cancelled = server.queue.cancel(self._json_body().get("number", 0))
+            self._send_json(HTTPStatus.OK, {"cancelled": is_cancelled})
+            return
+        job = (
+            self._file_action(kind)
+            if kind in ("locate", "complete", "photograph")
+            else self._latent_action(kind)
+        )
+        self._send_json(HTTPStatus.ACCEPTED, {"number": job.number})
+
+    def _latent_action(self, kind: str) -> Job:
+        """Queue an action of the latent that the page shows."""
+        server, request = self._explorer, self._json_body()
+        with server.naming:
+            return server.queue.add(action(kind, request, server.context, server.inputs, self._is_taken))
+
+    def _file_action(self, kind: str) -> Job:
+        """Queue an action of a file that was dropped."""
+        server, path = self._explorer, self._file()
+        if kind == "locate":
+            return server.queue.add(locate(path, server.context))
+        if kind == "photograph":
+            request = _json_object(self.headers.get("X-Request", ""))
+            with server.naming:
+                return server.queue.add(photograph(path, request, server.context, self._is_taken))
+        sample = unquote(self.headers.get("X-Sample", ""), errors="replace")
+        replace = self.headers.get("X-Replace") == "true"
+        with server.naming:
+            return server.queue.add(complete(path, sample, server.context, self._is_taken, replace=replace))
+
+    def _is_taken(self, path: Path) -> bool:
+        return path.exists() or self._explorer.queue.is_writing(path)
+
+    def _require_page(self, token: str) -> None:
+        """Raise _RequestError unless a request comes from the page."""
+        port = self._explorer.server_port
+        if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
+            raise _RequestError(HTTPStatus.FORBIDDEN, "the request names another host")
+        if not hmac.compare_digest(token.encode(), self._explorer.token.encode()):
+            raise _RequestError(
+                HTTPStatus.FORBIDDEN, "no token, or an old one; open the address that manifold printed"
+            )
+
+    def _json_body(self) -> dict[str, Any]:
+        return _json_object(b"".join(self._blocks(MOST_JSON)))
+
+    def _file(self) -> Path:
+        """The body as a temporary file of the name that the request gives."""
+        path = Path(mkdtemp(dir=self._explorer.inputs), plain_name(self.headers.get("X-Name")))
+        with path.open("wb") as stream:
+            stream.writelines(self._blocks(MOST_FILE))
+        return path
+
+    def _blocks(self, most: int) -> Iterator[bytes]:
+        """The body in blocks, at most so many bytes."""
+        text = self.headers.get("Content-Length", "")
+        if not text.isdecimal():
+            raise _RequestError(HTTPStatus.LENGTH_REQUIRED, "expected Content-Length")
+        left = int(text[:20])
+        if left > most:
+            raise _RequestError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {most} bytes")
+        while left:
+            block = self.rfile.read1(min(left, _BLOCK))
+            if not block:
+                raise ConnectionError("the body ended early")
+            left -= len(block)
+            yield block
+
+    def _send_json(self, status: HTTPStatus, content: dict[str, Any]) -> None:
+        self._send(status, "application/json", json.dumps(content).encode())
+
+    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        for name, value in {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(content))}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content)
+
+
+def _json_object(text: str | bytes) -> dict[str, Any]:
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise _RequestError(HTTPStatus.BAD_REQUEST, "expected a JSON object")
+    return content
+
+
+def _refuse_constant(name: str) -> None:
+    """Raise ValueError: NaN and Infinity are no JSON."""
+    raise ValueError(name)

@@ -1,0 +1,428 @@
+"""Data of the page: materials in cube roots, packed, and the colour paths.
+
+A prediction is `(sum_i v_i f_i^(1/3))^3` in every band. The cube roots of all materials are written in one spectral
+basis of a few components, so that a blend of components is the blend of every band.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manifold.analytic.free_lobes import cos_theta_d
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.plausibility import mirrored_quadrature
+from manifold.brdf.sums import WeightedSum
+from manifold.colour import ball_colours
+from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb
+from manifold.colour.lights import ENVIRONMENTS, environment
+from manifold.colour.reflectances import srgb_spectra
+from manifold.directions import from_rusinkiewicz, from_spherical, normalize
+from manifold.errors import UsageError
+from manifold.estimate.gloss import RECEPTORS_DEG, SOURCE_DEG, gloss_meter
+from manifold.model.blend_space import BlendSpace, require_blends
+from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
+from manifold.model.expected_error import COARSE_BELOW
+from manifold.model.manifold import Manifold
+from manifold.model.walks import ROUGHNESSES, Walked, walk_path
+from manifold.records import Array, Bands, Indices, evenly_spaced
+
+SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
+GLOSS_DEG = 60
+_GLOSS_NODES = (19, 12)  # in the plane of incidence, and across on one side
+_SPHERE_NODES = 20  # in elevation and in azimuth
+
+
+@dataclass(frozen=True)
+class AngleGrid:
+    """Nodes over theta_h, theta_d and phi_d in [0, 180] degrees; phi_d runs fastest.
+
+    theta_d is given as a share of the largest at which both directions are above the horizon, so that the whole grid
+    can be looked up: `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)` there.
+
+    Attributes:
+        n_theta_h, n_theta_d, n_phi_d: nodes per angle, both ends included.
+        theta_h_max_rad: last theta_h.
+        theta_h_power: theta_h goes with this power of its index, dense around the mirror direction.
+        theta_d_share: last share of theta_d.
+    """
+
+    n_theta_h: int = 45
+    n_theta_d: int = 23
+    n_phi_d: int = 12
+    theta_h_max_rad: float = float(np.deg2rad(89.0))
+    theta_h_power: float = 2.5
+    theta_d_share: float = 0.995
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Nodes per angle."""
+        return self.n_theta_h, self.n_theta_d, self.n_phi_d
+
+    def directions(self) -> tuple[Array, Array]:
+        """wi and wo of all nodes, shape (P, 3) each."""
+        h, d, p = (np.arange(n) / (n - 1) for n in self.shape)
+        theta_h, share, phi_d = (
+            a.ravel()
+            for a in np.meshgrid(
+                h**self.theta_h_power * self.theta_h_max_rad, d * self.theta_d_share, p * np.pi, indexing="ij"
+            )
+        )
+        return from_rusinkiewicz(theta_h, share * largest_theta_d(theta_h, phi_d), phi_d)
+
+    def coordinates(self, theta_h: Array, theta_d: Array, phi_d: Array) -> tuple[Array, Array, Array]:
+        """Positions of pairs on the grid, in nodes along each axis: the inverse of `directions`, angles in radians."""
+        phi_d = np.abs(phi_d)
+        h = np.clip(theta_h / self.theta_h_max_rad, 0.0, 1.0) ** (1.0 / self.theta_h_power)
+        d = np.clip(theta_d / largest_theta_d(theta_h, phi_d) / self.theta_d_share, 0.0, 1.0)
+        return h * (self.n_theta_h - 1), d * (self.n_theta_d - 1), phi_d / np.pi * (self.n_phi_d - 1)
+
+
+def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
+    """theta_d at which one of the directions reaches the horizon, in radians."""
+    return np.asarray(np.arctan2(1.0, np.tan(theta_h) * np.abs(np.cos(phi_d))))
+
+
+@dataclass(frozen=True, eq=False)
+class TabulatedPairs:
+    """All pairs of a page: of the grid, then of the slices, of the gloss meter, 45/0, and of the integrating sphere.
+
+    Attributes:
+        wi, wo: unit vectors, shape (P, 3).
+        slice_angles_deg: of wo from the normal, towards the mirror direction, per incidence.
+        gloss_weights: gloss units per 1/sr at the pairs of the gloss meter.
+        sphere_measure: what makes a reflectance of values at the last pairs.
+        n_grid: pairs of the grid.
+    """
+
+    wi: Array
+    wo: Array
+    slice_angles_deg: tuple[Array, ...]
+    gloss_weights: Array
+    sphere_measure: Array
+    n_grid: int
+
+    @property
+    def amplitude(self) -> Array:
+        """Cube roots of cos(theta_i) cos(theta_o), shape (P,): values are tabulated times that."""
+        return np.cbrt(self.wi[:, 2] * self.wo[:, 2])
+
+
+def tabulated_pairs(grid: AngleGrid) -> TabulatedPairs:
+    """The pairs of a page, mirror images left out: materials are tabulated as the mean of both sides."""
+    wi, wo = [], []
+    *gloss, gloss_weights = _gloss_meter()
+    spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
+    for directions in (grid.directions(), *map(_slice, SLICE_INCIDENCES_DEG), gloss, spot):
+        wi.append(directions[0])
+        wo.append(directions[1])
+    sphere_wi = from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0)
+    sphere_wo, measure = mirrored_quadrature(sphere_wi, _SPHERE_NODES, _SPHERE_NODES)
+    one_side = sphere_wo[:, 1] > 0.0
+    sphere_wo = sphere_wo[one_side]
+    wi.append(np.broadcast_to(sphere_wi, sphere_wo.shape))
+    wo.append(sphere_wo)
+    angles = tuple(_slice_angles(incidence) for incidence in SLICE_INCIDENCES_DEG)
+    measure = 2.0 * measure[one_side] * sphere_wo[:, 2]
+    return TabulatedPairs(np.vstack(wi), np.vstack(wo), angles, gloss_weights, measure, len(wi[0]))
+
+
+def _gloss_meter() -> tuple[Array, Array, Array]:
+    """Pairs of the gloss meter at 60 degrees, on one side of the plane of incidence, and gloss units per 1/sr at each.
+
+    All have the light at the centre of the source: that the source is wide is in the weights, as the wider receptor.
+    """
+    theta, (half_in, half_across) = np.deg2rad(GLOSS_DEG), 0.5 * np.deg2rad(RECEPTORS_DEG[GLOSS_DEG])
+    source_in, source_across = 0.5 * np.deg2rad(SOURCE_DEG)
+    n_in, n_across = _GLOSS_NODES
+    x_edges, y_edges = np.linspace(-1.0, 1.0, n_in + 1), np.linspace(0.0, 1.0, n_across + 1)
+    x_edges = (half_in + source_in) * x_edges * np.abs(x_edges)  # dense around the mirror direction
+    y_edges = (half_across + source_across) * y_edges**2
+    x, y = (0.5 * (edges[1:] + edges[:-1]) for edges in (x_edges, y_edges))
+    X, Y = (a.ravel() for a in np.meshgrid(x, y, indexing="ij"))
+    seen = np.clip((half_in + source_in - np.abs(X)) / (2.0 * source_in), 0.0, 1.0)
+    seen *= np.clip((half_across + source_across - Y) / (2.0 * source_across), 0.0, 1.0)
+    centre, across = from_spherical(theta, 0.0), np.array([0.0, 1.0, 0.0])
+    wo = normalize(centre + np.tan(X)[:, None] * np.cross(across, centre) + np.tan(Y)[:, None] * across)
+    cell = 2.0 * np.outer(np.diff(x_edges), np.diff(y_edges)).ravel()  # on both sides
+    weights = 100.0 * seen * cell * wo[:, 2] / gloss_meter(GLOSS_DEG).full_scale
+    return np.broadcast_to(from_spherical(theta, np.pi), wo.shape), wo, weights
+
+
+def _slice_angles(incidence_deg: float) -> Array:
+    """Degrees from -85 to 85, dense around the mirror direction."""
+    near = incidence_deg + np.arange(-10.0, 10.25, 0.5)
+    return np.unique(np.concatenate([np.arange(-85.0, 85.5, 2.5), near]))
+
+
+def _slice(incidence_deg: float) -> tuple[Array, Array]:
+    angles = np.deg2rad(_slice_angles(incidence_deg))
+    wo = np.stack([-np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
+    return np.broadcast_to(from_spherical(np.deg2rad(incidence_deg), 0.0), wo.shape), wo
+
+
+_NODES = {1: 200, 2: 72, 3: 24}  # per dimension; maps of more dimensions have none
+_MARGIN = 0.25  # of the materials' extent, beyond them
+_MOST_BALL = 15.0  # CIEDE2000 at which the ground of the map is darkest
+
+
+def error_field(model: Manifold) -> dict[str, Any] | None:
+    """Values on a regular grid over the map, the last dimension running fastest; None above three dimensions.
+
+    Expected errors of the ball or, of a model that is not calibrated, the posterior over the prior standard deviation;
+    and where the data do not support predictions.
+    """
+    X = model.X
+    Q = X.shape[1]
+    if Q not in _NODES:
+        return None
+    extent = np.maximum(np.ptp(X, axis=0), 1e-6)
+    low, high = X.min(axis=0) - _MARGIN * extent, X.max(axis=0) + _MARGIN * extent
+    axes = [np.linspace(a, b, _NODES[Q]) for a, b in zip(low, high, strict=True)]
+    places = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+    expected = model.expected_error(places)
+    if expected is None:
+        words = {"what": "uncertainty", "unit": "posterior over prior standard deviation", "most": 1.0}
+        values = model.std(places)
+    else:
+        coarse = f"; coarse, known from {len(X)} materials" if len(X) < COARSE_BELOW else ""
+        words = {"what": "expected error", "unit": f"CIEDE2000 of the ball{coarse}", "most": _MOST_BALL}
+        values = expected.ball
+    return words | {
+        "low": low.tolist(), "high": high.tolist(), "nodes": _NODES[Q], "values": np.round(values, 3).tolist(),
+        "unsupported": model.is_extrapolation(places).astype(int).tolist(),
+    }  # fmt: skip
+
+
+ILLUMINANTS = ("D65", "A", "F11")
+
+_COMPONENTS = 8  # of the spectral basis, at most
+_MAP_NODES = 32  # visible bands that colours are made of, at most
+_LEAST_WEIGHT = 0.3  # of a band in the basis, relative to the largest: paths include invisible bands
+_DARK = 0.05  # of a material's median: ratios of components below this are not resolved
+_FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # of spectra that are dropped on an RGB map
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """Materials on the pairs of a page.
+
+    Attributes:
+        grid, pairs: which direction pairs.
+        nodes: bands that colours and spectra are made of, indices, shape (J,).
+        basis: the spectral basis at the nodes, shape (J, R).
+        sample_basis: and at the bands that colour paths are made of, shape (B_s, R).
+        components: cube roots of f cos(theta_i) cos(theta_o) in the basis, float32, shape (N, R, P).
+        walked: the materials as ends of walks.
+        at_nodes: which of their bands the nodes are, shape (J,).
+    """
+
+    grid: AngleGrid
+    pairs: TabulatedPairs
+    nodes: Indices
+    basis: Array
+    sample_basis: Array
+    components: NDArray[np.float32]
+    walked: list[Walked]
+    at_nodes: Indices
+
+
+def tabulate(model: Manifold) -> Tables:
+    """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page.
+
+    Raises:
+        UsageError: the map is of another kind.
+        LibraryError: a material cannot be read.
+    """
+    space = require_blends(model.space).of_landmarks
+    grid = AngleGrid()
+    pairs = tabulated_pairs(grid)
+    nodes = _node_bands(model.bands)
+    bands = np.union1d(nodes, space.bands)
+    materials = model.materials.in_bands(bands.tolist(), _landmark_names(model))
+    roots = np.stack([_roots(material, pairs) for material in materials])  # [N, P, B']
+    at_nodes, at_samples = np.searchsorted(bands, nodes), np.searchsorted(bands, space.bands)
+    basis, inverse = _spectral_basis(roots, _band_weights(model.bands, nodes, at_nodes, len(bands)))
+    components = np.ascontiguousarray(np.moveaxis(roots @ inverse, 2, 1), dtype=np.float32)
+    walked = [Walked.of(material) for material in materials]
+    return Tables(grid, pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes)
+
+
+def packed(tables: Tables) -> dict[str, Any]:
+    """Components as text: the first as float16, the others as bytes, relative to the first.
+
+    The first is positive, about the lightness; the others are about the chroma.
+    """
+    first = tables.components[:, 0]  # [N, P]
+    bright = first > _DARK * np.median(first, axis=1, keepdims=True)
+    ratio = np.divide(
+        tables.components[:, 1:], first[:, None], out=np.zeros_like(tables.components[:, 1:]),
+        where=first[:, None] > 0.0,
+    )  # fmt: skip
+    scale = np.where(bright[:, None], np.abs(ratio), 0.0).max(axis=2).astype(np.float32)  # [N, R - 1]
+    scale[scale == 0.0] = 1.0
+    steps = np.clip(np.rint(127.0 * ratio / scale[..., None]), -127, 127).astype(np.int8)
+    return {"first": _text(first.astype("<f2")), "ratios": _text(steps), "scales": scale.tolist()}
+
+
+def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
+    """Everything that a page shows, as JSON."""
+    space, names = require_blends(model.space).of_landmarks, _landmark_names(model)
+    bands, nodes = model.bands, tables.nodes
+    node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
+    grid, pairs = tables.grid, tables.pairs
+    return {
+        "library": model.library.path.name,
+        "names": names,
+        "others": _others(model),
+        "X": space.X.tolist(),
+        "lengthScale": space.kernel.length_scale,
+        "anisotropic": [not model.library.attributes(name).is_isotropic for name in names],
+        "unmeasured": [model.materials.unmeasured_share(name) for name in names],
+        "grid": {
+            "shape": list(grid.shape), "thetaHMax": grid.theta_h_max_rad, "thetaHPower": grid.theta_h_power,
+            "thetaDShare": grid.theta_d_share,
+        },
+        "pairs": {
+            "amplitude": _rounded(pairs.amplitude[pairs.n_grid :]), "grid": pairs.n_grid,
+            "count": len(pairs.wi), "glossWeights": _rounded(pairs.gloss_weights),
+            "sphereMeasure": pairs.sphere_measure.tolist(),
+            "slices": [
+                {"incidence": i, "angles": a.tolist()}
+                for i, a in zip(SLICE_INCIDENCES_DEG, pairs.slice_angles_deg, strict=True)
+            ],
+        },
+        "wavelengths": None if bands.is_rgb else list(node_bands.wavelengths_nm or ()),
+        "nodes": nodes.tolist(),
+        "basis": tables.basis.tolist(),
+        "components": packed(tables),
+        "toSrgb": {name: to_srgb(np.eye(node_bands.count), node_bands, name).tolist() for name in ILLUMINANTS},
+        "fromSrgb": (np.eye(3) if bands.is_rgb else srgb_spectra(node_bands)).tolist(),
+        "fileSpectra": _file_spectra() if bands.is_rgb else None,
+        "reflectances": space.reflectances[:, nodes].tolist(),
+        "paths": _paths(space, tables),
+        "walks": _walks(tables),
+        "environments": _environments(),
+        "view": ball_colours.VIEW.tolist(),
+        "error": error_field(model),
+    }  # fmt: skip
+
+
+def _environments() -> list[dict[str, Any]]:
+    """The environments of the page: radiance in float16, row by row from the zenith."""
+    made = []
+    for name in ENVIRONMENTS:
+        radiance = environment(name)
+        rows, columns, _ = radiance.shape
+        # Six bits of the fraction are enough for a light, and compress well.
+        halves = (radiance.astype("<f2").view("<u2") + 8) & 0xFFF0
+        made.append({"name": name, "rows": rows, "columns": columns, "radiance": _text(halves)})
+    return made
+
+
+def _landmark_names(model: Manifold) -> list[str]:
+    return [model.names[k] for k in model.landmarks]
+
+
+def _others(model: Manifold) -> dict[str, Any]:
+    """Places, colours and names of the materials that are no landmarks: points of the map, no part of predictions."""
+    others = np.delete(np.arange(len(model.names)), model.landmarks)
+    srgb = encode_srgb(np.clip(to_srgb(model.space.reflectances[others], model.bands), 0.0, 1.0))
+    return {
+        "X": model.X[others].round(3).tolist(),
+        "colours": ["#" + bytes(np.rint(255.0 * colour).astype(np.uint8)).hex() for colour in srgb],
+        "names": [model.names[k] for k in others],
+    }
+
+
+def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
+    """Vertices of the colour paths; weights as indices of samples and values."""
+    vertices = []
+    for coordinates, samples, weights in space.paths.vertices:
+        sparse = [[[int(samples[k]), float(w[k])] for k in np.flatnonzero(w)] for w in weights]
+        vertices.append({"at": coordinates.tolist(), "weights": sparse})
+    return {"vertices": vertices, "last": space.paths.last, "sampleBasis": tables.sample_basis.tolist()}
+
+
+def _walks(tables: Tables) -> dict[str, Any]:
+    """Highlights of the materials, and the shares of every two on their walk; the first and last are 0 and 1."""
+    walked, cosines = tables.walked, (tables.pairs.wi[:, 2], tables.pairs.wo[:, 2])
+    lobes = [one.highlight for one in walked]
+    shares = [
+        [walk_path(start, end)[1:-1].round(5).tolist() for end in walked[:k]]
+        for k, start in enumerate(walked)
+    ]
+    return {
+        "positions": [lobe.position for lobe in lobes],
+        "strengths": [lobe.strength for lobe in lobes],
+        "roughnesses": ROUGHNESSES[:2].tolist(),
+        "normal": [lobe.normal[tables.at_nodes].tolist() for lobe in lobes],
+        "base": [lobe.base[tables.at_nodes].tolist() for lobe in lobes],
+        "gain": [lobe.gain[tables.at_nodes].tolist() for lobe in lobes],
+        "grazing": [lobe.grazing[tables.at_nodes].tolist() for lobe in lobes],
+        "shares": shares,
+        "toComponents": np.linalg.pinv(tables.basis).tolist(),
+        "cosines": _text(np.stack([*cosines, cos_theta_d(tables.pairs.wi, tables.pairs.wo)]).astype("<f4")),
+    }
+
+
+def _node_bands(bands: Bands) -> Indices:
+    """Indices of at most 32 visible bands, evenly spread; of RGB bands all three."""
+    if bands.wavelengths_nm is None:
+        return np.arange(bands.count)
+    nm = np.asarray(bands.wavelengths_nm)
+    visible = np.flatnonzero((nm >= VISIBLE_NM[0]) & (nm <= VISIBLE_NM[1]))
+    if len(visible) < 2:
+        raise UsageError(
+            f"{len(visible)} bands from {nm[0]:g} to {nm[-1]:g} nm are visible, expected at least 2"
+        )
+    return np.asarray(visible[evenly_spaced(len(visible), _MAP_NODES)])
+
+
+def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
+    """Cube roots of f cos(theta_i) cos(theta_o), the mean of both sides of the plane of the normal, (P, B')."""
+    mirror = np.array([1.0, -1.0, 1.0])
+    total = np.zeros((len(pairs.wi), material.bands.count))
+    half = WeightedSum([material], [0.5], cube_root=True)
+    for side in (np.ones(3), mirror):
+        half.add_to(total, DirectionPairs(pairs.wi * side, pairs.wo * side))
+    return (np.maximum(total, 0.0) * pairs.amplitude[:, None]).astype(np.float32)
+
+
+def _band_weights(bands: Bands, nodes: Indices, at_nodes: Indices, count: int) -> Array:
+    """Weight of each band in colours, shape (B',); invisible bands have a small one."""
+    weights = np.full(count, _LEAST_WEIGHT)
+    if bands.wavelengths_nm is None:
+        return np.ones(count)
+    node_bands = Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
+    seen = np.abs(to_srgb(np.eye(len(nodes)), node_bands)).sum(axis=1)
+    weights[at_nodes] = np.maximum(np.sqrt(seen / seen.max()), _LEAST_WEIGHT)
+    return weights
+
+
+def _spectral_basis(roots: Array, weights: Array) -> tuple[Array, Array]:
+    """Principal spectra (B', R) of cube roots (N, P, B'), and the matrix (B', R) that gives components."""
+    weighted = roots.reshape(-1, roots.shape[2]) * weights.astype(np.float32)
+    gram = (weighted.T @ weighted).astype(np.float64)
+    vectors = np.linalg.eigh(gram)[1][:, ::-1][:, :_COMPONENTS]
+    vectors = vectors * np.where(vectors.sum(axis=0) < 0.0, -1.0, 1.0)
+    return vectors / weights[:, None], (vectors * weights[:, None]).astype(np.float32)
+
+
+def _file_spectra() -> dict[str, Any]:
+    bands = Bands(_FILE_NODES_NM)
+    return {"wavelengths": list(_FILE_NODES_NM), "toSrgb": to_srgb(np.eye(bands.count), bands).tolist()}
+
+
+def _rounded(values: Array) -> list[float]:
+    return [float(f"{v:.7g}") for v in values]
+
+
+def _text(values: NDArray[Any]) -> str:
+    return base64.b64encode(gzip.compress(values.tobytes(), 9, mtime=0)).decode()

@@ -1,0 +1,70 @@
+"""The page as a notebook widget, through anywidget (`pip install brdf-manifold[notebook]`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+try:
+    import anywidget
+    import traitlets
+except ImportError as error:
+    message = f"the map as a widget needs anywidget, which is missing ({error}); pip install brdf-manifold[notebook]"
+    raise ImportError(message) from None
+
+from manifold.colour.reflectances import ReflectanceSpectrum
+from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
+from manifold.model.prediction import PredictedBRDF
+from manifold.page.page import widget_module
+from manifold.page.tables import tabulate, to_document
+
+
+class MapWidget(anywidget.AnyWidget):
+    """A map of blends to drag a point on; Python knows where it is, and can move it.
+
+    Attributes:
+        latent: where the point is, Q numbers; set it to move the point.
+        colour: chosen colour: empty, `like`, `srgb`, or `spectrum`, rows of nm and reflectance; on a path `between`,
+            two materials and t from 0 to 1.
+        link: all that is shown, as in a link of the page; set it to restore what was shown.
+    """
+
+    _esm = widget_module()
+    data = traitlets.Dict().tag(sync=True)
+    latent = traitlets.List(traitlets.Float()).tag(sync=True)
+    colour = traitlets.Dict().tag(sync=True)
+    link = traitlets.Unicode("").tag(sync=True)
+
+    def __init__(self, model: Manifold) -> None:
+        """Tabulate the materials of a map, in seconds.
+
+        Raises:
+            UsageError: the map is no map of blends.
+            LibraryError: a material cannot be read.
+        """
+        self.model = model
+        start = model.X.mean(axis=0)
+        super().__init__(data=to_document(model, tabulate(model)), latent=start.tolist())
+
+    @traitlets.validate("latent")
+    def _check_latent(self, proposal: Any) -> list[float]:
+        latent: list[float] = self.model.place(proposal["value"]).latent.tolist()
+        return latent
+
+    def prediction(self) -> PredictedBRDF:
+        """The material at the point, in the chosen colour.
+
+        Raises:
+            UsageError: the colour cannot be used.
+        """
+        x, colour = self.model.place(list(self.latent)).latent, dict(self.colour)
+        path = colour.pop("between", None)
+        if path is not None and np.allclose(x, self.model.between(*path)):  # else the point was moved since
+            return self.model.interpolate(*path)
+        rows = colour.pop("spectrum", None)
+        if rows is not None:
+            nm, values = zip(*rows, strict=True)
+            colour["reflectance"] = ReflectanceSpectrum(nm, values)
+        return self.model.predict(x, choose_colour(self.model, x, ColourChoice(**colour)).colours)

@@ -1,5 +1,0 @@
-"""A material from photographs of a ball under known light."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,113 @@
+"""One function per command that draws rendered balls: the map and the walk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from manifold import progress
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.estimate.sources import LibrarySource, MaterialSource, PlaceSource, place_of, read_source
+from manifold.model import diagnostics
+from manifold.model.colours import NEAREST, ColourChoice
+from manifold.model.diagnostics import Prediction
+from manifold.model.manifold import Manifold
+from manifold.model.places import Place, PlaceLike, on_line
+from manifold.model.walks import Walk
+from manifold.plots import ball_figures, figures, map_figure
+from manifold.records import Array
+from manifold.render import backend, thumbnails
+from manifold.render.thumbnails import cropped
+
+
+def latent_map(
+    model: Path,
+    output: Path,
+    *,
+    library: Path | None = None,
+    marked: PlaceLike | MaterialSource | None = None,
+    colour: ColourChoice = NEAREST,
+) -> tuple[Prediction | None, tuple[str, ...]]:
+    """Draw the map of latents with a rendered ball per material, and with one of a prediction.
+
+    Args:
+        model: path of a model.
+        output: the picture.
+        library: path of the model's library, if it was moved.
+        marked: place of a prediction to show; a material is located.
+        colour: of that prediction.
+    Returns:
+        The prediction that is marked, and what is left out: balls, where Mitsuba is missing; materials are points then.
+    """
+    figures.require_writable(output)
+    loaded = Manifold.load(model, library)
+    predicted = None if marked is None else diagnostics.predict(loaded, place_of(marked, loaded), colour)
+    x = None if predicted is None else predicted.latent
+    if not backend.is_available():
+        figures.save(map_figure.latent_map(loaded, marked=x), output)
+        return predicted, ("rendered balls, since Mitsuba is missing",)
+    ball = None if predicted is None else cropped(thumbnails.of_material(predicted.brdf))
+    balls = [cropped(image) for image in thumbnails.of_materials(loaded)]
+    figures.save(ball_figures.ball_map(loaded, balls, x, ball), output)
+    return predicted, ()
+
+
+def walk(
+    model: Path,
+    start: MaterialSource,
+    end: MaterialSource,
+    output: Path,
+    *,
+    steps: int = 7,
+    library: Path | None = None,
+) -> dict[float, Prediction]:
+    """Draw the walk between two materials, and below it what lies between them on the map.
+
+    Returns:
+        The predictions between the materials by t; those with diagnostics are marked in the picture.
+    Raises:
+        UsageError: a material is unknown.
+        RendererError: Mitsuba is missing.
+    """
+    figures.require_writable(output)
+    backend.imported()
+    loaded = Manifold.load(model, library)
+    t = np.linspace(0.0, 1.0, steps)
+    ends = [_end(loaded, source) for source in (start, end)]
+    first, last = (place_of(source, loaded).latent for source in (start, end))
+    path = Walk.between(*ends)
+    methods: list[tuple[str, Callable[[float], BRDF]]] = [
+        ("walk", path.at),
+        ("path of\nlatents", lambda value: loaded.predict(on_line(first, last, value))),
+    ]
+    rows: list[tuple[str, list[Array]]] = []
+    between: dict[float, Prediction] = {}
+    for name, along in methods:
+        images: list[Array] = []
+        for value in t.tolist():
+            with progress.listen(None):
+                brdf = along(value)
+                images.append(cropped(thumbnails.of_material(brdf)))
+            if not rows and 0.0 < value < 1.0:
+                between[value] = diagnostics.diagnose(loaded, Place(on_line(first, last, value)), brdf)
+            done = len(rows) * steps + len(images)
+            progress.report(done, len(methods) * steps, f"{name}, t = {value:.2g}".replace("\n", " "))
+        rows.append((name, images))
+    doubtful = [value in between and bool(between[value].diagnostics) for value in t.tolist()]
+    title = figures.in_lines(f"From {start} to {end}", 14 * steps)
+    figures.save(ball_figures.walk_strip(title, t.tolist(), rows, doubtful), output)
+    return between
+
+
+def _end(model: Manifold, source: MaterialSource) -> BRDF:
+    """The BRDF at an end of a walk, its unmeasured cells filled."""
+    if isinstance(source, PlaceSource):
+        return diagnostics.predict(model, source.place, source.colour).brdf
+    if isinstance(source, LibrarySource) and source.name in model.names:
+        return model.materials.filled([source.name])[0]
+    brdf = MeasuredBRDF(fill_unmeasured(read_source(source)))
+    model.bands.require_same(brdf.bands, str(source), "resample it, or use its own library")
+    return brdf

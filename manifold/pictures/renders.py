@@ -1,0 +1,252 @@
+"""The work behind `manifold render` and `manifold compare`: materials in, pictures out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from manifold import __version__
+from manifold.colour.conversion import warn_if_invisible
+from manifold.colour.reflectances import ReflectanceSpectrum
+from manifold.errors import UsageError
+from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource, source_file
+from manifold.library.identity import hash_arrays
+from manifold.model.colours import NEAREST, ColourChoice
+from manifold.model.places import PlaceLike
+from manifold.progress import Stages
+from manifold.render import backend, image_metrics, images, scenes
+from manifold.render.ball import BallMaterial, read_material
+from manifold.render.image_metrics import Summary
+from manifold.render.render import RenderSettings, require_d65
+
+if TYPE_CHECKING:
+    from manifold.model.diagnostics import Prediction
+
+# What a measured file does without (models, predictions, figures) is imported where it is used: it takes 1.5 s.
+
+RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A picture that was made.
+
+    Attributes:
+        path: of the picture.
+        material: what was rendered.
+        settings: how.
+        renderer: the backend of Mitsuba.
+        seconds: rendering, without reading.
+        prediction: what is rendered; None for what was measured or fitted.
+    """
+
+    path: Path
+    material: BallMaterial
+    settings: RenderSettings
+    renderer: backend.Backend
+    seconds: float
+    prediction: Prediction | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        settings = self.settings
+        return {
+            "program": f"manifold {__version__}",
+            "path": str(self.path),
+            "material": self.material.name,
+            "route": self.material.route,
+            "backend": self.renderer.kind,
+            "advice": self.renderer.advice,
+            "illuminant": settings.illuminant.name,
+            "size": settings.size,
+            "samples": settings.samples,
+            "seed": settings.seed,
+            "seconds": self.seconds,
+            "prediction": None if self.prediction is None else self.prediction.to_json(),
+        }
+
+
+def settings_key(settings: RenderSettings) -> dict[str, Any]:
+    """What a picture depends on beside its material, plain values."""
+    light = settings.illuminant
+    arrays = {"wavelengths_nm": np.array(light.wavelengths_nm), "power": np.array(light.power)}
+    if settings.environment is not None:
+        arrays["environment"] = settings.environment
+    return {
+        "size": settings.size, "samples": settings.samples, "seed": settings.seed, "backend": backend.choose().kind,
+        "light": hash_arrays(arrays),
+    }  # fmt: skip
+
+
+def render(
+    source: MaterialSource, output: Path, settings: RenderSettings, *, direct: bool = False,
+    ) -> Rendered:  # fmt: skip
+    """Render the ball of a material into a picture.
+
+    Args:
+        source: an RGL file, the JSON of a fit, a material of a library, or a place; see `ball_material`.
+        output: the picture.
+        settings: how.
+        direct: evaluate the measured materials of a prediction while rendering.
+    Raises:
+        UsageError: the picture cannot be written, an RGB material meets another light than D65, or `direct` without a
+            place.
+        FileFormatError: the file is neither.
+    """
+    images.require_image_path(output)
+    stages = Stages({"": 1, "rendering": 1})
+    stages.begin("")
+    with ball_material(source, direct=direct) as (material, made):
+        stages.begin("rendering")
+        start = time.perf_counter()
+        picture = material.render(settings)
+        seconds = time.perf_counter() - start
+    images.write_image(output, picture)
+    return Rendered(output, material, settings, backend.choose(), seconds, made)
+
+
+@contextmanager
+def ball_material(
+    source: MaterialSource,
+    *,
+    direct: bool = False,
+) -> Iterator[tuple[BallMaterial, Prediction | None]]:
+    """A material to be rendered, and the prediction that it is; files written for it are there during the block.
+
+    Raises:
+        UsageError: `direct` without a place; and what `latent_material` and `sources.source_file` raise.
+    """
+    if isinstance(source, PlaceSource):
+        predicted = latent_material(
+            source.model, source.place, library=source.library, colour=source.colour, direct=direct,
+        )  # fmt: skip
+        with predicted as made:
+            yield made
+        return
+    if direct:
+        raise UsageError(f"{source}: direct renders are of places; a file holds its values")
+    with source_file(source) as path:
+        yield read_material(path), None
+
+
+@contextmanager
+def latent_material(
+    model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
+    direct: bool = False,
+) -> Iterator[tuple[BallMaterial, Prediction]]:  # fmt: skip
+    """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials.
+
+    Raises:
+        UsageError: `direct` without LLVM; and what `prediction.predict` raises.
+    """
+    from manifold.estimate import predictions
+    from manifold.model import diagnostics
+    from manifold.model.manifold import load_model
+    from manifold.model.output_file import FINE_OPTIONS
+
+    at = PlaceSource(model, latent)
+    if not direct:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "predicted.bsdf"
+            loaded = load_model(model, library)
+            made = predictions.predict(loaded, latent, path, colour=colour, options=FINE_OPTIONS)
+            file = read_material(path)
+            yield BallMaterial(f"latent {at}", file.bsdf, file.is_rgb, "predicted file"), made
+        return
+    if not backend.choose().is_llvm:
+        raise UsageError(f"direct renders need Mitsuba's LLVM variants; {backend.INSTALL}, or render a file")
+    if isinstance(colour.reflectance, ReflectanceSpectrum):
+        raise UsageError("direct renders take reflectances from a file; name one, or render a predicted file")
+    loaded = load_model(model, library)
+    if loaded.space.takes_colours and colour == NEAREST and loaded.place(latent).path is not None:
+        raise UsageError(
+            "direct renders have the colours of latents, not those between two; render a predicted file"
+        )
+    warn_if_invisible(loaded.bands)
+    predicted = diagnostics.predict(loaded, latent, colour)
+    coordinates = ",".join(repr(float(v)) for v in predicted.latent)
+    bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
+    bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}
+    if library is not None:
+        bsdf["library"] = str(library)
+    yield BallMaterial(f"latent {at}", bsdf, loaded.bands.is_rgb, "measured materials, directly"), predicted
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The differences of two pictures.
+
+    Attributes:
+        path: of the figure.
+        a, b: what was compared.
+        pixels: over all pixels, by `ciede2000`, `itp` (Delta E_ITP of ITU-R BT.2124) and `flip`.
+        ball: the same over the pixels of the ball; empty where pictures were compared.
+    """
+
+    path: Path
+    a: str
+    b: str
+    pixels: dict[str, Summary]
+    ball: dict[str, Summary]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; those of the ball are None where pictures were compared."""
+        made: dict[str, Any] = {"path": str(self.path), "a": self.a, "b": self.b}
+        made |= {key: asdict(summary) for key, summary in self.pixels.items()}
+        return made | {f"{key}_ball": asdict(self.ball[key]) if self.ball else None for key in self.pixels}
+
+
+def compare(
+    a: MaterialSource, b: MaterialSource, output: Path, settings: RenderSettings,
+) -> Comparison:  # fmt: skip
+    """Compare two pictures, or two materials rendered alike.
+
+    Linear pictures are tone-mapped first; that caps what is brighter than a display.
+
+    Raises:
+        UsageError: one is a material and the other a picture, or the figure cannot be written.
+        ShapeError: the pictures have different sizes.
+    """
+    from manifold.pictures import comparison_figure
+    from manifold.plots import figures
+
+    figures.require_writable(output)
+    pictures = [
+        source.path
+        for source in (a, b)
+        if isinstance(source, FileSource) and source.path.suffix not in (".bsdf", ".json")
+    ]
+    if len(pictures) == 1:
+        raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")
+    ball = None
+    if pictures:
+        first, second = (images.read_display(path) for path in pictures)
+        names = (pictures[0].name, pictures[1].name)
+    else:
+        stages = Stages({"": 1, "rendering": 2, "rendering the other": 2})
+        stages.begin("")
+        with ball_material(a) as (one, _), ball_material(b) as (other, _):
+            if one.is_rgb or other.is_rgb:
+                require_d65(settings.illuminant)
+            stages.begin("rendering")
+            first = images.tone_map(one.render(settings))
+            stages.begin("rendering the other")
+            second = images.tone_map(other.render(settings))
+        names = (one.name, other.name)
+        ball = scenes.ball_interior(settings.size, RIM)
+    maps = {
+        "ciede2000": image_metrics.ciede2000_map(first, second),
+        "itp": image_metrics.itp_map(first, second),
+        "flip": image_metrics.flip_map(first, second),
+    }
+    drawn = comparison_figure.comparison(first, second, maps["ciede2000"], maps["flip"], names, ball)
+    figures.save(drawn, output)
+    of_ball = {} if ball is None else {key: Summary.of(values[ball]) for key, values in maps.items()}
+    return Comparison(output, str(a), str(b), {k: Summary.of(v) for k, v in maps.items()}, of_ball)

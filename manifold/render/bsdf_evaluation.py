@@ -1,0 +1,372 @@
+"""Mitsuba BSDFs evaluated for many parameter vectors at many direction pairs, with derivatives.
+
+On the LLVM backend every texture slot of a plugin holds a *lane texture*, whose value is an array with one entry
+per lane of the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs, and
+a second one, with a different tangent per lane, all columns of a Jacobian. The plugin itself is Mitsuba's own.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manifold.errors import UsageError
+from manifold.records import Array, Indices
+from manifold.render import backend
+from manifold.render.bsdf_parameters import BsdfFamily, Layout
+
+_LANES = 1 << 20  # of one wavefront; more are evaluated one after the other
+
+
+class Evaluator(Protocol):
+    """A BSDF family at M direction pairs, for B bands; f_cos in 1/sr."""
+
+    layout: Layout
+
+    def values(self, p: Array, rows: Indices | None = None) -> Array:
+        """f_cos of parameter vectors (P, K) at all pairs or some rows of them, shape (P, M, B)."""
+
+    def jacobian(self, p: Array) -> tuple[Array, Array]:
+        """f_cos (M, B) of one vector (K,), and its derivatives (M, B, K)."""
+
+    def band_jacobian(self, p: Array) -> tuple[Array, Array]:
+        """f_cos (M, B) of one vector (K,), and its derivatives (M, B, n) by each band's own n values.
+
+        Bands are taken to be independent of each other's.
+        """
+
+
+def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluator:
+    """The evaluator for the backend at hand.
+
+    Args:
+        family: what to evaluate.
+        wi, wo: unit vectors (M, 3).
+        n_bands: B. Bands are evaluated in threes, as the channels of Mitsuba's RGB variants.
+    Raises:
+        UsageError: Mitsuba has no such plugin, or the plugin no such parameter.
+    """
+    mi = backend.mitsuba(colour="rgb")
+    kind = LaneEvaluator if mi.variant().startswith("llvm") else ScalarEvaluator
+    return kind(mi, family, wi, wo, n_bands)
+
+
+def load_bsdf(family: BsdfFamily, values: dict[str, Any]) -> Any:
+    """Mitsuba's BSDF with the given values, in the RGB variant of the backend.
+
+    Args:
+        family: its type and fixed entries.
+        values: by name; one number, or three for a colour.
+    Raises:
+        UsageError: Mitsuba refuses the type or a value.
+    """
+    return _load(backend.mitsuba(colour="rgb"), bsdf_dict(family, values))
+
+
+def bsdf_dict(family: BsdfFamily, values: dict[str, Any], wavelengths_nm: Any = None) -> dict[str, Any]:
+    """Mitsuba's dictionary of a BSDF, for its RGB variants, or with wavelengths for its spectral ones.
+
+    Args:
+        family: its type and fixed entries.
+        values: by name; one number, three for a colour, or one per wavelength.
+        wavelengths_nm: shape (B,), or None for RGB.
+    """
+    content: dict[str, Any] = {"type": family.type, **family.fixed}
+    for parameter in family.parameters:
+        value = values[parameter.name]
+        if not parameter.per_band:
+            content[parameter.name] = float(value)
+        elif wavelengths_nm is None:
+            colour = [float(v) for v in value]
+            # `rgb` refuses what is outside [0, 1]; `srgb` takes it if unbounded.
+            content[parameter.name] = {"type": "srgb", "color": colour, "unbounded": True}
+        else:
+            content[parameter.name] = {
+                "type": "irregular",
+                "wavelengths": ", ".join(f"{v:.9g}" for v in wavelengths_nm),
+                "values": ", ".join(f"{max(v, 0.0):.9g}" for v in value),  # Mitsuba takes no negative ones
+            }
+    return content
+
+
+def _load(mi: Any, content: dict[str, Any]) -> Any:
+    try:
+        # Equal textures would become one, and their parameters with them.
+        loaded = mi.load_dict(content, optimize=False)
+    except RuntimeError as error:
+        raise _refusal(content["type"], error) from error
+    if not isinstance(loaded, mi.BSDF):
+        raise UsageError(f"{content['type']} is a {type(loaded).__name__}, expected a BSDF; name its plugin")
+    return loaded
+
+
+def _load_at_defaults(mi: Any, family: BsdfFamily) -> Any:
+    defaults = {
+        o.name: [min(max(o.default, 0.0), 1.0)] * 3 if o.per_band else o.default for o in family.parameters
+    }
+    return _load(mi, bsdf_dict(family, defaults))
+
+
+def _refusal(kind: str, error: RuntimeError) -> UsageError:
+    reason = " ".join(str(error).split())
+    return UsageError(f"BSDF {kind}: Mitsuba says {reason[:200]}; check its type and parameters")
+
+
+def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
+    """Mitsuba's key of every free parameter: `name` for a plain number, `name.value` for a texture.
+
+    Raises:
+        UsageError: Mitsuba has no such plugin, the plugin no such parameter, or it only mirrors and transmits.
+    """
+    bsdf = _load_at_defaults(mi, family)
+    if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
+        raise UsageError(
+            f"BSDF {family.type} reflects into discrete directions only (delta lobe), which cannot be fitted; use "
+            "a rough one, such as roughconductor"
+        )
+    keys = mi.traverse(bsdf).keys()
+    slots = {}
+    for parameter in family.parameters:
+        found = [key for key in (parameter.name, f"{parameter.name}.value") if key in keys]
+        if not found:
+            known = ", ".join(sorted(key.removesuffix(".value") for key in keys))
+            raise UsageError(f"BSDF {family.type} has no parameter {parameter.name!r}; Mitsuba names {known}")
+        slots[parameter.name] = found[0]
+    return slots
+
+
+class LaneEvaluator:
+    """The evaluator of the LLVM backend; single precision."""
+
+    def __init__(self, mi: Any, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
+        self.layout = Layout(family, n_bands)
+        self._mi, self._dr = mi, backend.drjit()
+        slots = bsdf_keys(mi, family)
+        self._textures = {
+            o.name: mi.load_dict({"type": _lane_plugin(mi.variant())})
+            for o in family.parameters
+            if slots[o.name] != o.name
+        }
+        plain = {o.name: o.default for o in family.parameters if slots[o.name] == o.name}
+        try:
+            self._bsdf = mi.load_dict({"type": family.type, **family.fixed, **plain, **self._textures})
+        except RuntimeError as error:
+            raise _refusal(family.type, error) from error
+        self._plain = mi.traverse(self._bsdf)
+        self._colours = {name for name in plain if isinstance(self._plain[name], mi.Color3f)}
+        self._names = [o.name for o in family.parameters]
+        self._wi, self._wo = np.asarray(wi, np.float32), np.asarray(wo, np.float32)
+        self._n_groups = -(-n_bands // 3)
+        self._all = self._upload(np.arange(len(wi)))
+
+    def _upload(self, rows: Indices) -> tuple[Any, Any]:
+        wi, wo = (self._mi.Vector3f(np.ascontiguousarray(w[rows].T)) for w in (self._wi, self._wo))
+        self._dr.eval(wi, wo)
+        return wi, wo
+
+    def values(self, p: Array, rows: Indices | None = None) -> Array:
+        """See `Evaluator`."""
+        p = np.atleast_2d(p)
+        directions, m = (self._all, len(self._wi)) if rows is None else (self._upload(rows), len(rows))
+        block = max(1, _LANES // (m * self._n_groups))
+        parts = [self._values(p[k : k + block], directions, m) for k in range(0, len(p), block)]
+        return np.concatenate(parts)
+
+    def _values(self, p: Array, directions: tuple[Any, Any], m: int) -> Array:
+        table = self._triples(p)  # (P * groups, parameters, 3)
+        out = self._run(table, directions, m, None)
+        return self._bands(out, len(p), m)
+
+    def jacobian(self, p: Array) -> tuple[Array, Array]:
+        """See `Evaluator`. One tangent per scalar, and one per parameter and channel for those per band."""
+        layout = self.layout
+        columns = [
+            (j, c)
+            for j, o in enumerate(layout.family.parameters)
+            for c in (range(3) if o.per_band else (None,))
+        ]
+        value, slope = self._differentiate(p, columns)
+        jacobian = np.zeros((*value.shape, layout.size))
+        for k, (j, c) in enumerate(columns):
+            place = layout.slices[self._names[j]]
+            if c is None:
+                jacobian[..., place.start] = slope[k]
+                continue
+            for first in range(0, layout.n_bands, 3):  # a channel touches the bands of its own three only
+                if first + c < layout.n_bands:
+                    jacobian[:, first : first + 3, place.start + first + c] = slope[k][:, first : first + 3]
+        return value, jacobian
+
+    def band_jacobian(self, p: Array) -> tuple[Array, Array]:
+        """See `Evaluator`. One tangent per parameter: the three channels at once."""
+        columns = [(j, None) for j, o in enumerate(self.layout.family.parameters) if o.per_band]
+        value, slope = self._differentiate(p, columns)
+        return value, np.stack(slope, axis=-1)
+
+    def _differentiate(self, p: Array, columns: list[Any]) -> tuple[Array, list[Array]]:
+        """f_cos (M, B) and, per column (parameter, channel or None for all), its derivative (M, B)."""
+        n, m, groups = len(columns), len(self._wi), self._n_groups
+        table = np.repeat(self._triples(p[None]), n, axis=0)  # (groups * columns, parameters, 3)
+        tangent = np.zeros_like(table)
+        for k, (j, c) in enumerate(columns):
+            tangent[k::n, j, slice(None) if c is None else c] = 1.0
+        value, slope = self._run(table, self._all, m, tangent)
+        value, slope = (a.reshape(3, groups, n, m) for a in (value, slope))
+
+        def bands(channels: Any) -> Array:
+            return np.asarray(self._bands(np.ascontiguousarray(channels), 1, m)[0])
+
+        return bands(value[:, :, 0]), [bands(slope[:, :, k]) for k in range(n)]
+
+    def _triples(self, p: Array) -> NDArray[np.float32]:
+        """Values (P, K) as Mitsuba sees them, shape (P * groups, parameters, 3)."""
+        out = np.empty((len(p), self._n_groups, len(self._names), 3), np.float32)
+        for j, name in enumerate(self._names):
+            value = p[:, self.layout.slices[name]]
+            if self.layout.family.parameters[j].per_band:
+                value = np.pad(value, ((0, 0), (0, 3 * self._n_groups - value.shape[1])), mode="edge")
+                out[:, :, j] = value.reshape(len(p), self._n_groups, 3)
+            else:
+                out[:, :, j] = value[:, :, None]
+        return out.reshape(-1, len(self._names), 3)
+
+    def _bands(self, out: Any, n: int, m: int) -> Array:
+        """Channels (3, n * groups * m) as bands (n, m, B)."""
+        moved = out.reshape(3, n, self._n_groups, m).transpose(1, 3, 2, 0)
+        return np.asarray(moved.reshape(n, m, -1)[..., : self.layout.n_bands], dtype=np.float64)
+
+    def _run(self, table: NDArray[np.float32], directions: tuple[Any, Any], m: int, tangent: Any) -> Any:
+        """f_cos (3, R * m) of a table (R, parameters, 3), rows slowest; with tangents also the derivatives."""
+        mi, dr = self._mi, self._dr
+        n, width = table.shape[0], table.shape[1] * 3
+        size = dr.opaque(mi.UInt32, m)
+        lane = dr.arange(mi.UInt32, n * m)
+        row = lane // size
+        column = lane - row * size
+        flat = mi.Float(np.ascontiguousarray(table.reshape(-1)))
+        slopes = None if tangent is None else mi.Float(np.ascontiguousarray(tangent.reshape(-1)))
+        for j, name in enumerate(self._names):
+            at = row * width + 3 * j
+            value = mi.Color3f(*(dr.gather(mi.Float, flat, at + c) for c in range(3)))
+            if slopes is not None:
+                dr.enable_grad(value)
+                dr.set_grad(value, mi.Color3f(*(dr.gather(mi.Float, slopes, at + c) for c in range(3))))
+            self._set(name, value)
+        self._plain.update()
+        si = dr.zeros(mi.SurfaceInteraction3f, n * m)
+        si.wi = dr.gather(mi.Vector3f, directions[0], column)
+        wo = dr.gather(mi.Vector3f, directions[1], column)
+        out = self._bsdf.eval(mi.BSDFContext(), si, wo, True)
+        if slopes is None:
+            return np.array(out)
+        slope = dr.forward_to(out)
+        out = dr.detach(out)
+        dr.eval(out, slope)
+        return np.array(out), np.array(slope)
+
+    def _set(self, name: str, value: Any) -> None:
+        if name in self._textures:
+            self._textures[name].value = value
+        else:
+            self._plain[name] = value if name in self._colours else value.x
+
+
+@lru_cache(maxsize=4)
+def _lane_plugin(variant: str) -> str:
+    """Register the lane texture for a variant; its plugin's name."""
+    mi = backend.mitsuba(colour="rgb")
+
+    class LaneTexture(mi.Texture):  # type: ignore[name-defined, misc]
+        """A texture with one colour per lane of the wavefront, wherever the surface is hit."""
+
+        def __init__(self, props: Any) -> None:
+            mi.Texture.__init__(self, props)
+            self.value = mi.Color3f(0.5)
+
+        def eval(self, si: Any, active: Any = True) -> Any:
+            return self.value
+
+        def eval_1(self, si: Any, active: Any = True) -> Any:
+            return self.value.x
+
+        def eval_3(self, si: Any, active: Any = True) -> Any:
+            return self.value
+
+        def mean(self) -> Any:
+            return mi.Float(0.5)
+
+        def is_spatially_varying(self) -> bool:
+            return False
+
+        def to_string(self) -> str:
+            return "LaneTexture"
+
+    mi.register_texture("manifold_lane", LaneTexture)
+    return "manifold_lane"
+
+
+class ScalarEvaluator:
+    """The evaluator without LLVM: one pair per call, derivatives by differences, slow."""
+
+    def __init__(self, mi: Any, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
+        self.layout = Layout(family, n_bands)
+        self._mi = mi
+        self._slots = bsdf_keys(mi, family)
+        self._bsdf = _load_at_defaults(mi, family)
+        self._parameters = mi.traverse(self._bsdf)
+        self._wi = [mi.Vector3f(*map(float, w)) for w in wi]
+        self._wo = [mi.Vector3f(*map(float, w)) for w in wo]
+
+    def values(self, p: Array, rows: Indices | None = None) -> Array:
+        """See `Evaluator`."""
+        p = np.atleast_2d(p)
+        pairs = range(len(self._wi)) if rows is None else [int(r) for r in rows]
+        out = np.empty((len(p), len(pairs), self.layout.n_bands))
+        context, si = self._mi.BSDFContext(), self._mi.SurfaceInteraction3f()
+        for k, one in enumerate(p):
+            for first in range(0, self.layout.n_bands, 3):
+                self._set(one, first)
+                count = min(3, self.layout.n_bands - first)
+                for i, m in enumerate(pairs):
+                    si.wi = self._wi[m]
+                    value = self._bsdf.eval(context, si, self._wo[m], True)
+                    for c in range(count):
+                        out[k, i, first + c] = value[c]
+        return out
+
+    def _set(self, p: Array, first: int) -> None:
+        for parameter in self.layout.family.parameters:
+            value = p[self.layout.slices[parameter.name]]
+            key = self._slots[parameter.name]
+            if parameter.per_band:
+                three = [float(value[min(first + c, len(value) - 1)]) for c in range(3)]
+                self._parameters[key] = self._mi.Color3f(three)
+            else:
+                self._parameters[key] = float(value[0])
+        self._parameters.update()
+
+    def jacobian(self, p: Array) -> tuple[Array, Array]:
+        """See `Evaluator`; central differences, one-sided at the ends of the ranges."""
+        return self._differentiate(p, [slice(k, k + 1) for k in range(self.layout.size)])
+
+    def band_jacobian(self, p: Array) -> tuple[Array, Array]:
+        """See `Evaluator`; differences as in `jacobian`, all bands moved at once."""
+        return self._differentiate(
+            p, [self.layout.slices[o.name] for o in self.layout.family.parameters if o.per_band]
+        )
+
+    def _differentiate(self, p: Array, places: list[slice]) -> tuple[Array, Array]:
+        """f_cos (M, B), and its derivatives (M, B, n) by the values of n places, those of a place moved together."""
+        layout = self.layout
+        step = 1e-3 * (layout.maximum - layout.minimum)
+        high, low = np.tile(p, (len(places), 1)), np.tile(p, (len(places), 1))
+        for k, place in enumerate(places):
+            high[k, place] = np.minimum(p + step, layout.maximum)[place]
+            low[k, place] = np.maximum(p - step, layout.minimum)[place]
+        value, *moved = self.values(np.concatenate([p[None], high, low]))
+        pairs = zip(moved[: len(places)], moved[len(places) :], places, strict=True)
+        width = high - low
+        return value, np.stack([(u - v) / width[k, place] for k, (u, v, place) in enumerate(pairs)], axis=-1)

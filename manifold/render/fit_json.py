@@ -1,0 +1,241 @@
+"""Fits as JSON: written with everything that made them, read back as BSDFs. Schema: `fit.schema.json`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from manifold import __version__, disk
+from manifold.errors import FileFormatError, UsageError
+from manifold.render.bsdf_evaluation import bsdf_dict, load_bsdf
+from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter
+from manifold.render.plugin_names import holds_none, require_plugins, types_of
+
+if TYPE_CHECKING:
+    from manifold.fit.principled import FitResult
+
+_SLACK = 1e-6  # of a range: single precision of a value at its end
+
+
+@lru_cache(maxsize=1)
+def schema() -> dict[str, Any]:
+    """The JSON schema of a fit."""
+    text = files("manifold.render").joinpath("fit.schema.json").read_text(encoding="utf-8")
+    return dict(json.loads(text))
+
+
+@lru_cache(maxsize=2)
+def _validator(part: str | None) -> Any:
+    """Of the schema, or of one entry; numbers are finite and fit a float, and 1.0 is no integer."""
+    from jsonschema import Draft202012Validator as Draft
+    from jsonschema.validators import extend
+
+    checker = Draft.TYPE_CHECKER.redefine_many(
+        {
+            "number": lambda _, value: is_number(value),
+            "integer": lambda _, value: is_number(value) and isinstance(value, int),
+        }
+    )
+    wanted = schema() if part is None else schema()["properties"][part]
+    return extend(Draft, type_checker=checker)(wanted)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of a JSON document is a finite number that a float can hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def family_of(content: Any, file: str) -> BsdfFamily:
+    """The family of a JSON description of a BSDF; see `BsdfFamily.to_json`.
+
+    Args:
+        content: of the JSON.
+        file: its name, for the error.
+    Raises:
+        FileFormatError: an entry is missing, unknown or wrong, or a type is no plugin that may be loaded.
+    """
+    _require_schema(content, file, "bsdf")
+    if holds_none(content.get("fixed", {})):  # which ends Mitsuba's process
+        raise FileFormatError(f"{file}: fixed contains null, expected a value; remove that entry")
+    require_plugins(types_of(content), file)
+    try:
+        return BsdfFamily.from_json(content)
+    except UsageError as error:
+        raise FileFormatError(f"{file}: {error}") from error
+
+
+def require_fit(content: Any, file: str) -> None:
+    """Raise FileFormatError unless plain values are a fit that can be used, naming the first entry that is not so.
+
+    Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must say the same as they.
+
+    Args:
+        content: of the JSON.
+        file: its name, for the error.
+    """
+    _require_schema(content, file)
+    family = family_of(content["bsdf"], file)
+    values, spectra = content["values"], content["spectra"]
+    _require_values(values, family.parameters, 3, f"{file}: values")
+    _require_same(content["mitsuba"], bsdf_dict(family, values), f"{file}: mitsuba")
+    spectral = None
+    if spectra is not None:
+        nm = spectra["wavelengths_nm"]
+        if any(after <= before for before, after in zip([0.0, *nm], nm, strict=False)):
+            raise FileFormatError(f"{file}: spectra.wavelengths_nm do not increase from above 0; fit again")
+        own = [parameter for parameter in family.parameters if parameter.per_band]
+        _require_values(spectra["values"], own, len(nm), f"{file}: spectra.values", least=0.0)
+        spectral = bsdf_dict(family, values | spectra["values"], nm)
+    _require_same(content["mitsuba_spectral"], spectral, f"{file}: mitsuba_spectral")
+
+
+def _require_schema(content: Any, file: str, part: str | None = None) -> None:
+    """Raise FileFormatError, naming the first entry in the schema's order that does not follow it."""
+    for error in _validator(part).iter_errors(content):
+        where = "the document" if error.json_path == "$" else error.json_path.removeprefix("$.")
+        rule = error.validator_value
+        if error.validator == "required":
+            missing = next(name for name in rule if name not in error.instance)
+            raise FileFormatError(f"{file}: {where} has no {missing!r}, expected one")
+        if error.validator in ("type", "enum"):
+            expected = rule if isinstance(rule, str) else " or ".join(map(str, rule))
+            raise FileFormatError(f"{file}: {where} is {_short(error.instance)}, expected {expected}")
+        raise FileFormatError(f"{file}: {where}: {error.message[:200]}")
+
+
+def _require_values(
+    values: Mapping[str, Any],
+    parameters: Sequence[FreeParameter],
+    count: int,
+    where: str,
+    least: float = -math.inf,
+) -> None:
+    """Raise FileFormatError unless there is a number in its range for each parameter, `count` for one per band."""
+    names = [parameter.name for parameter in parameters]
+    if set(values) != set(names):
+        found = ", ".join(sorted(values)) or "nothing"
+        raise FileFormatError(f"{where} has {found}, expected {', '.join(names)}; fit again")
+    for parameter in parameters:
+        value = values[parameter.name]
+        low, high, slack = max(parameter.minimum, least), parameter.maximum, _SLACK * parameter.range
+        is_right = isinstance(value, list) == parameter.per_band
+        numbers = value if isinstance(value, list) else [value]
+        if (
+            not is_right
+            or len(numbers) != (count if parameter.per_band else 1)
+            or not all(is_number(number) and low - slack <= number <= high + slack for number in numbers)
+        ):
+            wanted = f"{count} numbers" if parameter.per_band else "a number"
+            raise FileFormatError(
+                f"{where}.{parameter.name} is {_short(value)}, expected {wanted} from {low:g} to {high:g}; correct "
+                "it, or fit again"
+            )
+
+
+def _require_same(found: Any, expected: dict[str, Any] | None, where: str) -> None:
+    """Raise FileFormatError unless the BSDF to be rendered has the fitted values."""
+    if found != expected:
+        both = found or {}, expected or {}
+        differing = sorted(key for key in {*both[0], *both[1]} if both[0].get(key) != both[1].get(key))
+        raise FileFormatError(
+            f"{where} and the values differ in {', '.join(differing)}; change both alike, or fit again"
+        )
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+FORMAT_VERSION = 1
+PROGRAM = f"manifold {__version__}"
+
+
+@dataclass(frozen=True)
+class Source:
+    """The source of a fit.
+
+    Attributes:
+        name: of the material.
+        file, sha256: name and hash of the measured file; None for a prediction.
+        latent, model, model_sha256: where a prediction comes from, the model's file and its hash; None for a file.
+        colour: of a prediction, in words; None for a file, and where colours are fixed by latents.
+    """
+
+    name: str
+    file: str | None = None
+    sha256: str | None = None
+    latent: tuple[float, ...] | None = None
+    model: str | None = None
+    model_sha256: str | None = None
+    colour: str | None = None
+
+
+def document(result: FitResult, source: Source) -> dict[str, Any]:
+    """A fit as plain values, as the schema describes them."""
+    wavelengths, own = result.bands.wavelengths_nm, result.spectra
+    known = asdict(result)
+    del known["bands"]
+    content = {
+        "format": "manifold fit",
+        "format_version": FORMAT_VERSION,
+        "program": PROGRAM,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "source": asdict(source),
+        "bsdf": known.pop("family"),
+        "mitsuba": bsdf_dict(result.family, result.values),
+        "mitsuba_spectral": bsdf_dict(result.family, result.values | own, wavelengths) if own else None,
+    } | known
+    content["spectra"] = {"wavelengths_nm": wavelengths, "values": own} if own else None
+    return signed(json.loads(json.dumps(content, allow_nan=False)))  # lists for tuples, as it is read again
+
+
+def signed(content: dict[str, Any]) -> dict[str, Any]:
+    """Plain values with the hash by which later changes are found."""
+    return content | {"sha256": _digest(content)}
+
+
+def is_untouched(content: dict[str, Any]) -> bool:
+    """Whether plain values are unchanged since `document` made them."""
+    return content.get("sha256") == _digest(content)
+
+
+def _digest(content: dict[str, Any]) -> str:
+    rest = {key: value for key, value in content.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def write_document(path: Path, content: dict[str, Any]) -> None:
+    """Write what `document` has made. Raises: as `atomic.replacing`."""
+    disk.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The plain values of a written fit, validated.
+
+    Raises:
+        UsageError: there is no such file.
+        FileFormatError: it is no fit, an entry is missing or of the wrong type, or entries contradict each other.
+    """
+    content: dict[str, Any] = disk.read_json(path, "a .bsdf file or the JSON of a fit")
+    require_fit(content, path.name)
+    return content
+
+
+def read_bsdf(path: Path) -> Any:
+    """Mitsuba's BSDF of a written fit, in the RGB variant of the backend.
+
+    Raises:
+        UsageError, FileFormatError: as `read`, or Mitsuba refuses the BSDF.
+    """
+    content = read(path)
+    return load_bsdf(BsdfFamily.from_json(content["bsdf"]), content["values"])

@@ -1,0 +1,98 @@
+"""Pictures in files: EXR linear, PNG tone-mapped, everything in sRGB primaries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manifold import disk
+from manifold.colour.conversion import encode_srgb
+from manifold.colour.pictures import Picture, read_picture
+from manifold.errors import FileFormatError, UsageError
+from manifold.records import Array
+from manifold.render import backend
+
+SUFFIXES = (".exr", ".png")
+_KNEE = 0.7
+
+
+def tone_map(linear: Array) -> Array:
+    """Linear sRGB (..., 3) as display values in [0, 1].
+
+    Values up to 0.7 keep their colours exactly; brighter ones approach white without reaching it, so highlights stay
+    apart. Negative values (colours outside sRGB) are cut.
+
+    >>> tone_map(np.array([0.0, 0.18, 1.0, 100.0])).round(2)
+    array([0.  , 0.46, 0.95, 1.  ])
+    """
+    x = np.maximum(np.asarray(linear, dtype=np.float64), 0.0)
+    rest = 1.0 - _KNEE
+    bright = _KNEE + rest * -np.expm1(-np.maximum(x - _KNEE, 0.0) / rest)
+    return encode_srgb(np.where(x <= _KNEE, x, bright))
+
+
+def require_image_path(path: Path) -> None:
+    """Check, before a picture is made, that `write_image` can write it.
+
+    Raises:
+        UsageError: the suffix is neither `.exr` nor `.png`, or the file cannot be written.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: pictures are written as .exr (linear) or .png (tone-mapped); name one so")
+    disk.require_writable(path)
+
+
+def write_image(path: Path, linear: Array) -> None:
+    """Write linear sRGB (H, W, 3): as it is into `.exr`, tone-mapped into `.png`; atomically.
+
+    Raises:
+        UsageError: the suffix is neither `.exr` nor `.png`, or the file cannot be written.
+    """
+    require_image_path(path)
+    if path.suffix.lower() == ".exr":
+        _write(path, np.asarray(linear, dtype=np.float32))
+    else:
+        write_display(path, tone_map(linear))
+
+
+def write_display(path: Path, values: Array) -> None:
+    """Write display values in [0, 1], (H, W, 3) or with their opacity (H, W, 4), as PNG.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    _write(path, np.round(values * 255.0).astype(np.uint8))
+
+
+def _write(path: Path, values: NDArray[np.float32] | NDArray[np.uint8]) -> None:
+    mi = backend.mitsuba_of_any_variant()
+    with disk.replacing(path) as partial:
+        mi.Bitmap(np.ascontiguousarray(values)).write(str(partial))
+
+
+def read_image(path: Path) -> Array:
+    """A picture as linear sRGB, float64, shape (H, W, 3); display pictures are decoded.
+
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it is no picture, or of a kind that is not supported; see `colour.pictures.read_picture`.
+    """
+    return _finite(read_picture(path)).astype(np.float64)
+
+
+def read_display(path: Path) -> Array:
+    """A picture as display values in [0, 1], shape (H, W, 3): as it is stored, or tone-mapped where it is linear.
+
+    Raises: as `read_image`.
+    """
+    picture = read_picture(path)
+    linear = _finite(picture)
+    return encode_srgb(linear) if picture.is_encoded else tone_map(linear)
+
+
+def _finite(picture: Picture) -> Array:
+    if not np.isfinite(picture.values).all():
+        raise FileFormatError(f"{picture.path}: pixels that are not finite; render it again")
+    return picture.values

@@ -1,0 +1,5 @@
+from .bsdf import register_always
+
+__all__ = [
+    "register_always",
+]

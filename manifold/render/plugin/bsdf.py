@@ -1,0 +1,210 @@
+"""The BSDF plugin `manifold`: a prediction evaluated from the measured materials, without a `.bsdf` file.
+
+Scenes name it after `import manifold.render.render`, in LLVM variants (scalar ones would interpret it):
+
+    {"type": "manifold", "model": "model.h5", "latent": "-0.3,1.2"}
+
+Every evaluation loops over the materials, inverts each one's warp, and sums `T^-1(sum_i v_i T(f_i))`; densities come
+along, since sampling draws from a mixture of the materials' own warps with shares |v_i|. What `Manifold.predict`
+gives in float64 is what this gives in float32; negative values are cut, as in written files. At a wavelength, f_i
+is that of the nearest band where bands are at most 5 nm apart, and linear between them where they are not.
+
+Properties:
+    model: path of the model.
+    library: where its library is, if it has moved.
+    latent: coordinates with commas between, or
+    latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
+    like, reflectance, srgb: the colour, as in `manifold predict`.
+    tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
+        weights of the others are fitted again. 0 by default, which keeps all.
+
+Parameters of `mi.traverse`, all differentiable:
+    latent: its Q coordinates; where it moves, chosen colours keep their coordinates.
+    colours: coordinates of a chosen colour, one per band; on a map of blends, cube roots of reflectances at 8 degrees.
+    latent_0.data, latent_1.data, ...: texels of the textures.
+
+Weights carry the derivatives; samples and their densities do not depend on parameters. Where negative values are cut or
+a weight is 0, the derivative is 0, and so it is at a material's own latent. Derivatives by directions are refused.
+"""
+
+# Models and what evaluates them are imported where they are used: the plugin is registered for every render.
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.model.colours import ColourChoice
+from manifold.render import backend
+
+if TYPE_CHECKING:
+    from manifold.model.manifold import Manifold
+    from manifold.render.plugin.mixture import FixedLatent
+
+NAME = "manifold"
+_registered: set[str] = set()
+
+
+def register_always() -> None:
+    """Register the plugin in the variant that is set now, and in every one that is set later."""
+    backend.on_variant(_register)
+
+
+def _register(variant: str) -> None:
+    if variant in _registered:
+        return
+    _registered.add(variant)
+    mi = backend.mitsuba_of_any_variant()
+    if "llvm" not in variant and "cuda" not in variant:
+        mi.register_bsdf(NAME, _refuse)
+    else:
+        mi.register_bsdf(NAME, _plugin_class(mi, variant))
+
+
+def _refuse(properties: Any) -> Any:
+    raise UsageError(
+        "the plugin `manifold` needs an LLVM variant of Mitsuba; install libLLVM 17 or newer, or write the "
+        "prediction with `manifold predict` and use Mitsuba's `measured`"
+    )
+
+
+def _plugin_class(mi: Any, variant: str) -> Any:
+    """The class for a variant: Mitsuba's base classes exist once per variant."""
+    is_spectral = "spectral" in variant
+
+    class ManifoldBSDF(mi.BSDF):  # type: ignore[misc]
+        def __init__(self, properties: Any) -> None:
+            super().__init__(properties)
+            from manifold.model.manifold import load_model
+            from manifold.render.plugin.evaluation import Evaluation
+            from manifold.render.plugin.mixture import varying_mixture
+
+            model = load_model(_path(properties, "model"), _optional_path(properties, "library"))
+            if model.bands.is_rgb == is_spectral:
+                kind = "RGB" if model.bands.is_rgb else "spectral"
+                raise UsageError(
+                    f"variant {variant} with a library of {kind} materials; set a {kind} variant"
+                )
+            self._textures, self._fixed = _read_latent(mi, properties, model)
+            self._parameters = {}
+            if self._fixed is None:
+                self.mixture = varying_mixture(model)
+            else:
+                self.mixture = self._fixed.mixture()
+                given = {"latent": self._fixed.latent, "colours": self._fixed.colours}
+                self._parameters = {name: mi.Float(v) for name, v in given.items() if v is not None}
+            self._evaluation = Evaluation(mi, backend.drjit(), self.mixture)
+            flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+            if self._textures:
+                flags |= mi.BSDFFlags.SpatiallyVarying
+            self.m_components = [flags]
+            self.m_flags = flags
+
+        def _latent(self, si: Any, active: Any) -> list[Any] | None:
+            return [texture.eval_1(si, active) for texture in self._textures] or None
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            record = mi.BSDFSample3f()
+            active = mi.Bool(active) & (mi.Frame3f.cos_theta(si.wi) > 0.0)
+            latent = self._latent(si, active)
+            lobes = self._evaluation.weights(latent)
+            wo = self._evaluation.sample(lobes, si.wi, sample1, sample2, active)
+            active &= mi.Frame3f.cos_theta(wo) > 0.0
+            value, pdf = self._evaluation.eval_pdf(lobes, si.wi, wo, si.wavelengths, active)
+            active &= pdf > 0.0
+            record.wo, record.pdf, record.eta = wo, pdf & active, 1.0
+            record.sampled_type, record.sampled_component = mi.UInt32(+mi.BSDFFlags.GlossyReflection), 0
+            return record, (value / pdf) & active
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval_pdf(ctx, si, wo, active)[0]
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval_pdf(ctx, si, wo, active)[1]
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            active = mi.Bool(active) & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (mi.Frame3f.cos_theta(wo) > 0.0)
+            lobes = self._evaluation.weights(self._latent(si, active))
+            value, pdf = self._evaluation.eval_pdf(lobes, si.wi, wo, si.wavelengths, active)
+            return value & active, pdf & active
+
+        def traverse(self, callback: Any) -> None:
+            named = {f"latent_{k}": texture for k, texture in enumerate(self._textures)} | self._parameters
+            for name, value in named.items():
+                callback.put(name, value, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys: Any) -> None:
+            if self._fixed is None:
+                return
+            from manifold.render.plugin.evaluation import Evaluation
+
+            dr = backend.drjit()
+            latent, colours = self._parameters["latent"], self._parameters.get("colours")
+            self._fixed = self._fixed.moved(
+                np.array(dr.detach(latent)), None if colours is None else np.array(dr.detach(colours))
+            )
+            before = self.mixture
+            self.mixture = self._fixed.mixture(before, has_slopes=dr.grad_enabled(latent, colours))
+            if self.mixture.tables is not before.tables:
+                self._evaluation = Evaluation(mi, dr, self.mixture)
+            self._evaluation.set_weights(self.mixture, latent, colours)
+
+        def to_string(self) -> str:
+            return f"ManifoldBSDF[{self.mixture}]"
+
+    return ManifoldBSDF
+
+
+def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], FixedLatent | None]:
+    """The textures of the latent, or a fixed one."""
+    from manifold.render.plugin.mixture import FixedLatent
+
+    names = [f"latent_{k}" for k in range(model.settings.latent_dim)]
+    given = [name for name in names if name in properties]
+    tolerance = float(properties.get("tolerance", 0.0))
+    if given:
+        if len(given) < len(names) or "latent" in properties:
+            raise UsageError(f"plugin manifold: found {', '.join(given)}, expected all of {', '.join(names)}")
+        for name in ("tolerance", "like", "reflectance", "srgb"):
+            if name in properties:
+                raise UsageError(f"plugin manifold: {name} needs one latent, not textures; leave it out")
+        return [_finite_texture(mi, properties, name) for name in names], None
+    if "latent" not in properties:
+        raise UsageError(
+            f"plugin manifold: no latent; give `latent` as 'x,y', or textures {', '.join(names)}"
+        )
+    try:
+        latent = [float(part) for part in str(properties["latent"]).split(",")]
+    except ValueError:
+        raise UsageError(
+            f"plugin manifold: latent is '{properties['latent']}', expected numbers like '-0.3,1.2'"
+        ) from None
+    colour = ColourChoice(
+        like=str(properties["like"]) if "like" in properties else None,
+        reflectance=_optional_path(properties, "reflectance"),
+        srgb=str(properties["srgb"]) if "srgb" in properties else None,
+    )
+    return [], FixedLatent.of(model, latent, colour, tolerance)
+
+
+def _finite_texture(mi: Any, properties: Any, name: str) -> Any:
+    """A texture of a latent's coordinates, none of whose texels is NaN or infinite: such would be rendered as NaN."""
+    texture = properties.get_texture(name)
+    params = mi.traverse(texture)
+    for key in params.keys():  # noqa: SIM118  # its own iteration is over pairs
+        if key.endswith("data") and not np.all(np.isfinite(np.array(params[key]))):
+            raise UsageError(f"plugin manifold: {name} has texels that are not finite, expected coordinates")
+    return texture
+
+
+def _path(properties: Any, name: str) -> Path:
+    if name not in properties:
+        raise UsageError(f"plugin manifold: no {name}; give the path of a model")
+    return Path(str(properties[name]))
+
+
+def _optional_path(properties: Any, name: str) -> Path | None:
+    return _path(properties, name) if name in properties else None

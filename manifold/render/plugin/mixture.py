@@ -1,0 +1,285 @@
+"""The mixture that the plugin evaluates: packed materials and their weights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.gpr import GaussianProcess
+from manifold.mapping import Mapping
+from manifold.model.blend_space import BlendSpace
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
+from manifold.records import AnyArray, Array, Bands, BsdfFile, Indices
+from manifold.render.plugin import packed_tables
+from manifold.render.plugin.packed_tables import Tables
+
+_NO_TOLERANCE = (
+    "tolerance needs a Gram matrix of whole materials; leave it out, or embed with kind `material`"
+)
+
+_STEP = 1e-5  # of central differences of weights, in length scales of the latents and units of the colours
+
+SEEN_NM = (360.0, 830.0)
+"""Wavelengths that Mitsuba renders."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A weighted sum of N materials under a mapping.
+
+    Attributes:
+        names: of the materials.
+        tables: what they hold.
+        mapping: T.
+        bands: of the prediction.
+        weights: of whole materials, (N,); of single bands, (B, N, B_s); None where the latent varies.
+        lobes: shares of the materials in sampling, (N,), positive, of sum 1.
+        gp: what turns latents into weights, where they vary.
+        order: index of each material in the model, (N,); none of a measured file, which holds unmeasured cells.
+        slopes: of the weights by the latent's coordinates, and by the colour of a band; none unless asked for.
+        is_blend: whether varying weights are those of `blend_weights` instead of the process's.
+        is_clipped: whether negative values are cut, as in predicted files; a measured file keeps its own, which are
+            colours outside sRGB.
+        left_out: materials that were left out.
+        left_out_error: what that changes, as a share of the norm of the mapped values.
+    """
+
+    names: tuple[str, ...]
+    tables: Tables
+    mapping: Mapping
+    bands: Bands
+    weights: Array | None
+    lobes: Array
+    gp: GaussianProcess | None = None
+    order: Sequence[int] = ()
+    slopes: Sequence[Array] = ()
+    is_blend: bool = False
+    is_clipped: bool = True
+    left_out: int = 0
+    left_out_error: float = 0.0
+
+    def __str__(self) -> str:
+        left = f", {self.left_out} left out at an error of {self.left_out_error:.2g}" if self.left_out else ""
+        return f"{len(self.names)} materials{left}, {self.bands}, mapping {self.mapping.name}"
+
+
+@dataclass(frozen=True, eq=False)
+class FixedLatent:
+    """One latent and its colours, in double precision; Mitsuba has them in single precision.
+
+    Attributes:
+        model: a fitted manifold.
+        latent: shape (Q,).
+        colours: coordinates of a chosen colour, (B,); None where the latent carries it.
+        tolerance: how much leaving materials out may change; see `leave_out`.
+    """
+
+    model: Manifold
+    latent: Array
+    colours: Array | None
+    tolerance: float = 0.0
+
+    @classmethod
+    def of(
+        cls, model: Manifold, latent: Sequence[float], colour: ColourChoice = NEAREST, tolerance: float = 0.0
+    ) -> FixedLatent:
+        """The latent of Q coordinates, in a colour that is chosen there.
+
+        Raises:
+            LatentError: the latent does not have Q finite coordinates.
+            UsageError: a colour is chosen on a map of whole materials.
+        """
+        place = model.place(latent)
+        return cls(model, place.latent, choose_colour(model, place, colour).colours, tolerance)
+
+    def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:
+        """Another latent, and other colours; what rounds to a material's latent, or to what was, is taken for that.
+
+        Args:
+            latent, colours: float32, shape (Q,) and (B,).
+        Raises:
+            LatentError: the latent does not have Q finite coordinates.
+        """
+        known = (self.latent, *self.model.X)
+        exact = next((x for x in known if np.array_equal(np.float32(x), latent)), latent)
+        if colours is not None and np.array_equal(np.float32(self.colours), colours):
+            colours = self.colours
+        return replace(self, latent=self.model.place(exact.tolist()).latent, colours=colours)
+
+    def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
+        """The prediction; at a training latent the measured file.
+
+        Args:
+            before: one of the same model, whose tables serve again where they hold all materials that are needed.
+            has_slopes: whether slopes of the weights are asked for.
+        Raises:
+            UsageError: materials are to be left out of a map without a Gram matrix of whole materials.
+            ShapeError: the colours are not B finite values.
+        """
+        model, x, colours = self.model, self.latent, self.colours
+        combination = model.combination(x, colours)
+        sample_bands = combination.sample_bands
+        if combination.source is not None:
+            bands, seen = _seen_bands(model.bands)
+            name, one = model.names[combination.source], np.ones(1)
+            tables = packed_tables.pack([model.library.read(name)], seen)
+            return Mixture((name,), tables, model.mapping, bands, one, one, is_clipped=False)
+        S = model.space.arrays.get("S") if sample_bands is None else None
+        if self.tolerance != 0.0 and S is None:
+            raise UsageError(_NO_TOLERANCE)
+        slopes = _slopes(model, x, colours) if has_slopes else []
+        stack = np.stack([combination.weights, *slopes], axis=-1)  # [N, K] or [B, N B_s, K]
+        left_out, error = 0, 0.0
+        if sample_bands is None:
+            kept, _, error = leave_out(combination.weights, S, self.tolerance)
+            left_out = int(np.count_nonzero(combination.weights)) - len(kept)
+            used = stack[kept] if S is None or left_out == 0 else _fitted_again(kept, stack, S)
+            bands, tabled = _seen_bands(model.bands)
+        else:
+            kept = combination.used[0]
+            by_material = stack.reshape(len(stack), len(model.names), len(sample_bands), -1)
+            used = np.moveaxis(by_material[:, kept], 0, 1)  # [n, B, B_s, K]
+            bands, tabled = model.bands, sample_bands.tolist()
+        # An optimiser crosses the map: all at once, instead of new tables whenever another material gets a weight.
+        has_all = has_slopes and self.tolerance == 0.0 and model.space.landmarks is None
+        order, tables = _tables(model, range(len(model.names)) if has_all else kept, tabled, before)
+        every = np.zeros((len(order), *used.shape[1:]))
+        every[[order.index(k) for k in kept]] = used
+        lobes = np.abs(every[..., 0]).reshape(len(order), -1).sum(axis=1)
+        weights, *slopes = np.moveaxis(every if sample_bands is None else np.moveaxis(every, 0, 1), -1, 0)
+        names = tuple(model.names[k] for k in order)
+        return Mixture(
+            names, tables, model.mapping, bands, weights, lobes / lobes.sum(),
+            order=order, slopes=slopes, left_out=left_out, left_out_error=error,
+        )  # fmt: skip
+
+
+def _slopes(model: Manifold, x: Array, colours: Array | None) -> list[Array]:
+    """Slopes of the weights by each coordinate of x (Q,), and by a band's colour: Q or Q + 1 arrays like the weights.
+
+    Weights are smooth functions that cost little, in double precision: central differences have nine digits.
+    """
+    ends = [((x + step, colours), (x - step, colours)) for step in _STEP * np.eye(len(x))]
+    if colours is not None:
+        ends.append(((x, colours + _STEP), (x, colours - _STEP)))
+    weights = model.space.weights
+    return [(weights(*above) - weights(*below)) / (2.0 * _STEP) for above, below in ends]
+
+
+def varying_mixture(model: Manifold) -> Mixture:
+    """All materials, for latents that are known only where a surface is hit.
+
+    Raises:
+        UsageError: the map has landmarks.
+    """
+    n = len(model.names)
+    if model.space.landmarks is not None:
+        raise UsageError(
+            f"textures of latents on a map of {model.space.materials_in_words}, expected all to be laid out: they keep "
+            "all in memory; embed fewer"
+        )
+    bands, seen = _seen_bands(model.bands)
+    order, tables = _tables(model, range(n), seen)
+    names, lobes = tuple(model.names[k] for k in order), np.full(n, 1.0 / n)
+    return Mixture(
+        names,
+        tables,
+        model.mapping,
+        bands,
+        None,
+        lobes,
+        model.gp,
+        order,
+        is_blend=model.space.kind == BlendSpace.kind,
+    )
+
+
+def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indices, Array, float]:
+    """The fewest materials that do for weights (N,), their new weights, and the relative error that remains.
+
+    The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values.
+    Materials go one by one, that first whose loss raises it least: of weight u_k, by `u_k^2 / [S_kept^-1]_kk`.
+
+    Args:
+        weights: v, shape (N,).
+        S: Gram matrix of the mapped materials, shape (N, N); unused if the tolerance is 0.
+        tolerance: largest error, as a share of the norm of the mapped values; 0 keeps all.
+    Raises:
+        UsageError: the tolerance is not from 0 to below 1.
+    """
+    if not 0.0 <= tolerance < 1.0:
+        raise UsageError(f"tolerance is {tolerance:g}, expected a share from 0 to below 1, such as 0.01")
+    kept = np.flatnonzero(weights)
+    if tolerance == 0.0 or len(kept) == 1 or S is None:
+        return kept, weights[kept], 0.0
+    ridge = 1e-12 * np.trace(S) / len(S) * np.eye(len(kept))
+    inverse = np.linalg.inv(S[np.ix_(kept, kept)] + ridge)
+    u, most = weights[kept], tolerance**2 * (weights @ S @ weights)
+    lost = 0.0
+    while len(kept) > 1:
+        loss = u**2 / np.diag(inverse)
+        k = int(np.argmin(loss))
+        if lost + loss[k] > most:
+            break
+        lost += loss[k]
+        column = inverse[:, k] / inverse[k, k]
+        u = np.delete(u - column * u[k], k)
+        inverse = np.delete(np.delete(inverse - np.outer(column, inverse[k]), k, axis=0), k, axis=1)
+        kept = np.delete(kept, k)
+    fitted = _fitted_again(kept, weights, S)
+    change = -weights
+    change[kept] += fitted
+    return kept, fitted, float(np.sqrt(max(float(change @ S @ change), 0.0) / float(weights @ S @ weights)))
+
+
+def _fitted_again(kept: Indices, weights: Array, S: Array) -> Array:
+    """The weights of kept materials, (n, ...), whose mapped values are nearest to those of all, (N, ...)."""
+    return np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0].astype(np.float64)
+
+
+def _tables(
+    model: Manifold, materials: Iterable[int], bands: list[int], before: Mixture | None = None
+) -> tuple[list[int], Tables]:
+    """An order of some materials, and of those of a mixture before, and their tables: its own, where they do."""
+    known = [] if before is None else list(before.order)
+    if before is not None and set(materials) <= set(known):
+        return known, before.tables
+    wanted = sorted({*map(int, materials), *known})
+    files = _read(model, wanted)
+    order = _by_size(files)
+    return [wanted[k] for k in order], packed_tables.pack([files[k] for k in order], bands)
+
+
+def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:
+    """The bands that renders ask for, and their indices: Mitsuba's wavelengths go from 360 to 830 nm."""
+    if bands.wavelengths_nm is None:
+        return bands, list(range(bands.count))
+    nm = np.asarray(bands.wavelengths_nm)
+    first, last = np.searchsorted(nm, SEEN_NM[0], side="right") - 1, np.searchsorted(nm, SEEN_NM[1])
+    seen = list(range(max(int(first), 0), min(int(last), len(nm) - 1) + 1))
+    if len(seen) < 2:
+        raise UsageError(
+            f"{bands} cover nothing between {SEEN_NM[0]:g} and {SEEN_NM[1]:g} nm, the range of renders"
+        )
+    return bands.select(seen), seen
+
+
+def _by_size(files: list[BsdfFile]) -> list[int]:
+    """An order in which materials whose tables have the same sizes are neighbours."""
+
+    def sizes(k: int) -> tuple[object, ...]:
+        file = files[k]
+        return (*(a.shape for a in (file.spectra, file.vndf, file.ndf, file.sigma)), file.jacobian)
+
+    return sorted(range(len(files)), key=sizes)
+
+
+def _read(model: Manifold, which: Iterable[int]) -> list[BsdfFile]:
+    """Measured files as predictions combine them, unmeasured cells filled."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda k: model.materials.filled_file(model.names[k]), which))

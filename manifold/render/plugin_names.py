@@ -1,0 +1,61 @@
+"""Plugin names allowed in documents of other origin.
+
+Mitsuba makes `plugins/TYPE.so` of a type and loads that library from wherever its file resolver finds it, the current
+folder included. So types must be plain words that name Mitsuba's own plugins, which are found first
+(`manifold.render.backend`), or plugins that this process has registered from Python.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from manifold.errors import FileFormatError
+from manifold.render import backend
+
+_KEYWORDS = frozenset({"scene", "rgb", "spectrum", "ref", "manifold"})  # of dictionaries; and our own plugin
+
+
+def require_plugins(types: Iterable[object], origin: str) -> None:
+    """Raise FileFormatError unless every type is that of a plugin which may be loaded.
+
+    Args:
+        types: as the document names them, whatever they are.
+        origin: the document, for the error.
+    """
+    for name in types:
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise FileFormatError(
+                f"{origin}: type {_shown(name)}, expected the plain name of a Mitsuba plugin"
+            )
+        if name not in _KEYWORDS and name not in backend.own_plugins() and not backend.is_registered(name):
+            raise FileFormatError(
+                f"{origin}: type '{name}' is no plugin of Mitsuba, and none registered in this process; register it "
+                "from Python first"
+            )
+
+
+def types_of(content: Any) -> Iterator[object]:
+    """The types in a dictionary of Mitsuba, at any depth."""
+    return (node["type"] for node in nodes_of(content) if isinstance(node, dict) and "type" in node)
+
+
+def holds_none(content: Any) -> bool:
+    """Whether None is among plain values, at any depth: it ends Mitsuba's process."""
+    return any(node is None for node in nodes_of(content))
+
+
+def nodes_of(content: Any) -> Iterator[Any]:
+    """Plain values and all that dictionaries and lists among them hold, at any depth."""
+    waiting = [content]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        if isinstance(node, Mapping | list):
+            waiting.extend(node.values() if isinstance(node, Mapping) else node)
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

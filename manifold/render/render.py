@@ -1,0 +1,192 @@
+"""Renders of the material ball in Mitsuba; importing this module registers the BSDF plugin `manifold`.
+
+Spectral scenes are rendered with a colorimetric film: its three channels weigh the light that arrives by
+colour-science's matching functions and by the illuminant, which the scene does not contain. So one scene serves all
+illuminants, and the spikes of fluorescent lamps are sampled. White is adapted to that of sRGB, as the eye does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import progress
+from manifold.colour.conversion import sensor_responses, xyz_to_srgb
+from manifold.colour.illuminants import Illuminant
+from manifold.errors import UsageError
+from manifold.records import Array
+from manifold.render import backend, scenes
+from manifold.render.plugin.bsdf import register_always
+
+LARGEST_SIZE = 8192
+_LANES = 1 << 23  # samples rendered at once: the sampler stratifies those of one pass among each other
+
+register_always()
+
+
+def _d65() -> Illuminant:
+    return Illuminant.named("D65")
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """Settings of a render.
+
+    Attributes:
+        size: pixels per side.
+        samples: light paths per pixel.
+        seed: of the noise; equal seeds give equal pictures.
+        illuminant: the light's spectrum.
+        environment: linear RGB radiance as `studio.studio` lays it out, (H, W, 3); that by default.
+    """
+
+    size: int = 256
+    samples: int = 64
+    seed: int = 0
+    illuminant: Illuminant = field(default_factory=_d65)
+    environment: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name, most in (("size", LARGEST_SIZE), ("samples", 1 << 20)):
+            if not 1 <= getattr(self, name) <= most:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected 1 to {most}")
+        if self.seed < 0:
+            raise UsageError(f"seed is {self.seed}, expected 0 or more")
+
+
+@backend.variant_kept()
+def render_bsdf(
+    bsdf: Mapping[str, Any],
+    is_rgb: bool,
+    settings: RenderSettings = RenderSettings(),
+) -> Array:
+    """The material ball in linear sRGB, shape (size, size, 3).
+
+    Args:
+        bsdf: as a dictionary of Mitsuba.
+        is_rgb: whether it is linear sRGB, with no spectrum.
+        settings: see there.
+    Raises:
+        UsageError: the material has no spectrum, and the light is not D65; or there is no visible light.
+    """
+    if is_rgb:
+        require_d65(settings.illuminant)
+        mi = backend.mitsuba("rgb")
+        scene = mi.load_dict(scenes.material_ball(mi, bsdf, rgb_film(settings.size), settings.environment))
+        return render_scene(mi, scene, settings)
+    mi = backend.mitsuba("spectral")
+    film = colorimetric_film(mi, settings.size, settings.illuminant)
+    scene = mi.load_dict(scenes.material_ball(mi, bsdf, film, settings.environment))
+    xyz = render_scene(mi, scene, settings)
+    return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))
+
+
+@backend.variant_kept()
+def render_floating_ball(
+    path: Path,
+    is_rgb: bool,
+    environment: Array,
+    *,
+    size: int = 256,
+    samples: int = 64,
+    seed: int = 0,
+    **view: float,
+) -> Array:
+    """A measured file on a ball alone in an environment under D65, in linear sRGB, shape (size, size, 3).
+
+    Args:
+        path: of the file.
+        is_rgb: whether it is linear sRGB, with no spectrum.
+        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio.studio` does.
+        size, samples, seed: see `RenderSettings`.
+        view: see `scenes.floating_ball`.
+    """
+    settings, bsdf = RenderSettings(size, samples, seed), {"type": "measured", "filename": str(path)}
+    mi = backend.mitsuba("rgb" if is_rgb else "spectral")
+    film = rgb_film(size) if is_rgb else colorimetric_film(mi, size, settings.illuminant)
+    scene = mi.load_dict(scenes.floating_ball(mi, bsdf, film, environment, **view))
+    picture = render_scene(mi, scene, settings)
+    return picture if is_rgb else xyz_to_srgb(picture, sensor_responses(settings.illuminant)[1].sum(axis=0))
+
+
+def require_d65(illuminant: Illuminant) -> None:
+    """Raise UsageError for an illuminant other than D65, under which linear sRGB colours are undefined."""
+    if not illuminant.is_d65:
+        raise UsageError(
+            f"illuminant {illuminant.name} needs a spectrum, and RGB materials have none; use the _spec file, or D65"
+        )
+
+
+def render_scene(mi: Any, scene: Any, settings: RenderSettings) -> Array:
+    """The channels of a scene's film, float64, shape (size, size, channels).
+
+    Rendered in passes of a few seconds, each with a seed of its own that follows from the settings'.
+    """
+    most = max(1, _LANES // settings.size**2)
+    n_passes = -(-settings.samples // most)
+    seeds = np.random.SeedSequence(settings.seed).generate_state(n_passes)
+    ends = np.arange(1, n_passes + 1) * settings.samples // n_passes
+    total: Array | float = 0.0
+    with backend.only_errors():
+        for k, count in progress.each(enumerate(np.diff(ends, prepend=0))):
+            picture = mi.render(scene, spp=int(count), seed=int(seeds[k]))
+            total = total + int(count) * np.array(picture, dtype=np.float64)
+    return np.asarray(total) / settings.samples
+
+
+def rgb_film(size: int) -> dict[str, Any]:
+    """Mitsuba's own film in linear sRGB, as a dictionary. In spectral variants its white is that of D65."""
+    return {
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "pixel_format": "rgb",
+        "rfilter": {"type": "box"},
+    }
+
+
+def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, Any]:
+    """A film with the channels X, Y, Z of the scene under an illuminant; a white diffuser has Y = 1.
+
+    Environments of Mitsuba have the spectrum of D65 times a reflectance; the film compensates for it.
+    """
+    wavelengths_nm, responses = sensor_responses(illuminant)
+    seen = (wavelengths_nm >= 360.0) & (wavelengths_nm <= 830.0)
+    wavelengths_nm, responses = wavelengths_nm[seen], responses[seen]
+    shining = _environment_spectrum(mi, wavelengths_nm)
+    weights = responses / shining[:, None]
+    channels = {
+        name: {
+            "type": "regular",
+            "wavelength_min": float(wavelengths_nm[0]),
+            "wavelength_max": float(wavelengths_nm[-1]),
+            "values": ",".join(f"{v:.9g}" for v in column),
+        }
+        for name, column in zip("XYZ", weights.T, strict=True)
+    }
+    return {
+        "type": "specfilm",
+        "width": size,
+        "height": size,
+        "rfilter": {"type": "box"},
+        **channels,
+    }
+
+
+def _environment_spectrum(mi: Any, wavelengths_nm: Array) -> Array:
+    """Radiance of a white environment of Mitsuba at wavelengths (K,)."""
+    light = mi.load_dict({"type": "d65"})
+    if mi.variant().startswith("llvm"):  # all at once: a kernel is compiled for every wavelength otherwise
+        many = backend.drjit().zeros(mi.SurfaceInteraction3f, len(wavelengths_nm))
+        many.wavelengths = mi.Spectrum(mi.Float(wavelengths_nm.astype(np.float32)))
+        return np.array(light.eval(many)[0], dtype=np.float64)
+    interaction = mi.SurfaceInteraction3f()
+    values = np.empty(len(wavelengths_nm))
+    for k, wavelength in enumerate(wavelengths_nm):
+        interaction.wavelengths = mi.Spectrum(float(wavelength))
+        values[k] = np.ravel(light.eval(interaction))[0]
+    return values

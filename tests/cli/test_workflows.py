@@ -1,0 +1,198 @@
+"""The main job from end to end, and its results in Mitsuba."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.mitsuba_reference import measured
+from helpers.paths import real_rgl_files
+from helpers.small_library import small_model
+
+from manifold import demo as demo_module
+from manifold.analytic import corpus
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.cli.main import app
+from manifold.directions import from_spherical
+from manifold.estimate.predictions import predict
+from manifold.evaluate import pipeline
+from manifold.evaluate.budget import example_scenes
+from manifold.evaluate.chart_fits import METHODS
+from manifold.evaluate.methods import settings
+from manifold.evaluate.report_text import lead
+from manifold.evaluate.stability.catalogue import MODES
+from manifold.io_rgl import read_bsdf
+from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.model.colours import ColourChoice
+from manifold.model.manifold import Manifold, Settings
+from manifold.render import thumbnails
+from manifold.render.render import RenderSettings
+
+FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_gloss_red", "syn_felt_yellow"}
+CHARTED_AND_TRIED = demo_module.CHARTED, demo_module.TRIED  # tests below have less
+SCENE = {"felt": example_scenes.EXAMPLES["felt"]}
+
+
+@pytest.fixture(scope="module")
+def few_materials():
+    """The corpus cut down to a few materials, and the demo to the least of every step, so that it takes seconds."""
+    few = tuple(m for m in corpus.isotropic_materials() if m.name in FEW)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(corpus, "isotropic_materials", lambda: few)
+        patch.setattr(example_scenes, "EXAMPLES", SCENE)
+        patch.setattr(demo_module, "BudgetSettings", partial(demo_module.BudgetSettings, size=32, samples=16))
+        patch.setattr(demo_module.maps, "walk", partial(demo_module.maps.walk, steps=2))
+        patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))
+        patch.setattr(demo_module, "TRIED", ("out_of_gamut",))
+        little = RenderSettings(size=32, samples=16)
+        patch.setattr(demo_module, "RenderSettings", lambda: little)
+        patch.setattr(demo_module, "picture_of_fit", partial(demo_module.picture_of_fit, settings=little))
+        patch.setattr(thumbnails, "SAMPLES", 4)
+        yield few
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory, few_materials):
+    return demo_module.run(tmp_path_factory.mktemp("demo"))
+
+
+def test_what_the_demo_charts_and_tries_is_in_the_registries():
+    charted, tried = CHARTED_AND_TRIED
+    known = {setting.key for setting in settings(195)} | {f"fit_{method}" for method in METHODS}
+    assert set(charted) <= known
+    assert set(tried) <= {mode.key for mode in MODES}
+
+
+@pytest.mark.slow
+def test_the_demo_runs_all_its_steps_on_materials_of_every_scene(tmp_path, monkeypatch):
+    names = FEW | {scene.material for scene in example_scenes.EXAMPLES.values()}
+    some = tuple(m for m in corpus.isotropic_materials() if m.name in names)
+    monkeypatch.setattr(corpus, "isotropic_materials", lambda: some)
+    made = demo_module.run(tmp_path)
+    assert all(path.stat().st_size > 0 for path in made.files["pictures"])
+    assert len(made.files["pictures"]) == 10
+    assert made.left_out is None
+
+
+def directions(rng, n):
+    theta, phi = rng.uniform(0, np.deg2rad(75), (2, n)), rng.uniform(-np.pi, np.pi, (2, n))
+    w = from_spherical(theta, phi).astype(np.float32).astype(np.float64)
+    return w / np.linalg.norm(w, axis=-1, keepdims=True)
+
+
+def test_the_demo_leaves_everything_it_names(demo):
+    assert all(path.stat().st_size > 0 for paths in demo.files.values() for path in paths)
+    (library,), (text, document) = demo.files["library"], demo.files["report"]
+    assert Library.open(library).names == tuple(sorted(FEW))
+    assert json.loads(document.read_text())["names"] == sorted(FEW)
+    assert "synthetic" in text.read_text()
+
+
+def test_the_demo_ends_in_a_page_whose_links_are_there(demo):
+    index, _ = demo.files["page"]
+    text = index.read_text()
+    links = set(re.findall(r'(?:href|src)="([^"]*)"', text))
+    assert links >= {"explorer.html", "library.zarr", *(path.name for path in demo.files["pictures"])}
+    for link in links:
+        assert (index.parent / link).exists(), link
+    assert lead(demo.report) in html.unescape(text)
+    commands = html.unescape(text.split("<pre>")[1].split("</pre>")[0]).splitlines()
+    assert commands[0] == f"cd {index.parent}"
+    for command in commands[1:]:
+        program, name, *_ = command.split()
+        assert Path(program).exists()
+        assert name in {each.name for each in app.registered_commands}
+
+
+def test_a_predicted_file_opens_in_mitsuba_and_is_the_prediction(demo, rng):
+    model = Manifold.load(demo.files["model"][0])
+    brdf = model.predict(np.array(demo.predicted.latent))
+    file = read_bsdf(demo.predicted.path)
+    wi, wo = directions(rng, 1500)
+    bands = rng.integers(0, 195, (1500, 4))
+    f_cos, _ = measured(demo.predicted.path, wi, wo, file.wavelengths_nm[bands].astype(float))
+    expected = np.take_along_axis(brdf.eval_cos(wi, wo), bands, axis=1)
+    error = np.abs(f_cos - expected) / np.abs(expected).mean()
+    # 32 x 32 nodes and 8 elevations through noisy interpolants: 1 to 13 % by gloss.
+    assert np.median(error) < 0.03
+    assert error.mean() < 0.05
+
+
+def test_the_predicted_file_says_what_it_is(demo):
+    file = read_bsdf(demo.predicted.path)
+    assert file.name == "predicted"
+    assert file.description.startswith("Predicted at latent (")
+    assert "synthetic" in file.description
+    assert file.spectra.min() >= 0.0
+
+
+def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
+    class Stopped(Exception):
+        pass
+
+    def stop(*_, **__):
+        raise Stopped
+
+    monkeypatch.setattr(corpus, "measure", lambda *_, **__: pytest.fail("measured again"))
+    monkeypatch.setattr(demo_module, "predict", stop)  # what follows is made anew
+    before = Manifold.load(demo.files["model"][0])
+    with pytest.raises(Stopped):
+        demo_module.run(demo.files["model"][0].parent)
+    np.testing.assert_array_equal(
+        Manifold.load(demo.files["model"][0]).latent("syn_satin_gold"), before.latent("syn_satin_gold")
+    )
+
+
+def test_a_prediction_at_a_material_is_that_material(tmp_path):
+    model = Manifold.load(small_model(tmp_path))
+    made = predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
+    assert made.expected.ball == 0.0
+    assert made.weights == [("syn_satin_gold", 1.0)]
+    assert made.nearest[0] == ("syn_satin_gold", 0.0)
+    assert not made.is_extrapolation
+
+
+def test_a_place_on_the_path_between_two_materials_is_written(tmp_path):
+    model, wi = Manifold.load(small_model(tmp_path)), from_spherical(0.5, 0.0)
+    place = "syn_satin_gold:syn_gloss_red:0.3"
+    made = predict(model, place, tmp_path / "between_rgb.bsdf")
+    assert made.colour == "between syn_satin_gold and syn_gloss_red, of these two alone"
+    assert made.weights == []  # those at its latent are of other materials
+    expected = model.interpolate("syn_satin_gold", "syn_gloss_red", 0.3).albedo(wi)
+    np.testing.assert_array_equal(model.predict(place).albedo(wi), expected)
+    written = MeasuredBRDF(read_bsdf(made.path)).albedo(wi)
+    np.testing.assert_allclose(written, expected, rtol=0.03)  # of 8 incidences
+    latent = model.place(place).latent
+    assert not np.allclose(model.predict(latent).albedo(wi), expected, rtol=0.1)
+    chosen = predict(model, place, tmp_path / "green_rgb.bsdf", colour=ColourChoice(srgb="#208020"))
+    same = predict(model, latent, tmp_path / "same_rgb.bsdf", colour=ColourChoice(srgb="#208020"))
+    assert chosen.weights == same.weights
+
+
+@pytest.mark.parametrize("share", [5, pytest.param(1, marks=pytest.mark.slow)], ids=["every fifth", "all"])
+def test_the_main_job_runs_on_real_files(tmp_path, share):
+    files = real_rgl_files()[::share]
+    if not files:
+        pytest.skip("no real RGL files: set MANIFOLD_RGL_DIR to a folder of them")
+    library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
+    result = import_files(library, files)
+    assert not result.failed
+    fitted = pipeline.embed(library, model, Settings())[0]
+    assert len(fitted.names) == len(result.imported)
+    suffix = "rgb" if fitted.bands.is_rgb else "spec"
+    made = predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")
+    assert np.all(np.isfinite(read_bsdf(made.path).spectra))
+    report = pipeline.report(model, picture=tmp_path / "map.png")
+    assert report.methods[0].rmse == (0.0,) * len(fitted.names)
+    assert not any(report.is_synthetic)
+    if share > 1:
+        return  # too few to learn from
+    refitted = next(m for m in report.methods if m.key == "blend_refitted")
+    nearest = next(m for m in report.methods if m.key == "nearest")
+    assert refitted.median_relative_error < nearest.median_relative_error

@@ -1,0 +1,150 @@
+"""Materials by gloss, lightness, chroma and hue."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from helpers.small_library import small_library
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.estimate.attributes import (
+    COLOUR_TOLERANCE,
+    GLOSS_TOLERANCE,
+    Adjusted,
+    Attributes,
+    Wanted,
+    adjust,
+    find,
+    lab_of,
+)
+from manifold.estimate.gloss import gloss_units
+from manifold.io_rgl import read_bsdf
+from manifold.model.manifold import Manifold, Settings
+from manifold.model.places import Place
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory) -> Manifold:
+    library = small_library(tmp_path_factory.mktemp("attributes"))
+    return Manifold.fit(library, Settings(kind="blend"), calibrate=False)
+
+
+def factor(brdf):
+    return np.pi * brdf.eval(from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0))
+
+
+def test_without_attributes_a_material_stays_where_it_is(model):
+    name = model.names[0]
+    found = adjust(model, name, Attributes())
+    np.testing.assert_array_equal(found.place.latent, model.latent(name))
+    assert found.shortfalls == ()
+    assert found.difference < 0.1
+
+
+def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model, rng):
+    gloss = [gloss_units(model.material(name), [60.0])[60.0] for name in model.names]
+    missed = 0
+    for _ in range(2):
+        name = str(rng.choice(model.names))
+        asked = float(np.exp(rng.uniform(np.log(min(gloss)), np.log(max(gloss)))))
+        found = adjust(model, name, Attributes({60.0: Wanted(asked)}, hue=Wanted(40.0, is_relative=True)))
+        brdf = model.predict(found.place.latent, found.colours)
+        reached = gloss_units(brdf, [60.0])[60.0]
+        assert found.gloss[60.0] == pytest.approx((asked, reached))
+        is_off = abs(reached - asked) > GLOSS_TOLERANCE * asked or found.difference > COLOUR_TOLERANCE
+        assert bool(found.shortfalls) == is_off
+        missed += is_off
+    assert missed <= 1
+
+
+def test_gloss_alone_keeps_the_colour(model):
+    name = min(model.names, key=lambda n: gloss_units(model.material(n), [60.0])[60.0])
+    found = adjust(model, name, Attributes({60.0: Wanted(20.0)}))
+    assert found.gloss[60.0][1] == pytest.approx(20.0, rel=GLOSS_TOLERANCE)
+    np.testing.assert_allclose(
+        factor(model.predict(found.place.latent, found.colours)), factor(model.material(name)), atol=0.01
+    )
+
+
+def test_values_are_absolute_or_relative():
+    assert [Wanted.parse(t).of(50.0) for t in ("30", "+10", "-10", ".5")] == [30.0, 60.0, 40.0, 0.5]
+    for text in ("", "nan", "ten", "1e9", "--3"):
+        with pytest.raises(UsageError, match="expected a number such as 30"):
+            Wanted.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        (Attributes(lightness=Wanted(120.0)), "lightness 120"),
+        (Attributes(chroma=Wanted(-500.0, is_relative=True)), "chroma -"),
+        (Attributes({60.0: Wanted(-3.0)}), "gloss of -3 units"),
+        (Attributes({60.0: Wanted(0.0)}), "at least 0.01"),
+        (Attributes({85.0: Wanted(2000.0)}), "2000 units at 85 degrees, expected 0 to 16"),
+        (Attributes({20.0: Wanted(2100.0)}), "2100 units at 20 degrees"),
+        (Attributes({45.0: Wanted(3.0)}), "gloss at 45 degrees, expected 20, 60 or 85"),
+    ],
+)
+def test_impossible_attributes_are_refused(model, attributes, message):
+    with pytest.raises(UsageError, match=message):
+        adjust(model, model.names[0], attributes)
+
+
+def test_what_was_not_reached_is_said():
+    lch = np.array([50.0, 20.0, 30.0])
+    found = Adjusted(Place(np.zeros(2)), None, {60.0: (90.0, 40.0)}, (lch, lch + 5.0), 4.2)
+    assert [text.split(":")[0] for text in found.shortfalls] == ["gloss at 60 degrees", "colour"]
+    assert found.to_json()["reached"]["gloss"] == {"60": 40.0}
+
+
+def test_the_command_writes_the_material_and_says_what_it_has(run, model, tmp_path):
+    model.save(tmp_path / "model.h5")
+    path = tmp_path / "glossy_rgb.bsdf"
+    arguments = ["predict", "syn_felt_green", "--gloss", "60=20", "--hue", "+20", "-M", tmp_path / "model.h5"]
+    code, out, _ = run(*arguments, "-o", path, "--json", "-", cwd=tmp_path)
+    assert code == 0
+    reached = json.loads(out)["attributes"]["reached"]
+    written = gloss_units(MeasuredBRDF(read_bsdf(path)), [60.0])[60.0]
+    assert written == pytest.approx(reached["gloss"]["60"], rel=0.2)  # the file's grid blurs highlights
+    for wrong in (["--gloss", "45=3"], ["--hue", "red"], ["--latent", "0,0"]):
+        code, _, err = run(*arguments[:2], *wrong, "-M", tmp_path / "model.h5", cwd=tmp_path)
+        assert code == 2
+        assert "expected" in err
+
+
+def test_materials_are_found_by_colour_and_gloss(run, model, tmp_path):
+    library = model.library
+    for name in model.names:
+        brdf = model.material(name)
+        (first, *_) = find(library, lab_of(brdf), gloss_units(brdf, [60.0]))
+        assert (first.name, first.distance) == (name, pytest.approx(0.0, abs=1e-6))
+    lab = ",".join(f"{v:.2f}" for v in lab_of(model.material("syn_gloss_red")))
+    code, out, _ = run("find", "--lab", lab, "--count", "2", "-L", library.path, cwd=tmp_path)
+    assert code == 0
+    assert out.split("\n")[1].split()[0] == "syn_gloss_red"
+    code, out, _ = run("find", "--gloss", "60=1", "-L", library.path, "--json", "-", cwd=tmp_path)
+    gloss = [one["gloss"]["60"] for one in json.loads(out)["found"]]
+    assert np.all(np.diff(np.abs(np.log(gloss))) >= 0)
+    assert run("find", "--gloss", "60=0", "-L", library.path, cwd=tmp_path)[0] == 0
+    for wrong in ([], ["--lab", "50,1"], ["--gloss", "45=3"], ["--gloss", "85=2000"]):
+        code, _, err = run("find", *wrong, "-L", library.path, cwd=tmp_path)
+        assert code == 2
+        assert "expected" in err
+
+
+def test_a_colour_and_gloss_without_a_file_are_completed(run, model, tmp_path):
+    path = tmp_path / "asked_rgb.bsdf"
+    arguments = ["complete", "--lab", "45,30,15", "--gloss", "60=12", "-L", model.library.path, "-o", path]
+    code, out, _ = run(*arguments, "--json", "-", cwd=tmp_path)
+    assert code == 0
+    brdf = MeasuredBRDF(read_bsdf(path))
+    np.testing.assert_allclose(lab_of(brdf), (45.0, 30.0, 15.0), atol=3.0)
+    assert gloss_units(brdf, [60.0])[60.0] == pytest.approx(12.0, rel=0.5)
+    assert json.loads(out)["expected"]["ball"] > 0.0
+    code, _, err = run(*arguments, tmp_path / "r.csv", cwd=tmp_path)
+    assert code == 2
+    assert "expected one of them; a colour has commas" in err

@@ -1,0 +1,141 @@
+"""Materials found in photographs of their balls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manifold.analytic.free_lobes import bernstein, cos_theta_d, microfacet_lobe
+from manifold.colour.lights import environment
+from manifold.directions import from_spherical
+from manifold.estimate import photo_material
+from manifold.estimate.blocks import blocks_of
+from manifold.estimate.circle import Circle
+from manifold.estimate.light import Environment
+from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.photo_files import Photograph
+from manifold.estimate.photo_material import Sighting, errors_of, find_material
+from manifold.estimate.pixels import Camera, block_sums
+from manifold.estimate.spectra import wiener_matrix
+from manifold.formats.readings import Readings
+from manifold.library.store import Library
+from manifold.records import Bands
+
+SIZE, MARGIN = 96, 0.3
+RGB = Bands(None)
+
+
+def sighting(picture, light, turn_deg=0.0):
+    circle = Circle(SIZE / 2, SIZE / 2, SIZE / 2 / (1 + MARGIN))
+    seen = Photograph(
+        Path("ball.exr"), np.minimum(picture, 1.0).astype(np.float32), (picture >= 1.0).any(axis=2)
+    )
+    return Sighting(
+        blocks_of(seen, circle), Camera(turn_deg, 15.0, 8.0), Environment.of(environment(light, 128))
+    )
+
+
+def errors(atoms, name, found):
+    m = atoms.library.names.index(name)
+    return errors_of(atoms, 3 * m + np.arange(3), found.weights)
+
+
+@pytest.fixture(scope="module")
+def felt(photo_atoms, render):
+    """The felt as the studio shows it, and what was found."""
+    seen = sighting(render("syn_felt_green", "studio"), "studio")
+    return seen, find_material(photo_atoms, [seen], RGB, np.eye(3))
+
+
+def test_a_material_of_the_library_is_found(photo_atoms, felt):
+    ball, cube_root, _ = errors(photo_atoms, "syn_felt_green", felt[1])
+    assert ball < 1.0
+    assert cube_root < 0.1
+    assert felt[1].residual < 0.05
+    assert not any("is the light" in note for note in felt[1].notes)
+
+
+def test_errors_of_left_out_materials_are_kept_in_the_library(felt, library, monkeypatch):
+    first, again = (replace(felt[1], library=Library(library)) for _ in range(2))
+    expected = first.expected
+    monkeypatch.setattr(photo_material, "calibrated", None)
+    assert again.expected == expected
+
+
+def test_a_channel_without_any_light_is_black(photo_atoms, render):
+    picture = render("syn_felt_green", "studio").copy()
+    picture[..., 2] = 0.0
+    found = find_material(photo_atoms, [sighting(picture, "studio")], RGB, np.eye(3))
+    assert np.isfinite(list(found.expected.values())).all()
+    wi, wo = from_spherical(0.7, 0.0), from_spherical(0.2, 2.0)
+    assert found.brdf.eval(wi, wo)[2] < 0.01 * found.brdf.eval(wi, wo)[1]
+
+
+def test_a_colour_that_changes_with_incidence_is_found(photo_atoms, felt):
+    def iridescent(wi, wo):
+        lobe = 0.3 * microfacet_lobe(wi, wo, 0.1) * bernstein(cos_theta_d(wi, wo), 5)[[1, 3, 5]]
+        return 0.02 + np.where((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0), lobe, 0.0)
+
+    sums = block_sums(iridescent, *felt[0].pairs)
+    values = np.stack([sums[c, c] for c in range(3)], axis=1)
+    seen = replace(felt[0], blocks=replace(felt[0].blocks, values=values))
+    found = find_material(photo_atoms, [seen], RGB, np.eye(3))
+    assert found.residual < 0.05  # 0.08 with Fresnel terms of dielectrics and mirrors alone
+
+
+def test_the_brdf_is_the_sum_of_its_atoms(rng, photo_atoms):
+    wi, wo = (from_spherical(rng.uniform(0.0, 1.4, 200), rng.uniform(0.0, 6.0, 200)) for _ in range(2))
+    weights = rng.random((3, len(photo_atoms))) * (rng.random(len(photo_atoms)) < 0.2)
+    predicted = photo_atoms.predicted(weights, RGB).eval(wi, wo)
+    assert np.allclose(predicted.T, weights @ photo_atoms.values(wi, wo), rtol=1e-6)
+
+
+def test_a_left_out_material_lit_by_one_lamp_keeps_its_albedo(atoms, render):
+    m = atoms.names.index("syn_gloss_red")
+    others = PhotoAtoms(atoms.without(m))
+    found = find_material(others, [sighting(render("syn_gloss_red", "one-lamp"), "one-lamp")], RGB, np.eye(3))
+    elevations = from_spherical(np.deg2rad([0.0, 45.0, 75.0, 85.0]), np.zeros(4))
+    assert found.brdf.albedo(elevations).max() < 1.05
+    assert "no lamp shows highlights" in " ".join(found.notes)
+
+
+def test_the_exposure_is_found_where_it_is_not_known(photo_atoms, render):
+    seen = sighting(0.5 * render("syn_satin_gold", "studio"), "studio")
+    found = find_material(photo_atoms, [seen], RGB, np.eye(3), exposure=None)
+    assert found.exposure == pytest.approx(0.5, rel=0.25)  # the prior of scales is as wide
+
+
+def test_two_photographs_tell_more_than_one(photo_atoms, render):
+    seen = [sighting(render("syn_metal_copper", light), light) for light in ("one-lamp", "studio")]
+    one, two = (find_material(photo_atoms, some, RGB, np.eye(3)) for some in (seen[:1], seen))
+    assert (
+        errors(photo_atoms, "syn_metal_copper", two)[1]
+        < errors(photo_atoms, "syn_metal_copper", one)[1] + 0.02
+    )
+    assert len(two.channels[0].seen) > len(one.channels[0].seen)
+
+
+def test_a_wrong_light_is_noticed(photo_atoms, render):
+    found = find_material(
+        photo_atoms, [sighting(render("syn_gloss_red", "one-lamp"), "sky", 180.0)], RGB, np.eye(3)
+    )
+    assert any("is the light that of the photograph" in note for note in found.notes)
+
+
+def test_readings_count_beside_pixels(photo_atoms, felt):
+    elevations = np.deg2rad(np.linspace(0.0, 60.0, 40))
+    wi, wo = from_spherical(np.full(40, 0.7), 0.0), from_spherical(elevations, np.pi)
+    bright = Readings("sample", "test", wi, wo, None, np.full((40, 3), 0.9 / np.pi), np.ones(40))
+    found = find_material(photo_atoms, [felt[0]], RGB, np.eye(3), readings=bright)
+    at = found.brdf.eval(wi, wo).mean()
+    assert at > 1.2 * felt[1].brdf.eval(wi, wo).mean()
+
+
+def test_neutral_colours_have_flat_spectra(rng):
+    spectra = rng.random((50, 31))
+    responses = rng.random((3, 31))
+    responses /= responses.sum(axis=1, keepdims=True)
+    assert np.allclose(wiener_matrix(spectra, responses) @ np.full(3, 0.4), 0.4)

@@ -1,0 +1,194 @@
+"""`--photo` of complete and locate: from a picture to a file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tifffile
+from helpers.small_library import measured, spectral_files
+from PIL import Image
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.conversion import encode_srgb
+from manifold.colour.lights import environment
+from manifold.colour.pictures import read_picture
+from manifold.estimate import photographs
+from manifold.estimate.spectra import read_responses
+from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.library.importing import import_files
+from manifold.model.comparison import brdf_errors
+from manifold.model.manifold import Manifold, Settings
+from manifold.records import Bands
+from manifold.render.images import write_image
+from manifold.render.render import render_floating_ball
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, library):
+    """A photograph of satin gold, linear and in 8 bits, and its light."""
+    made = tmp_path_factory.mktemp("photographs")
+    light = environment("studio", 128)
+    write_bsdf(made / "gold_rgb.bsdf", measured("syn_satin_gold"))
+    ball = render_floating_ball(
+        made / "gold_rgb.bsdf", True, light, size=128, samples=32, margin=0.3, distance=8.0
+    )
+    write_image(made / "ball.exr", ball)
+    write_image(made / "light.exr", light)
+    write_image(made / "negative.exr", light - 0.25 - light.min())
+    Manifold.fit(library, Settings()).save(made / "model.h5")
+    return made
+
+
+def test_a_photograph_is_completed(run, folder, library):
+    code, out, err = run(
+        "complete", "--photo", "ball.exr", "--light", "light.exr", "--distance", 8, "--library", library,
+        "-o", "found.bsdf", "--picture", "--json", "found.json", cwd=folder,
+    )  # fmt: skip
+    assert code == 0, err
+    truth, found = (MeasuredBRDF(read_bsdf(folder / name)) for name in ("gold_rgb.bsdf", "found.bsdf"))
+    assert brdf_errors(truth, found).ball < 2.0
+    assert (folder / "found.png").stat().st_size > 10_000
+    document = json.loads((folder / "found.json").read_text())
+    assert document["photographs"][0]["circle"] == pytest.approx([64, 64, 64 / 1.3], abs=1.0)
+    assert document["plausibility"]["max_albedo"] <= 1.05
+    assert set(document["expected"]) == {"ball", "cube_root", "linear"}
+    assert "expected error" in out
+
+
+def test_a_photograph_is_located_near_its_material(run, folder, library):
+    code, out, err = run(
+        "locate", "--photo", "ball.exr", "--light", "studio", "--distance", 8, "--circle", "64,64,49.2",
+        "--library", library, "-o", "there.bsdf", cwd=folder,
+    )  # fmt: skip
+    assert code == 0, err
+    assert "satin_gold" in out.split("nearest")[1].split("\n")[0]
+    assert np.isfinite(read_bsdf(folder / "there.bsdf").spectra).all()
+
+
+def test_a_camera_is_described_by_its_sensitivities(run, tmp_path):
+    """Its picture is that of RGB files of what its channels see of the spectra, in a light without colour."""
+    nm = np.arange(400.0, 701.0, 5.0)
+    curves = np.exp(-(((nm[:, None] - [590.0, 550.0, 460.0]) / 35.0) ** 2))
+    np.savetxt(tmp_path / "curves.csv", np.column_stack([nm, curves]), delimiter=",", header="nm,r,g,b")
+    (tmp_path / "files").mkdir()
+    files = spectral_files()
+    for name, file in files.items():
+        write_bsdf(tmp_path / "files" / f"{name}_spec.bsdf", file)
+    import_files(tmp_path / "library.zarr", [tmp_path / "files"])
+    truth = files["syn_satin_gold"]
+    responses = read_responses(tmp_path / "curves.csv", Bands(tuple(truth.wavelengths_nm.tolist())))
+    seen = np.einsum("cb,pibxy->picxy", responses, truth.spectra).astype(np.float32)
+    write_bsdf(tmp_path / "seen_rgb.bsdf", replace(measured("syn_satin_gold"), spectra=seen))
+    light = environment("overcast", 128)
+    ball = render_floating_ball(
+        tmp_path / "seen_rgb.bsdf", True, light, size=96, samples=32, margin=0.3, distance=8.0
+    )
+    write_image(tmp_path / "ball.exr", ball)
+    errors = {}
+    for camera in ((), ("--camera", "curves.csv")):
+        code, _, err = run(
+            "complete", "--photo", "ball.exr", "--light", "overcast", "--distance", 8, "--circle", "48,48,36.9",
+            *camera, "-o", "found_spec.bsdf", cwd=tmp_path,
+        )  # fmt: skip
+        assert code == 0, err
+        found = MeasuredBRDF(read_bsdf(tmp_path / "found_spec.bsdf"))
+        errors[camera] = brdf_errors(MeasuredBRDF(truth), found).ball
+    assert errors["--camera", "curves.csv"] < min(3.0, 0.5 * errors[()])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.ones((64, 64, 3)), "every pixel is clipped"),
+        (np.full((64, 64, 3), np.nan), "every pixel is clipped"),
+        (np.full((64, 64, 3), 0.5) + 0.01 * np.random.default_rng(0).random((64, 64, 3)), "no ball found"),
+    ],
+)
+def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, words):
+    tifffile.imwrite(folder / "bad.tif", values.astype(np.float32), photometric="rgb")
+    code, _, err = run(
+        "complete",
+        "--photo",
+        "bad.tif",
+        "--light",
+        "studio",
+        "--library",
+        library,
+        "-o",
+        "x.bsdf",
+        cwd=folder,
+    )
+    assert code in (1, 2)
+    assert words in " ".join(err.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--photo", "ball.exr"], "--light ENV.exr"),
+        (["--photo", "ball.exr", "--light", "nowhere.exr"], "no such file"),
+        (["--photo", "ball.exr", "--light", "ball.exr"], "twice as wide"),
+        (["--photo", "light.exr", "--light", "studio", "--circle", "900,10,40"], "expected one inside it"),
+        (["--photo", "ball.exr", "--light", "negative.exr"], "negative light, down to -0.25"),
+        (["--photo", "ball.exr", "--light", "studio", "--circle", "64,64,1e300"], "a radius from 8 pixels"),
+        (["--photo", "ball.exr", "--light", "studio", "--turn", "nan"], "expected finite angles"),
+        (["--photo", "ball.exr", "--light", "studio", "--elevation", "nan"], "less than or equal to 89"),
+        (["--photo", "ball.exr", "--light", "studio", "--distance", "nan"], "more than 1"),
+        (["--photo", "ball.exr", "--light", "studio", "--exposure", "bright"], "or free"),
+        (["--photo", "ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photographs"),
+        (["--photo", "ball.exr", "--light", "studio", "--camera", "curves.csv"], "spectral library"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_line(run, folder, library, arguments, words):
+    code, _, err = run("complete", *arguments, "--library", library, "-o", "x.bsdf", cwd=folder)
+    assert code in (1, 2)
+    assert words in " ".join(err.split())
+    assert not (folder / "x.bsdf").exists()
+
+
+@pytest.mark.parametrize("name", ["light.png", "clipped.exr", "light.exr"])
+def test_a_light_of_display_values_and_clipped_lamps_are_said(folder, name):
+    values = environment("studio", 64)
+    clipped = np.minimum(values, 1.0)
+    Image.fromarray(np.round(255 * encode_srgb(clipped)).astype(np.uint8)).save(folder / "light.png")
+    write_image(folder / "clipped.exr", clipped)
+    (ball,) = photographs.see(
+        photographs.PhotoRequest([folder / "ball.exr"], [str(folder / name)], ["64,64,49.2"])
+    )
+    count = np.count_nonzero((clipped == 1.0).any(axis=2))
+    assert count > 100
+    told = {note.split("; ")[0] for note in ball.notes}
+    is_clipped = name != "light.exr"
+    assert (f"{name}: its {count} brightest pixels have one value" in told) == is_clipped
+    assert (f"{name}: taken as sRGB" in told) == (name == "light.png")
+
+
+def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_is_shown(
+    folder, library, tmp_path, monkeypatch
+):
+    shown = []
+
+    def record(names, seen, predicted, errors):
+        shown.append((seen[0], predicted[0]))
+        return figure(names, seen, predicted, errors)
+
+    figure = photographs.photo_figure.residual_figure
+    monkeypatch.setattr(photographs.photo_figure, "residual_figure", record)
+    dark = 0.1 * read_picture(folder / "ball.exr").values
+    write_image(tmp_path / "dark.exr", dark)
+    request = photographs.PhotoRequest([tmp_path / "dark.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
+    for exposure in (None, 0.1):
+        found = photographs.complete_photographs(
+            replace(request, exposure=exposure), library, tmp_path / "x.bsdf", picture=tmp_path / "x.png"
+        )
+        seen, predicted = shown.pop()
+        inside = np.hypot(*np.meshgrid(*[np.linspace(-1.05, 1.05, len(seen))] * 2)) < 0.9
+        expected = dark / (exposure or 1.0)
+        assert np.nanmax(seen) == pytest.approx(expected.max(), rel=1e-3)  # of half floats
+        assert predicted[inside].mean() == pytest.approx(
+            seen[inside].mean(), rel=0.1
+        )  # noise, and the residual
+        assert any("exposure was estimated" in note for note in found.diagnostics) == (exposure is None)

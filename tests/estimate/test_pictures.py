@@ -1,0 +1,135 @@
+"""Photographs as files hold them, and the outline of the ball in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from manifold.colour.conversion import decode_srgb
+from manifold.errors import FileFormatError, UsageError
+from manifold.estimate.circle import Circle, find_circle
+from manifold.estimate.photo_files import read_photograph
+from manifold.render import images
+
+
+@pytest.fixture
+def picture(rng):
+    return rng.integers(10, 250, (24, 32, 3), dtype=np.uint8)
+
+
+def decoded(pixels):
+    return decode_srgb(pixels / 255.0)
+
+
+def test_png_is_decoded_as_srgb_with_a_note(tmp_path, picture):
+    Image.fromarray(picture).save(tmp_path / "a.png")
+    read = read_photograph(tmp_path / "a.png")
+    assert np.allclose(read.values, decoded(picture), atol=1e-6)
+    assert any("sRGB" in note for note in read.notes)
+
+
+def test_exr_and_tiff_are_linear(tmp_path, picture):
+    linear = (picture / 100.0).astype(np.float32)
+    images.write_image(tmp_path / "a.exr", linear)
+    tifffile.imwrite(tmp_path / "a.tif", linear)
+    tifffile.imwrite(tmp_path / "b.tif", (picture.astype(np.uint16) * 257))
+    assert np.allclose(read_photograph(tmp_path / "a.exr").values, linear, rtol=1e-3)
+    assert np.allclose(read_photograph(tmp_path / "a.tif").values, linear)
+    assert np.allclose(read_photograph(tmp_path / "b.tif").values, picture / 255.0, atol=1e-6)
+
+
+def test_turned_pictures_are_set_upright(tmp_path, picture):
+    exif = Image.Exif()
+    exif[0x0112] = 6  # to be turned clockwise by 90 degrees
+    Image.fromarray(picture).save(tmp_path / "a.png", exif=exif)
+    assert np.allclose(read_photograph(tmp_path / "a.png").values, decoded(np.rot90(picture, -1)), atol=1e-6)
+
+
+def test_palettes_and_grey_are_read_and_transparent_pixels_unseen(tmp_path, picture):
+    Image.fromarray(picture[..., 0]).save(tmp_path / "grey.png")
+    grey = read_photograph(tmp_path / "grey.png")
+    assert np.allclose(grey.values, decoded(picture[..., :1]), atol=1e-6)
+    assert any("the colour is not in it" in note for note in grey.notes)
+    few = Image.fromarray(picture).quantize(16)
+    few.save(tmp_path / "palette.png")
+    assert np.allclose(
+        read_photograph(tmp_path / "palette.png").values, decoded(np.asarray(few.convert("RGB"))), atol=1e-6
+    )
+    alpha = np.full((24, 32, 1), 255, np.uint8)
+    alpha[:5] = 100
+    Image.fromarray(np.concatenate([picture, alpha], axis=2)).save(tmp_path / "alpha.png")
+    unseen = np.isnan(read_photograph(tmp_path / "alpha.png").values).all(axis=2)
+    assert unseen[:5].all()
+    assert not unseen[5:].any()
+
+
+def test_clipped_and_infinite_pixels_are_known(tmp_path, picture):
+    picture[3:6, 3:6] = 255
+    Image.fromarray(picture).save(tmp_path / "a.png")
+    assert np.count_nonzero(read_photograph(tmp_path / "a.png").is_clipped) == 9
+    linear = (picture / 100.0).astype(np.float32)
+    linear[0, 0] = np.inf
+    linear[0, 1] = np.nan
+    tifffile.imwrite(tmp_path / "a.tif", linear)
+    read = read_photograph(tmp_path / "a.tif")
+    assert np.count_nonzero(np.isnan(read.values[..., 0])) == 2
+    assert np.count_nonzero(read.is_clipped) == 9
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(100), "not a readable picture"),
+        ("a.jpg", b"no picture", "not a readable picture"),
+        ("a.exr", bytes(1000), "not a readable picture"),
+        ("a.tif", b"II*\x00" + bytes(20), "not a readable picture"),
+        ("a.gif", b"GIF89a", "expected EXR"),
+    ],
+)
+def test_files_that_are_no_pictures_end_in_one_line(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FileFormatError, match=words) as caught:
+        read_photograph(tmp_path / name)
+    assert name in str(caught.value)
+
+
+def test_tiny_pictures_are_refused(tmp_path):
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "a.png")
+    with pytest.raises(FileFormatError, match="at least 16 pixels"):
+        read_photograph(tmp_path / "a.png")
+
+
+def drawn(shape, circle, rng, light=0.8):
+    """A shaded ball on a textured ground."""
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    u, v = (x - circle.x) / circle.radius, (circle.y - y) / circle.radius
+    r2 = u * u + v * v
+    shade = light * np.maximum(0.2, 0.4 * np.sqrt(np.maximum(1 - r2, 0)) - 0.4 * u + 0.5 * v)
+    ground = 0.3 + 0.05 * np.sin(x / 9.0) + 0.02 * rng.standard_normal(shape)
+    return np.repeat(np.where(r2 < 1.0, shade, ground)[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize(
+    ("shape", "circle"),
+    [((120, 160), Circle(70.0, 58.0, 40.0)), ((600, 500), Circle(260.5, 330.0, 180.0)), ((64, 64), Circle(32, 32, 27))],
+)  # fmt: skip
+def test_the_ball_is_found(rng, shape, circle):
+    found = find_circle(drawn(shape, circle, rng), "ball.png")
+    apart = np.hypot(found.x - circle.x, found.y - circle.y)
+    assert apart < 0.02 * circle.radius
+    assert found.radius == pytest.approx(circle.radius, rel=0.02)
+
+
+def test_a_picture_without_a_ball_is_refused(rng):
+    with pytest.raises(UsageError, match="no ball found"):
+        find_circle(0.5 + 0.05 * rng.standard_normal((100, 100, 3)), "noise.png")
+    with pytest.raises(UsageError, match="no ball found"):
+        find_circle(np.full((100, 100, 3), 0.5), "flat.png")
+
+
+@pytest.mark.parametrize("text", ["1,2", "a,b,c", "1,2,nan", "1,2,-3"])
+def test_circles_that_are_none_are_refused(text):
+    with pytest.raises(UsageError, match="expected X,Y,R"):
+        Circle.parse(text)

@@ -1,0 +1,255 @@
+"""A material is named by its file, by its name in a library, or by a place on a map, in every command."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.small_library import NAMES, small_model
+
+from manifold.analytic.base import Lambert
+from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.brdf import physical
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import mirror_difference
+from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.errors import MissingFileError, UnknownNameError
+from manifold.estimate import completions, predictions, reconstructions
+from manifold.estimate.gloss import gloss_units
+from manifold.estimate.sources import (
+    FileSource,
+    LibrarySource,
+    PlaceSource,
+    parse_source,
+    read_source,
+    source_file,
+)
+from manifold.formats import registry
+from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
+from manifold.model import diagnostics
+from manifold.model.comparison import brdf_errors
+from manifold.model.manifold import Manifold
+from manifold.model.output_file import OutputOptions
+from manifold.pictures.renders import ball_material
+from manifold.plots import map_figure
+
+NAME, OTHER = NAMES[:2]
+FILE = f"files/{NAME}_rgb.bsdf"
+MATERIALS = (FILE, NAME, "-0.1,0.2", f"{NAME}:{OTHER}:0.5")
+SMALL = ("--size", "16", "--samples", "1")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """`files/`, `library.zarr` and `model.h5`."""
+    return small_model(tmp_path_factory.mktemp("sources")).parent
+
+
+def test_a_text_is_a_file_then_a_name_then_a_place(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    model = folder / "model.h5"
+    (folder / OTHER).mkdir(exist_ok=True)  # a folder of that name hides no material
+    kinds = [type(parse_source(text, model)) for text in (*MATERIALS, OTHER, "files")]
+    assert kinds == [FileSource, LibrarySource, PlaceSource, PlaceSource, LibrarySource, FileSource]
+    (folder / NAME).write_bytes(b"a file")
+    assert parse_source(NAME, model) == FileSource(parse_source(FILE, model).path.parent.parent / NAME)
+    (folder / NAME).unlink()
+
+
+def test_what_a_text_cannot_mean_is_said_in_one_line(folder):
+    model = folder / "model.h5"
+    with pytest.raises(
+        UnknownNameError, match=r"no file, no material of library\.zarr \(did you mean syn_felt"
+    ):
+        parse_source("syn_felt_gren", model)
+    for text in ("none.bsdf", "folder/none"):
+        with pytest.raises(MissingFileError, match=f"{text}: no such file"):
+            parse_source(text, model)
+    with pytest.raises(UnknownNameError, match=r"felt: no file, .* look it up among: .*no such"):
+        parse_source("felt", folder / "none.h5")
+
+
+def test_a_material_of_a_library_is_its_file(folder):
+    library = folder / "library.zarr"
+    source = LibrarySource(library, NAME)
+    file, original = read_source(source), read_bsdf(folder / FILE)
+    assert (file.name, file.description) == (original.name, original.description)
+    assert (file.spectra == original.spectra).all()
+    with source_file(source) as path:
+        assert read_bsdf(path).name == NAME
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("text", MATERIALS)
+def test_files_names_and_places_are_drawn_located_converted_and_reconstructed(run, folder, text):
+    for command, made in {
+        ("slices", text, NAME): "slices.png",
+        ("locate", text, "-o", "located.bsdf"): "located.bsdf",
+        ("reconstruct", text, "--without", NAME): "reconstructed.bsdf",
+        ("predict", text): "predicted.bsdf",
+        ("info", text, "--json", "info.json"): "info.json",
+        ("convert", text, "-o", "converted.bsdf", "--resolution", "8", "--incidences", "4"): "converted.bsdf",
+    }.items():
+        status, _, err = run(*command, cwd=folder)
+        assert (status, err) == (0, ""), (command, err)
+        assert (folder / made).is_file()
+
+
+@pytest.mark.parametrize("text", MATERIALS)
+def test_files_names_and_places_are_rendered_compared_fitted_and_exported(run, folder, text):
+    """Every command takes two of the four, by turns."""
+    pytest.importorskip("mitsuba")
+    commands = {
+        ("render", text, *SMALL): "render.png",
+        ("compare", text, OTHER, *SMALL): "comparison.png",
+        ("fit", text, "-o", "one.fit.json"): "one.fit.json",
+        ("export", text, "-o", "one.glb", "--mapped"): "one.glb",
+        ("walk", OTHER, text, "--steps", "3"): "walk.png",
+        ("map", "--mark", text): "map.png",
+    }
+    for command, made in list(commands.items())[MATERIALS.index(text) % 2 :: 2]:
+        status, _, err = run(*command, cwd=folder)
+        assert (status, err) == (0, ""), (command, err)
+        assert (folder / made).is_file()
+
+
+def test_a_file_is_predicted_where_it_is_located(run, folder):
+    assert run("locate", FILE, "--json", "located.json", cwd=folder)[0] == 0
+    assert run("predict", FILE, "--json", "predicted.json", cwd=folder)[0] == 0
+    located, predicted = (
+        json.loads((folder / f"{name}.json").read_text()) for name in ("located", "predicted")
+    )
+    assert predicted["latent"] == located["latent"]
+
+
+def test_readings_lead_to_what_makes_a_material_of_them(run, folder, rng):
+    paper = Lambert(np.full(MA_T12_BANDS.count, 0.5), MA_T12_BANDS)
+    write_ma_t12(folder / "sample.xlsx", paper, "sample", rng)
+    for command in (
+        ("import", "sample.xlsx"),
+        ("render", "sample.xlsx"),
+        ("convert", "sample.xlsx", "-o", "s.bsdf"),
+    ):
+        status, _, err = run(*command, cwd=folder)
+        assert status in (1, 2)
+        assert "`manifold complete`" in err, command
+
+
+def test_several_kinds_are_fitted_into_one_folder(run, folder):
+    pytest.importorskip("mitsuba")
+    status, _, err = run("fit", OTHER, "0.1,0.2", "-o", "fits", "--json", "fits.json", cwd=folder)
+    assert (status, err) == (0, "")
+    assert {path.name for path in (folder / "fits").glob("*.fit.json")} == {
+        f"{OTHER}.fit.json",
+        "0.1,0.2.fit.json",
+    }
+    sources = [made["source"] for made in json.loads((folder / "fits.json").read_text())["fits"]]
+    info = Library(folder / "library.zarr").attributes(OTHER)
+    assert (sources[0]["file"], sources[0]["sha256"]) == (info.source_file, info.sha256)
+    assert sources[1]["latent"] == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("render", NAME, "--latent", "0,0"), f"found {NAME} and --latent 0,0, expected one material"),
+        (("render",), "found nothing, expected one material"),
+        (("render", NAME, "--like", OTHER), "--like, --reflectance and --srgb go with predictions"),
+        (("compare", "0,0", "syn_felt_gren"), "did you mean"),
+        (("export", "0,0", "-o", "x.glb", "--against", FILE), "compared with itself"),
+        (("fit",), "found nothing to fit"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(run, folder, arguments, words):
+    status, out, err = run(*arguments, cwd=folder)
+    assert (status, out) == (2, "")
+    assert words in " ".join(err.split())
+
+
+@pytest.mark.parametrize("command", ["locate", "reconstruct"])
+def test_a_refused_output_loses_neither_place_nor_errors(run, folder, monkeypatch, command):
+    monkeypatch.setattr(diagnostics, "MOST_ALBEDO", 0.01)
+    strict = ("--strict", "-o", "bright.bsdf", "--json", "found.json")
+    status, out, err = run(command, FILE, *strict, cwd=folder)
+    assert (status, (folder / "bright.bsdf").exists()) == (1, False)
+    assert "bright.bsdf: would have an albedo of" in " ".join(err.split())
+    assert "reconstruction error" in out
+    assert "written to" not in out
+    found = json.loads((folder / "found.json").read_text())
+    assert found["output"] is None
+    assert found["refusal"] in " ".join(err.split())
+    assert found["ball"] >= 0.0
+    assert command == "reconstruct" or len(found["latent"]) == 2
+    status, out, err = run(command, FILE, "-o", "bright.bsdf", cwd=folder)
+    assert (status, err, (folder / "bright.bsdf").exists()) == (0, "", True)
+    assert re.search(r"albedo (\S+) at \d+ degrees; the measured file has \d", " ".join(out.split()))
+    (folder / "bright.bsdf").unlink()
+
+
+@pytest.mark.parametrize("command", [("predict", "0.1,0.2"), ("locate", FILE), ("reconstruct", FILE)])
+def test_a_projected_file_says_what_the_projection_changed(run, folder, command):
+    status, out, err = run(*command, "--physical", "-o", "physical.bsdf", cwd=folder)
+    assert (status, err) == (0, "")
+    assert "made physical: largest albedo" in " ".join(out.split())
+
+
+def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkeypatch):
+    monkeypatch.setattr(physical, "RECIPROCITY_ERROR", 0.001)  # so that the projection changes something
+    options, library = OutputOptions(physical=True), folder / "library.zarr"
+    path = folder / "projected.bsdf"
+    made = reconstructions.reconstruct(library, folder / FILE, path, without=[NAME], options=options)
+    measured = MeasuredBRDF(fill_unmeasured(read_bsdf(folder / FILE)))
+    assert made.errors == brdf_errors(measured, MeasuredBRDF(read_bsdf(path)))
+    assert made.errors != brdf_errors(measured, made.brdf)
+    readings = completions.readings_of_lab("50,20,10", {60.0: 40.0}, library)
+    completed = completions.complete_readings(readings, library, path, options=options)
+    written, found = MeasuredBRDF(read_bsdf(path)), completed.completion
+    np.testing.assert_array_equal(found.predicted, written.eval(found.readings.wi, found.readings.wo))
+    assert found.gloss == gloss_units(written, [60.0])
+    assert completed.residual == found.residual_of_readings
+
+
+def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run, folder):
+    status, out, err = run("convert", "0.1,0.2", "-o", "place.csv", cwd=folder)
+    assert (status, err) == (0, "")
+    read = registry.read_readings(folder / "place.csv", None)
+    predicted = Manifold.load(folder / "model.h5").predict(np.array([0.1, 0.2]))
+    expected = np.maximum(predicted.eval(read.wi, read.wo), 0.0)
+    high = read.wo[:, 2] > np.sin(np.deg2rad(2.1))  # below, tables have the value at two degrees
+    assert np.mean(high) > 0.9
+    np.testing.assert_allclose(read.values[high], expected[high], rtol=1e-4, atol=1e-7)  # digits of both
+    made = predictions.predict(folder / "model.h5", "0.1,0.2", folder / "place.bsdf")
+    file = MeasuredBRDF(read_bsdf(folder / "place.bsdf"))
+    assert np.abs(file.eval(read.wi, read.wo) / expected - 1.0).max() > 0.01
+    assert made.mirror_difference == pytest.approx(mirror_difference(predicted, file))
+    out = run("predict", "0.1,0.2", "-o", "place.bsdf", cwd=folder)[1]
+    words = f"at most {made.mirror_difference:.1%} from the prediction within 5 degrees of mirror directions"
+    assert words in " ".join(out.split())
+    for made_for_it in (source_file, ball_material):  # of other commands, and of renders
+        with made_for_it(PlaceSource(folder / "model.h5", "0.1,0.2")) as found:
+            path = found if made_for_it is source_file else Path(found[0].bsdf["filename"])
+            assert mirror_difference(predicted, MeasuredBRDF(read_bsdf(path))) < 0.5 * made.mirror_difference
+
+
+def test_files_that_were_not_measured_are_not_called_measured(run, folder):
+    pytest.importorskip("mitsuba")
+    for command, origin in {
+        ("predict", "0.1,0.2"): "predicted",
+        ("reconstruct", FILE): "reconstructed",
+        ("complete", "--lab", "50,20,10"): "completed",
+    }.items():
+        assert run(*command, "-o", f"{origin}.bsdf", cwd=folder)[0] == 0
+        file = f"{origin}.bsdf"
+        commands = (("info", file), ("render", file, *SMALL), ("slices", file))
+        shown = "".join(run(*words, cwd=folder)[1] for words in commands)
+        assert shown.count(origin) >= 3, shown
+        assert "measured file" not in shown
+    (folder / "predicted.bsdf").rename(folder / "between.bsdf")
+    assert run("import", FILE, f"files/{OTHER}_rgb.bsdf", "between.bsdf", "-L", "L", cwd=folder)[0] == 0
+    assert "1 of them predicted" in run("info", "L", cwd=folder)[1]
+    model = Manifold.fit(folder / "L", calibrate=False)
+    assert map_figure.material_labels(model)[0] == "between (predicted)"

@@ -1,0 +1,210 @@
+"""`manifold export`: sources, folders, resuming, losses, errors."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from helpers.exported_files import gltf_parameters, read_glb
+from helpers.small_library import NAMES, measured, small_library
+from matplotlib.image import imread
+from typer.testing import CliRunner
+
+from manifold import progress
+from manifold.cli.main import app
+from manifold.errors import ManifoldError, UsageError
+from manifold.fit import exporting
+from manifold.fit.exports import TARGETS
+from manifold.fit.principled import fit_bsdf
+from manifold.io_rgl import write_bsdf
+from manifold.model.manifold import Manifold
+from manifold.render import fit_json
+from manifold.render.bsdf_parameters import principled
+
+COPPER = "syn_metal_copper"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A file `copper_rgb.bsdf` and its fit."""
+    path = tmp_path_factory.mktemp("exports")
+    write_bsdf(path / "copper_rgb.bsdf", measured(COPPER))
+    result = fit_bsdf(measured(COPPER), principled(["base_color", "metallic", "roughness"]))
+    source = fit_json.Source("copper", file="copper_rgb.bsdf")
+    fit_json.write_document(path / "copper_rgb.fit.json", fit_json.document(result, source))
+    return path
+
+
+def run(*words):
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
+    result = run(
+        "export", folder / "copper_rgb.fit.json", "-o", tmp_path / "x.glb", "--mapped", "--json", "-"
+    )
+    assert result.exit_code == 0, result.output
+    (made,) = json.loads(result.stdout)["exports"]
+    assert made["against"] == "fit"
+    assert made["principled_ciede2000"] is None
+    assert made["ciede2000"] < 1.0  # a copper of principled is one of glTF
+    document, _ = read_glb(tmp_path / "x.glb")
+    values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
+    found = gltf_parameters(document["materials"][0])
+    assert found["baseColorFactor"] == pytest.approx(values["base_color"], abs=1e-4)  # ends are snapped
+    assert found["roughnessFactor"] == pytest.approx(values["roughness"], abs=1e-6)
+    assert document["materials"][0]["extras"]["ciede2000"] == made["ciede2000"]
+
+
+def test_a_file_that_is_not_named_is_called_after_the_material(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for target, name in ((), "copper.glb"), (("--target", "blender"), "copper.py"):
+        result = run("export", folder / "copper_rgb.fit.json", "--mapped", *target)
+        assert result.exit_code == 0, result.output
+        assert (tmp_path / name).is_file()
+
+
+def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_path):
+    subject = exporting.subject_of(folder / "copper_rgb.fit.json", folder / "copper_rgb.bsdf")
+    made = exporting.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx").content
+    assert made["against"] == "measured file"
+    assert made["principled_ciede2000"] > 0.0
+    assert abs(made["ciede2000"] - made["principled_ciede2000"]) < 1.0
+    assert made["method"] == "direct"
+    mapped = exporting.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx", is_mapped=True).content
+    assert mapped["method"] == "mapping"
+    assert made["ciede2000_in_fitted_light"] < mapped["ciede2000_in_fitted_light"]
+
+
+def test_an_export_that_differs_visibly_says_so(folder, tmp_path):
+    write_bsdf(tmp_path / "felt_rgb.bsdf", measured("syn_felt_green"))
+    found = [
+        exporting.export(
+            exporting.subject_of(folder / "copper_rgb.fit.json", against),
+            TARGETS["gltf"],
+            tmp_path / "x.glb",
+            is_mapped=True,
+        )
+        for against in (folder / "copper_rgb.bsdf", tmp_path / "felt_rgb.bsdf")
+    ]
+    said = [any("visibly different" in note for note in one.notes) for one in found]
+    assert [one.content["ciede2000"] > 2.3 for one in found] == said == [False, True]
+
+
+def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
+    words = ["-o", tmp_path / "x.json", "--target", "unreal", "--picture"]
+    result = run("export", folder / "copper_rgb.bsdf", *words)
+    assert result.exit_code == 0, result.output
+    assert "CIEDE2000 on the ball" in result.stdout
+    assert "of Mitsuba's principled" in result.stdout
+    assert "in the light of the fit" in " ".join(result.stdout.split())
+    assert imread(tmp_path / "x.png").shape[0] > 400
+    content = json.loads((tmp_path / "x.json").read_text())
+    assert content["source"]["file"] == "copper_rgb.bsdf"
+    assert content["parameters"]["Metallic"] > 0.5
+
+
+def test_a_prediction_is_exported(tmp_path):
+    library = small_library(tmp_path)
+    Manifold.fit(exporting.Library.open(library), calibrate=False).save(tmp_path / "model.h5")
+    words = ["export", "--latent", NAMES[0], "-M", tmp_path / "model.h5", "-o", tmp_path / "felt.usda"]
+    result = run(*words, "--json", tmp_path / "report.json")
+    assert result.exit_code == 0, result.output
+    (made,) = json.loads((tmp_path / "report.json").read_text())["exports"]
+    assert (made["material"], made["against"], made["target"]) == (NAMES[0], "prediction", "usd")
+    assert len(made["source"]["latent"]) == 2
+    assert made["ciede2000"] is not None
+
+
+def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
+    source = tmp_path / "source"
+    shutil.copytree(folder, source)
+    shutil.copy(source / "copper_rgb.fit.json", source / "other.fit.json")
+    (source / "broken.fit.json").write_text("{}")
+    done = []
+    with progress.listen(lambda *step: done.append(step)):
+        outcomes = exporting.export_all(source, TARGETS["gltf"], tmp_path / "out")
+    assert [(o.name, o.failure is None, o.was_there) for o in outcomes] == [
+        ("broken", False, False), ("copper", True, False), ("other", True, False),
+    ]  # fmt: skip
+    assert [step[:2] for step in done] == [(1, 3), (2, 3), (3, 3)]
+    assert outcomes[1].content["against"] == "measured file"  # the fit, beside the file of that name
+    assert outcomes[2].content["against"] == "fit"
+    (source / "broken.fit.json").unlink()
+    (tmp_path / "out" / "other.glb").write_bytes(b"changed")
+    before = (tmp_path / "out" / "copper.glb").stat().st_mtime_ns
+    again = exporting.export_all(source, TARGETS["gltf"], tmp_path / "out")
+    assert [(o.name, o.was_there) for o in again] == [("copper", True), ("other", False)]
+    assert (tmp_path / "out" / "copper.glb").stat().st_mtime_ns == before
+    assert read_glb(tmp_path / "out" / "other.glb")[0]["materials"][0]["name"] == "copper"
+
+
+def test_a_library_is_exported(tmp_path, monkeypatch, folder):
+    library = small_library(tmp_path)
+    content = fit_json.read(folder / "copper_rgb.fit.json")
+    monkeypatch.setattr(exporting, "fit_bsdf", lambda samples: None)
+    monkeypatch.setattr(exporting.fit_json, "document", lambda result, source: content)
+    result = run("export", library, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == sorted(
+        [*(f"{name}.glb" for name in NAMES), "exports.csv", "exports.json", "exports.jsonl"]
+    )
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert [made["material"] for made in report["exports"]] == sorted(NAMES)
+    assert max(made["ciede2000"] for made in report["exports"]) < 2.3  # though all began as copper
+    assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
+
+
+def test_a_name_that_is_no_file_s_on_every_system_fails_alone(folder, tmp_path):
+    source, out = tmp_path / "source", tmp_path / "out"
+    source.mkdir()
+    for name in ("copper", "CON", "new\nline", ".hidden"):
+        shutil.copy(folder / "copper_rgb.fit.json", source / f"{name}.fit.json")
+    result = run("export", source, "-o", out)
+    assert "'CON' cannot be the name of a material on every system" in str(result.exception)
+    assert "\n" not in str(result.exception)
+    assert [path.name for path in out.glob("*.glb")] == ["copper.glb"]
+
+
+def test_two_files_of_one_name_are_refused(folder, tmp_path):
+    for part in ("a", "b"):
+        (tmp_path / part).mkdir()
+        shutil.copy(folder / "copper_rgb.fit.json", tmp_path / part)
+    with pytest.raises(UsageError, match="have the same name"):
+        exporting.export_all(tmp_path, TARGETS["gltf"], tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "found nothing, expected one material"),
+        (["copper_rgb.fit.json", "--latent", "0,0"], "expected one material"),
+        (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
+        (["copper_rgb.fit.json", "-o", "x.json"], "several targets are JSON"),
+        (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with predictions"),
+        (["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"], "compared with itself"),
+        (["nowhere.fit.json", "-o", "x.glb"], "no such file"),
+        (["nowhere.bsdf", "-o", "x.glb"], "no such file"),
+        (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),
+        ([".", "-o", "x.glb"], "named like a file, expected a folder"),
+        ([".", "-o", "copper_rgb.bsdf"], "is a file, expected a folder"),
+    ],
+)
+def test_bad_requests_are_one_clear_error_each(folder, monkeypatch, words, expected):
+    monkeypatch.chdir(folder)
+    result = run("export", *words)
+    assert isinstance(result.exception, ManifoldError), result.output
+    assert expected in str(result.exception)
+    assert not (folder / "x.glb").exists()
+
+
+def test_an_empty_folder_is_one_clear_error(tmp_path):
+    with pytest.raises(UsageError, match="neither a library nor a folder"):
+        exporting.export_all(tmp_path, TARGETS["gltf"], tmp_path / "out")
+
+
+def test_a_folder_with_another_index_is_refused(folder, tmp_path):
+    (tmp_path / "exports.jsonl").write_text("[]")
+    with pytest.raises(ManifoldError, match="not an index of exports"):
+        exporting.export_all(folder, TARGETS["gltf"], tmp_path)

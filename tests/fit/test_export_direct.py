@@ -1,0 +1,147 @@
+"""Direct fits of targets' own models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from manifold.fit import fit_samples
+from manifold.fit.exports import TARGETS, Principled, blender, gltf, openpbr, standard_surface
+from manifold.fit.exports.direct import at_bounds, fit_target
+from manifold.fit.exports.targets import TargetBRDF
+from manifold.fit.fit_metrics import BallDifference
+
+TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)
+START = Principled((0.5, 0.5, 0.5), roughness=0.6, metallic=0.2)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "usd",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("gltf", "openpbr", "standard-surface", "blender", "unreal", "unity")
+        ),
+    ],
+)
+def test_a_material_of_the_target_is_found_again(name):
+    target = TARGETS[name]
+    truth = TargetBRDF(target, target.parameters(TRUTH))
+    found = fit_target(target, target.parameters(START), fit_samples.from_brdf(truth))
+    assert found.keys() == target.defaults.keys()
+
+    def difference(values):
+        return BallDifference.between(TargetBRDF(target, values), truth).unseen_light
+
+    before = difference(target.parameters(START))
+    after = difference(found)
+    assert before > 5.0
+    assert after < 0.5  # a fit of 40 evaluations, pulled a little towards its start
+
+
+def test_what_nothing_determines_stays_and_a_coat_that_is_not_there_is_none():
+    target = TARGETS["gltf"]
+    metal = Principled((0.9, 0.6, 0.3), metallic=1.0, roughness=0.3)
+    truth = TargetBRDF(target, target.parameters(metal))
+    found = fit_target(target, target.parameters(metal), fit_samples.from_brdf(truth))
+    assert found["clearcoatFactor"] == found["clearcoatRoughnessFactor"] == 0.0
+    assert found["sheenColorFactor"] == [0.0, 0.0, 0.0]
+    assert found["anisotropyStrength"] == found["iridescenceFactor"] == 0.0
+    assert found["metallicFactor"] == 1.0  # not 0.9999999
+    np.testing.assert_allclose(found["baseColorFactor"], metal.base_color, atol=0.02)
+
+
+def test_a_sheen_that_shows_at_the_rim_alone_is_not_made_up():
+    # Narrower than principled's, it is a coloured line that hardly any sample determines.
+    target = TARGETS["gltf"]
+    narrow = {"sheenColorFactor": [1.0, 0.0, 0.0], "sheenRoughnessFactor": 0.05}
+    truth = TargetBRDF(target, target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5)) | narrow)
+    start = target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5))
+    found = fit_target(target, start, fit_samples.from_brdf(truth))
+    assert found["sheenRoughnessFactor"] == 0.0 or found["sheenRoughnessFactor"] >= gltf.SHEEN_ROUGHNESS
+
+
+VINYL = {
+    "Base Color": [0.7, 0.02, 0.25],
+    "Metallic": 0.85,
+    "Roughness": 0.32,
+    "Specular Tint": [0.2, 0.6, 0.2],
+    "Coat Weight": 1.0,
+    "Coat Roughness": 0.4,
+}
+"""A material of Blender whose edges have a colour that glTF's metals lack."""
+
+
+def test_a_sheen_is_grey_where_its_colour_makes_up_for_something_else():
+    target = TARGETS["gltf"]
+    truth = TargetBRDF(TARGETS["blender"], blender.DEFAULTS | VINYL)
+    start = target.parameters(Principled((0.7, 0.05, 0.3), metallic=1.0, roughness=0.35))
+    found = fit_target(target, start, fit_samples.from_brdf(truth))
+    assert len(set(found["sheenColorFactor"])) == 1
+
+
+def test_a_sheen_has_a_colour_where_all_samples_show_it():
+    target = TARGETS["gltf"]
+    start = target.parameters(Principled((0.1, 0.1, 0.15), roughness=0.6))
+    red = {"sheenColorFactor": [0.9, 0.2, 0.1], "sheenRoughnessFactor": 0.6}
+    found = fit_target(target, start, fit_samples.from_brdf(TargetBRDF(target, start | red)))
+    np.testing.assert_allclose(found["sheenColorFactor"], red["sheenColorFactor"], atol=0.05)
+
+
+def test_highlights_of_a_dielectric_have_a_colour():
+    for name, colour in (("gltf", "specularColorFactor"), ("blender", "Specular Tint")):
+        target = TARGETS[name]
+        start = target.parameters(Principled((0.3, 0.3, 0.3), roughness=0.4, specular=0.9))
+        violet = {colour: [0.8, 0.3, 1.0]}
+        found = fit_target(target, start, fit_samples.from_brdf(TargetBRDF(target, start | violet)))
+        np.testing.assert_allclose(found[colour], violet[colour], atol=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "film"),
+    [
+        ("gltf", dict(zip(gltf.FILM, (0.8, 420.0, 1.5), strict=True))),
+        ("openpbr", dict(zip(openpbr.FILM, (1.0, 0.42, 1.5), strict=True))),
+        ("standard-surface", dict(zip(standard_surface.FILM, (420.0, 1.5), strict=True))),
+        ("blender", dict(zip(blender.FILM, (420.0, 1.5), strict=True))),
+    ],
+)
+def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):
+    target = TARGETS[name]
+    metal = target.parameters(Principled((0.7, 0.6, 0.5), metallic=1.0, roughness=0.4))
+    truth = TargetBRDF(target, metal | film)
+    start = target.parameters(Principled((0.6, 0.6, 0.6), metallic=0.8, roughness=0.5))
+    found = fit_target(target, start, fit_samples.from_brdf(truth))
+
+    def difference(values):
+        return BallDifference.between(TargetBRDF(target, values), truth).unseen_light
+
+    bare = fit_target(replace(target, film=()), start, fit_samples.from_brdf(truth))
+    assert difference(bare) > 2.3  # a just noticeable difference
+    assert difference(found) < 1.0
+
+
+def test_highlights_of_usd_keep_their_hue_on_which_renderers_agree():
+    """Lilac highlights over purple cloth: with a green `1 - F` the diffuse part would be right in OpenUSD alone."""
+    satin = Principled((0.25, 0.02, 0.3), roughness=0.45, specular=0.5)
+    truth = TargetBRDF(
+        TARGETS["blender"], TARGETS["blender"].parameters(satin) | {"Specular Tint": [0.2, 1.0, 0.2]}
+    )
+    target = TARGETS["usd"]
+    found = fit_target(target, target.parameters(satin), fit_samples.from_brdf(truth))
+    assert np.ptp(found["specularColor"]) < 1e-3
+
+
+def test_parameters_at_an_end_of_their_range_are_named():
+    target = TARGETS["gltf"]
+    plain = target.parameters(Principled((0.3, 0.2, 0.1), roughness=0.4, metallic=1.0))
+    assert at_bounds(target, plain) == ()  # all metal is no bound
+    assert at_bounds(target, plain | {"roughnessFactor": 0.02, "ior": 2.0}) == (
+        "roughnessFactor 0.02",
+        "ior 2",
+    )
+    assert at_bounds(target, plain | {"baseColorFactor": [1.0, 0.2, 0.1]}) == ("baseColorFactor 1",)

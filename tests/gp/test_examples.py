@@ -1,0 +1,23 @@
+"""Examples in docstrings give what they say."""
+
+from __future__ import annotations
+
+import doctest
+from importlib import import_module
+
+import pytest
+
+MODULES = (
+    "manifold.dls", "manifold.gplvm", "manifold.estimators", "manifold.mapping", "manifold.metrics",
+    "manifold.analytic.base", "manifold.brdf.goniometer", "manifold.colour.conversion",
+    "manifold.colour.difference", "manifold.colour.metals", "manifold.formats.geometry_names",
+    "manifold.formats.readings", "manifold.formats.values", "manifold.gpr", "manifold.kernels",
+    "manifold.nonnegative", "manifold.render.images",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_give_what_they_say(name):
+    result = doctest.testmod(import_module(name))
+    assert result.attempted > 0
+    assert result.failed == 0

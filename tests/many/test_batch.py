@@ -1,0 +1,186 @@
+"""Many files of one command: what is kept, what fails alone, and which files are of one sample."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from helpers.small_library import small_model
+
+from manifold.analytic.base import Lambert
+from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.batch import Batch, Task, _Made
+from manifold.errors import ManifoldError, UsageError
+from manifold.estimate.completions import calibrate_instrument
+from manifold.estimate.inputs import Input, find_inputs
+from manifold.estimate.samples import find_samples
+from manifold.estimate.sources import FileSource, PlaceSource
+from manifold.model.colours import ColourChoice
+from manifold.work import Finished
+
+COLUMNS = {"letters": lambda content: content["letters"]}
+
+
+def run(folder, names, make):
+    batch = Batch(folder, "words", COLUMNS)
+    todo = [Task(name, folder / f"{name}.txt", name) for name in names]
+    return batch.run(todo, make, lambda name: {"name": name})
+
+
+def written(name, path):
+    path.write_text(name)
+    return {"letters": len(name)}
+
+
+@pytest.mark.parametrize("moment", range(5))
+def test_what_was_made_before_an_interruption_is_not_made_again(tmp_path, moment):
+    names, made = [f"word{k}" for k in range(5)], []
+
+    def make(name, path):
+        if len(made) == moment:
+            raise KeyboardInterrupt
+        made.append(name)
+        return written(name, path)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, names, make)
+    again = []
+    outcomes = run(tmp_path, names, lambda name, path: again.append(name) or written(name, path))
+    assert made + again == names
+    assert [o.was_there for o in outcomes] == [name in made for name in names]
+
+
+def test_a_file_that_a_worker_wrote_elsewhere_is_one_failure(tmp_path):
+    class Elsewhere:
+        def run(self, function, tasks, begin=None):
+            yield Finished(0, _Made({"letters": 4}, "0" * 64))
+
+    batch = Batch(tmp_path, "words", COLUMNS)
+    todo = [Task("word", tmp_path / "word.txt", "word")]
+    (outcome,) = batch.run(todo, written, lambda name: {}, workers=Elsewhere())
+    assert "word.txt: not seen here after a worker wrote it; use a folder that all" in outcome.failure
+
+
+def test_a_failure_stops_nothing_and_stands_in_the_tables(tmp_path):
+    def make(name, path):
+        if name == "bad":
+            raise ManifoldError("bad: not a word")
+        return written(name, path) | ({"refusal": "too bright"} if name == "refused" else {})
+
+    outcomes = run(tmp_path, ["a", "bad", "refused", "b"], make)
+    assert [o.failure for o in outcomes] == [None, "bad: not a word", "too bright", None]
+    with (tmp_path / "words.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["letters"] for row in rows] == ["1", "", "7", "1"]
+    assert [row["failed"] for row in rows] == ["", "bad: not a word", "too bright", ""]
+    assert len(json.loads((tmp_path / "words.json").read_text())["failed"]) == 2
+    outcomes = run(tmp_path, ["a", "refused"], written)
+    assert [o.was_there for o in outcomes] == [True, False]
+
+
+def test_no_file_takes_the_place_of_the_table(tmp_path):
+    batch = Batch(tmp_path, "words", COLUMNS)
+    todo = [Task(name, tmp_path / f"{name}.csv", name) for name in ("words", "Words", "word")]
+    outcomes = batch.run(todo, written, lambda name: {"name": name})
+    assert [o.failure for o in outcomes] == [
+        "has the name of the table of all; rename it",
+        "has the name of the table of all; rename it",
+        None,
+    ]
+    with (tmp_path / "words.csv").open(newline="") as file:
+        assert [row["name"] for row in csv.DictReader(file)] == ["words", "Words", "word"]
+
+
+def test_a_folder_is_one_runs_at_a_time(tmp_path):
+    def make(name, path):
+        with pytest.raises(UsageError, match="another run writes to it; wait until it is done"):
+            run(tmp_path, ["b"], written)
+        with pytest.raises(UsageError, match="another run writes to it"):  # whatever it writes
+            Batch(tmp_path, "letters").run([], written, lambda name: {})
+        return written(name, path)
+
+    (outcome,) = run(tmp_path, ["a"], make)
+    assert outcome.failure is None
+    assert [o.was_there for o in run(tmp_path, ["a", "b"], written)] == [True, False]
+
+
+def test_a_file_that_another_program_replaces_at_once_is_made_again(tmp_path):
+    """The index holds the hash of what a run wrote, not of what is there when it notes it."""
+
+    class Slow:
+        def run(self, function, tasks, begin=None):
+            for k, task in enumerate(tasks):
+                made = function(task)
+                task.path.write_text("of another program")
+                yield Finished(k, made)
+
+    todo = [Task("word", tmp_path / "word.txt", "word")]
+    Batch(tmp_path, "words", COLUMNS).run(todo, written, lambda name: {"name": name}, workers=Slow())
+    (outcome,) = run(tmp_path, ["word"], written)
+    assert not outcome.was_there
+    assert (tmp_path / "word.txt").read_text() == "word"
+
+
+def workbook(path, name, rng):
+    write_ma_t12(path, Lambert(np.full(MA_T12_BANDS.count, 0.5), MA_T12_BANDS), name, rng)
+
+
+def test_files_of_different_samples_are_not_merged(tmp_path, rng):
+    for name in ("red", "blue"):
+        workbook(tmp_path / f"{name}.xlsx", name, rng)
+    samples = find_samples([tmp_path / "*.xlsx"])
+    assert [(s.name, len(s.parts), s.note) for s in samples] == [("blue", 1, None), ("red", 1, None)]
+
+
+def test_two_files_of_one_name_and_instrument_stay_apart_and_say_so(tmp_path, rng):
+    for file in ("first", "second"):
+        workbook(tmp_path / f"{file}.xlsx", "red", rng)
+    samples = find_samples([tmp_path])
+    assert [s.name for s in samples] == ["first", "second"]
+    assert all("by one instrument" in s.note for s in samples)
+
+
+def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_path(tmp_path):
+    model, spectrum = small_model(tmp_path), tmp_path / "green.txt"
+
+    def made_of(values) -> dict:
+        spectrum.write_text(
+            "".join(f"{nm} {value}\n" for nm, value in zip((400, 500, 700), values, strict=True))
+        )
+        return Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
+
+    assert made_of((0.1, 0.2, 0.3)) == made_of((0.1, 0.2, 0.3)) != made_of((0.1, 0.2, 0.4))
+    spectrum.rename(tmp_path / "moved.txt")
+    with pytest.raises(UsageError, match="expected a file of a reflectance"):
+        Input("x", PlaceSource(model, "0,0", colour=ColourChoice(reflectance=spectrum))).made_of()
+
+
+def test_every_file_of_a_folder_is_a_material(tmp_path, rng):
+    for name in ("red", "blue"):
+        workbook(tmp_path / f"{name}.xlsx", name, rng)
+    found = find_inputs([FileSource(tmp_path)], lambda path: path.suffix == ".xlsx", samples=True)
+    assert [one.name for one in found] == ["blue", "red"]
+
+
+def test_two_folders_calibrate_by_the_names_of_their_samples(tmp_path, rng):
+    pairs = []
+    for name, shade in (("red", 0.2), ("blue", 0.4), ("white", 0.8)):
+        for folder, bands in (("reference", "400,450,500,550,600,650,700"), ("other", "465,525,630")):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            pairs.append(tmp_path / folder / f"{name}.csv")
+            count = bands.count(",") + 1
+            angles = [(i, o, p) for i in (10, 30, 50) for o in (5, 25, 45, 65) for p in (0, 90, 180)]
+            values = (
+                shade * np.linspace(0.5, 1.0, count) * rng.uniform(0.9, 1.0, (len(angles), count)) / np.pi
+            )
+            rows = [
+                f"{name},{i},0,{o},{p}," + ",".join(map(str, row))
+                for (i, o, p), row in zip(angles, values, strict=True)
+            ]
+            pairs[-1].write_text(f"name,theta_i,phi_i,theta_o,phi_o,{bands}\n" + "\n".join(rows) + "\n")
+    by_folders, n = calibrate_instrument([tmp_path / "reference", tmp_path / "other"], tmp_path / "a.json")
+    by_pairs, _ = calibrate_instrument(pairs, tmp_path / "b.json")
+    assert (n, by_folders.form) == (3, by_pairs.form)
+    assert by_folders.uncorrected == pytest.approx(by_pairs.uncorrected)

@@ -1,0 +1,167 @@
+"""Whole workflows by the workers of a Dask scheduler: what they write is what this process would have written."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from helpers.sample_files import write_samples
+from helpers.small_library import small_library
+
+from manifold import metrics
+from manifold.analytic.base import Lambert
+from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.cluster import Cluster
+from manifold.convert.targets import Options
+from manifold.errors import ManifoldError
+from manifold.estimate.inputs import find_inputs
+from manifold.estimate.samples import find_samples
+from manifold.estimate.sources import FileSource
+from manifold.evaluate import pipeline
+from manifold.evaluate.chart import make_chart
+from manifold.evaluate.stability.catalogue import MODES
+from manifold.evaluate.stability.trials import run_modes, select_modes
+from manifold.library import importing
+from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.many import tasks
+from manifold.model.manifold import Settings
+from manifold.model.output_file import OutputOptions
+from manifold.work import HERE
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def workers():
+    """Two workers in threads of this process."""
+    with distributed.LocalCluster(n_workers=2, processes=False, dashboard_address=":0") as made:
+        yield Cluster(made.scheduler_address)
+
+
+def contents(folder, pattern="*"):
+    """All files below a folder, by path."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob(pattern) if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("tolerance", [None, 0.2])
+def test_an_import_makes_the_same_library(tmp_path, workers, tolerance):
+    library = small_library(tmp_path)
+    found = {}
+    for name, someone in (("here", HERE), ("there", workers)):
+        made = import_files(tmp_path / name, tmp_path / "files", tolerance=tolerance, workers=someone)
+        assert len(made.imported) == len(Library(library).names)
+        found[name] = contents(tmp_path / name)
+    assert found["here"] == found["there"]
+
+
+def test_a_bad_file_is_left_out_and_the_rest_imported(tmp_path, workers):
+    write_samples(tmp_path / "files", 3)
+    (tmp_path / "files" / "broken.bsdf").write_bytes(b"no tensor file")
+    made = import_files(tmp_path / "library.zarr", tmp_path / "files", workers=workers)
+    assert (made.imported, len(made.failed)) == (("m00", "m01", "m02"), 1)
+
+
+def test_a_material_that_is_stored_again_is_the_same(tmp_path, monkeypatch):
+    write_samples(tmp_path / "files", 2)
+    store = importing._stored
+
+    def twice(*arguments):  # as where a worker was lost before it said that it was done
+        for _ in range(2):
+            assert store(*arguments[:2], tmp_path / "staged", arguments[3]) is None
+            shutil.rmtree(tmp_path / "staged")
+
+    import_files(tmp_path / "once", tmp_path / "files", workers=HERE)
+    monkeypatch.setattr(importing, "_stored", twice)
+    made = import_files(tmp_path / "twice", tmp_path / "files", workers=HERE)
+    assert made.imported == ("m00", "m01")
+    assert contents(tmp_path / "twice") == contents(tmp_path / "once")
+
+
+def test_an_embedding_is_the_same(tmp_path, workers):
+    library, models = small_library(tmp_path), {}
+    for name, someone in (("here", HERE), ("there", workers)):
+        model, _ = pipeline.embed(library, tmp_path / f"{name}.h5", Settings(), workers=someone)
+        models[name] = model
+    here, there = models.values()
+    np.testing.assert_array_equal(here.X, there.X)
+    assert here.left_out.arrays.keys() == there.left_out.arrays.keys()
+    for name, values in here.left_out.arrays.items():
+        np.testing.assert_array_equal(values, there.left_out.arrays[name], err_msg=name)
+
+
+def test_an_embedding_that_fails_there_says_why(tmp_path, workers):
+    library = small_library(tmp_path)
+    with pytest.raises(ManifoldError, match="no material 'missing'"):
+        pipeline.embed(library, tmp_path / "m.h5", Settings(), without=["missing"], workers=workers)
+
+
+def numbers_of(made):
+    """All of a report but times."""
+    content = made.to_json()
+    del content["seconds"]
+    for method in content["methods"]:
+        for name in ("fit_seconds", "encode_seconds", "predict_seconds"):
+            del method[name]
+    return content
+
+
+@pytest.mark.slow
+def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
+    monkeypatch.setitem(metrics.NAMED_GRIDS, "default", metrics.RusinkiewiczGrid(20, 11, 6))
+    sent, run = [], Cluster.run
+    monkeypatch.setattr(Cluster, "run", lambda self, f, tasks: (sent.extend(tasks), run(self, f, tasks))[1])
+    pipeline.embed(small_library(tmp_path), tmp_path / "model.h5", Settings(kind="material"))
+    here, there = (pipeline.report(tmp_path / "model.h5", workers=who) for who in (HERE, workers))
+    assert {task.method for task in sent} >= {"published", "gp_refitted"}
+    assert numbers_of(there) == numbers_of(here)
+
+
+def test_a_chart_has_the_same_errors(tmp_path, workers):
+    library = Library(small_library(tmp_path))
+    files, keys = [library.read(name) for name in library.names], ["nearest", "linear", "pca_2_cube-root"]
+    grid = metrics.RusinkiewiczGrid(20, 11, 6)
+    here, there = (
+        make_chart(files, keys, grid=grid, library=library, workers=who) for who in (HERE, workers)
+    )
+    for a, b in zip(here.rows, there.rows, strict=True):
+        for name in ("key", "delta_e", "cube_root_error", "rmse", "p90", "bytes"):
+            assert getattr(a, name) == getattr(b, name)
+    assert there.reference_seconds > 0.0
+
+
+def test_failure_modes_have_the_same_results(workers):
+    modes = select_modes(MODES, ["ill_conditioned_kernel"])
+    here = run_modes(modes)
+    assert len(here.rows) == 1
+    assert run_modes(modes, workers=workers) == here
+
+
+@pytest.mark.slow
+def test_completions_and_conversions_are_the_same(tmp_path, workers, rng):
+    library = small_library(tmp_path)
+    samples = tmp_path / "samples"
+    samples.mkdir()
+    for k in range(3):
+        grey = Lambert(np.full(MA_T12_BANDS.count, 0.1 + 0.2 * k), MA_T12_BANDS)
+        write_ma_t12(samples / f"s{k}.xlsx", grey, f"s{k}", rng)
+    files = find_inputs([FileSource(tmp_path / "files")])[:2]
+    found = {}
+    for name, someone in (("here", HERE), ("there", workers)):
+        out = tmp_path / name
+        outcomes = [
+            *tasks.complete_all(
+                find_samples([samples]), library, tasks.completions_in(out / "a"),
+                options=OutputOptions(resolution=8), workers=someone,
+            ),
+            *tasks.convert_all(
+                files, "rgl", tasks.conversions_in(out / "b"), options=Options(), workers=someone
+            ),
+        ]  # fmt: skip
+        assert [o.failure for o in outcomes] == [None] * 5
+        found[name] = contents(out, "*.bsdf") | contents(out, "*.png")
+    assert len(found["here"]) == 2 * 5 + 2
+    assert found["here"] == found["there"]

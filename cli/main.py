@@ -53,7 +53,7 @@ def _options(
 
 for _commands in (
     "library", "model", "report", "picture", "explore", "fit", "export", "render", "budget", "chart", "stability",
-    "completion", "instrument",
+    "completion", "instrument", "surface",
 ):  # fmt: skip  # in the order of the help
     import_module(f".{_commands}_commands", __package__)
 

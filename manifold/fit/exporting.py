@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.fit import fit_samples, pictures
 from manifold.fit.exports.direct import at_bounds, fit_target
-from manifold.fit.exports.document import Export
+from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import Target, TargetBRDF
 from manifold.fit.fit_metrics import NOTICEABLE, BallDifference
@@ -134,8 +134,9 @@ def subject_in_library(library: Library, name: str) -> Subject:
 
 
 def export(
-    subject: Subject, target: Target, path: Path, *, is_mapped: bool = False, picture: Path | None = None
-) -> Outcome[Subject]:
+    subject: Subject, target: Target, path: Path, *, is_mapped: bool = False, picture: Path | None = None,
+    textures: Callable[[Sequence[float]], TextureFiles] | None = None,
+) -> Outcome[Subject]:  # fmt: skip
     """Write a material for a target.
 
     Args:
@@ -145,6 +146,7 @@ def export(
         is_mapped: compute the target's parameters from those of `principled`, instead of fitting its own model to the
             material from there on.
         picture: of the material beside the target's model, drawn there; none if None.
+        textures: writes textures for the base colour that was found, linear sRGB; None for one material everywhere.
     Raises:
         UsageError: the fit has no counterpart in engines, or a file cannot be written.
     """
@@ -169,6 +171,9 @@ def export(
         ball=BallDifference.between(model, material),
         principled_ball=None if subject.material is None else BallDifference.between(fitted, material),
         against=subject.against,
+        textures=None
+        if textures is None
+        else textures(next(parameters[key] for key in BASE_COLOURS if key in parameters)),
     )
     disk.write_bytes(path, target.content(made, principled))
     if picture is not None:

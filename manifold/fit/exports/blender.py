@@ -76,6 +76,26 @@ for key, value in VALUES.items():
         material.node_tree.links.remove(link)
     shader.inputs[key].default_value = (*value, 1.0) if isinstance(value, list) else value
 '''
+_TEXTURED = """
+from pathlib import Path
+
+FOLDER = Path(__file__).parent if "__file__" in globals() else Path(bpy.path.abspath("//"))  # of the pictures
+
+
+def picture(name, space):
+    node = next((n for n in nodes if n.type == "TEX_IMAGE" and n.label == name), None)
+    node = node or nodes.new("ShaderNodeTexImage")
+    node.label, node.image = name, bpy.data.images.load(str(FOLDER / name), check_existing=True)
+    node.image.colorspace_settings.name = space
+    return node
+
+
+bump = next((n for n in nodes if n.type == "NORMAL_MAP"), None) or nodes.new("ShaderNodeNormalMap")
+links = material.node_tree.links
+links.new(picture({base_colour}, "sRGB").outputs["Color"], shader.inputs["Base Color"])
+links.new(picture({normal}, "Non-Color").outputs["Color"], bump.inputs["Color"])
+links.new(bump.outputs["Normal"], shader.inputs["Normal"])
+"""
 _NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would not find its material again
 
 
@@ -101,7 +121,10 @@ def script(export: Export) -> str:
     values = "{\n" + "".join(f"    {k!r}: {v!r},\n" for k, v in export.parameters.items()) + "}"
     sentence = export.sentence().replace("\\", "/").replace('"', "'")
     name = export.label.encode()[:_NAME_BYTES].decode(errors="ignore")
-    return _SCRIPT.format(sentence=sentence, name=repr(name), values=values)
+    made = _SCRIPT.format(sentence=sentence, name=repr(name), values=values)
+    if export.textures is not None:
+        made += _TEXTURED.format(**{key: repr(path.name) for key, path in vars(export.textures).items()})
+    return made
 
 
 def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:

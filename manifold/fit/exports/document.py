@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from manifold import __version__
@@ -36,6 +37,23 @@ def defaults(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {name: parameter.default for name, parameter in parameters.items()}
 
 
+BASE_COLOURS = ("base_color", "baseColorFactor", "diffuseColor", "Base Color", "BaseColor", "_BaseColor")
+"""What targets call the colour that a texture replaces."""
+
+
+@dataclass(frozen=True)
+class TextureFiles:
+    """Pictures beside a material's document, which continue across their edges.
+
+    Attributes:
+        base_colour: PNG in sRGB; stands in place of the base colour.
+        normal: PNG of normals in tangent space, y up, as OpenGL and glTF have them.
+    """
+
+    base_colour: Path
+    normal: Path
+
+
 @dataclass(frozen=True)
 class Export:
     """A material as parameters of a target.
@@ -49,6 +67,7 @@ class Export:
         ball: difference of the target's own model from what `against` names.
         principled_ball: that of Mitsuba's `principled`; None where that is what `against` names.
         against: `measured file`, `prediction` or `fit`.
+        textures: in place of the base colour and the flat normal; None for one material everywhere.
     """
 
     name: str
@@ -59,6 +78,7 @@ class Export:
     ball: BallDifference
     principled_ball: BallDifference | None
     against: str
+    textures: TextureFiles | None = None
 
     @property
     def label(self) -> str:
@@ -79,6 +99,11 @@ class Export:
             if self.principled_ball is None
             else self.principled_ball.unseen_light,
             "against": self.against,
+            **(
+                {}
+                if self.textures is None
+                else {"textures": {k: path.name for k, path in vars(self.textures).items()}}
+            ),
         }
 
     def sentence(self) -> str:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,7 @@ class Mesh:
         name: of the mesh.
         positions, normals: float32, shape (V, 3).
         tangents: along which anisotropic materials are rougher, with the sign of the bitangent, float32 (V, 4).
+        places: of vertices on a texture, from its upper left corner, float32 (V, 2).
         triangles: indices, counterclockwise from outside, uint16 (F, 3).
     """
 
@@ -35,6 +38,7 @@ class Mesh:
     positions: Array
     normals: Array
     tangents: Array
+    places: Array
     triangles: Array
 
 
@@ -52,7 +56,8 @@ def ball() -> Mesh:
     b, c, d = a + _COLUMNS + 1, a + _COLUMNS + 2, a + 1
     upper = np.stack([a, b, d], axis=1)[row > 0]  # at the poles one triangle has no area
     lower = np.stack([d, b, c], axis=1)[row < _ROWS - 1]
-    return _mesh("ball", normals, normals, tangents, np.concatenate([upper, lower]))
+    places = np.stack([phi / np.pi * one, theta / np.pi + 0.0 * phi], axis=-1).reshape(-1, 2)  # twice around
+    return _mesh("ball", normals, normals, tangents, places, np.concatenate([upper, lower]))
 
 
 def plane() -> Mesh:
@@ -60,18 +65,26 @@ def plane() -> Mesh:
     positions = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]])
     normals = np.tile([0.0, 1.0, 0.0], (4, 1))
     tangents = np.tile([1.0, 0.0, 0.0, 1.0], (4, 1))
-    return _mesh("plane", positions, normals, tangents, np.array([[0, 1, 2], [0, 2, 3]]))
+    places = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    return _mesh("plane", positions, normals, tangents, places, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def _mesh(name: str, positions: Array, normals: Array, tangents: Array, triangles: Array) -> Mesh:
+def _mesh(
+    name: str, positions: Array, normals: Array, tangents: Array, places: Array, triangles: Array
+) -> Mesh:
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     return Mesh(
-        name, positions.astype("<f4"), normals.astype("<f4"), tangents.astype("<f4"), triangles.astype("<u2")
+        name,
+        positions.astype("<f4"),
+        normals.astype("<f4"),
+        tangents.astype("<f4"),
+        places.astype("<f4"),
+        triangles.astype("<u2"),
     )
 
 
 _MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
-_FLOAT, _UINT16, _VERTICES, _INDICES = 5126, 5123, 34962, 34963
+_FLOAT, _UINT16, _VERTICES, _INDICES, _REPEAT = 5126, 5123, 34962, 34963, 10497
 
 
 def glb(export: Export) -> bytes:
@@ -92,8 +105,21 @@ def glb(export: Export) -> bytes:
     if used := sorted(material.get("extensions", {})):
         document["extensionsUsed"] = used
     content = bytearray()
+    textures = export.textures
+    if textures is not None:
+        _add_textures(document, content, [textures.base_colour, textures.normal])
+        material["pbrMetallicRoughness"] |= {
+            "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
+            "baseColorTexture": {"index": 0},
+        }
+        material["normalTexture"] = {"index": 1}
     for mesh in (ball(), plane()):
-        document["meshes"].append(_add_mesh(document, content, mesh, with_tangents=is_anisotropic))
+        document["meshes"].append(
+            _add_mesh(
+                document, content, mesh, with_tangents=is_anisotropic or textures is not None,
+                with_places=textures is not None,
+            )
+        )  # fmt: skip
     document["buffers"] = [{"byteLength": len(content)}]
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     chunks = _chunk(_JSON, text, b" ") + _chunk(_BIN, bytes(content), b"\0")
@@ -105,8 +131,21 @@ def _chunk(kind: int, content: bytes, padding: bytes) -> bytes:
     return struct.pack("<II", len(content), kind) + content
 
 
+def _add_textures(document: dict[str, Any], content: bytearray, pictures: Sequence[Path]) -> None:
+    """Append PNGs to the buffer, as textures that repeat."""
+    document |= {"images": [], "textures": [], "samplers": [{"wrapS": _REPEAT, "wrapT": _REPEAT}]}
+    for picture in pictures:
+        content += b"\0" * (-len(content) % 4)
+        data = picture.read_bytes()
+        document["bufferViews"].append({"buffer": 0, "byteOffset": len(content), "byteLength": len(data)})
+        content += data
+        view = len(document["bufferViews"]) - 1
+        document["images"].append({"bufferView": view, "mimeType": "image/png", "name": picture.stem})
+        document["textures"].append({"source": len(document["images"]) - 1, "sampler": 0})
+
+
 def _add_mesh(
-    document: dict[str, Any], content: bytearray, mesh: Mesh, *, with_tangents: bool
+    document: dict[str, Any], content: bytearray, mesh: Mesh, *, with_tangents: bool, with_places: bool
 ) -> dict[str, Any]:
     attributes = {
         "POSITION": _add(document, content, mesh.positions, _VERTICES, with_bounds=True),
@@ -114,6 +153,8 @@ def _add_mesh(
     }
     if with_tangents:
         attributes["TANGENT"] = _add(document, content, mesh.tangents, _VERTICES)
+    if with_places:
+        attributes["TEXCOORD_0"] = _add(document, content, mesh.places, _VERTICES)
     indices = _add(document, content, mesh.triangles.reshape(-1, 1), _INDICES)
     return {
         "name": mesh.name,
@@ -134,7 +175,7 @@ def _add(
         "bufferView": len(document["bufferViews"]) - 1,
         "componentType": _FLOAT if values.dtype.kind == "f" else _UINT16,
         "count": len(values),
-        "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.shape[1]],
+        "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[values.shape[1]],
     }
     if with_bounds:
         accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}

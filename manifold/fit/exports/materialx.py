@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from manifold.fit.exports import openpbr, standard_surface
-from manifold.fit.exports.document import Export
+from manifold.fit.exports.document import Export, TextureFiles
 
 NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
     "openpbr": ("open_pbr_surface", openpbr.DEFAULTS),
@@ -34,7 +34,10 @@ def mtlx(export: Export) -> bytes:
     # lin_rec709: MaterialX's name of linear colours of Rec. 709 primaries
     root = ET.Element("materialx", version="1.39", colorspace="lin_rec709", doc=export.sentence())
     shader = ET.SubElement(root, category, name=f"{name}_shader", type="surfaceshader")
+    placed = {} if export.textures is None else _textured(root, name, export.textures, category)
     for key, value in export.parameters.items():
+        if key in placed:
+            continue
         if value != defaults[key] and key == "geometry_tangent":
             nodes = [ET.SubElement(root, kind, name=f"{name}_{kind}", type="vector3") for kind in TURN]
             for node in nodes[:2]:
@@ -47,11 +50,34 @@ def mtlx(export: Export) -> bytes:
             is_colour = isinstance(value, list)
             text = ", ".join(map(_number, value)) if is_colour else _number(value)
             ET.SubElement(shader, "input", name=key, type="color3" if is_colour else "float", value=text)
+    for key, (kind, source) in placed.items():
+        ET.SubElement(shader, "input", name=key, type=kind, nodename=source)
     material = ET.SubElement(root, "surfacematerial", name=name, type="material")
     ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"{name}_shader")
     ET.indent(root)
     document: str = ET.tostring(root, encoding="unicode")
     return f'<?xml version="1.0"?>\n{document}\n'.encode()
+
+
+def _textured(
+    root: ET.Element, name: str, textures: TextureFiles, category: str
+) -> dict[str, tuple[str, str]]:
+    """Nodes of textures; type and node of the inputs that they feed."""
+    colour = ET.SubElement(root, "image", name=f"{name}_base_colour", type="color3")
+    ET.SubElement(
+        colour,
+        "input",
+        name="file",
+        type="filename",
+        value=textures.base_colour.name,
+        colorspace="srgb_texture",
+    )
+    normal = ET.SubElement(root, "image", name=f"{name}_normals", type="vector3")
+    ET.SubElement(normal, "input", name="file", type="filename", value=textures.normal.name)
+    mapped = ET.SubElement(root, "normalmap", name=f"{name}_normal", type="vector3")
+    ET.SubElement(mapped, "input", name="in", type="vector3", nodename=f"{name}_normals")
+    key = "geometry_normal" if category == "open_pbr_surface" else "normal"
+    return {"base_color": ("color3", f"{name}_base_colour"), key: ("vector3", f"{name}_normal")}
 
 
 def _number(value: float) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from manifold.fit.exports import glb, openpbr, preview_surface
-from manifold.fit.exports.document import Export
+from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.glb import Mesh
 from manifold.fit.exports.materialx import TURN, identifier
 
@@ -22,9 +22,13 @@ def usda(export: Export, openpbr_parameters: Mapping[str, Any] | None = None) ->
         openpbr_parameters: the same material's, as `openpbr.parameters` gives them; None leaves that surface out, which
             checkers without USD's plugin for MaterialX do not know.
     """
-    output = second = ""
+    output = second = placed = nodes = ""
     name = identifier(export.name)
     path = f"/World/Materials/{name}"
+    own = dict(export.parameters)
+    if export.textures is not None:
+        own["diffuseColor"] = preview_surface.DEFAULTS["diffuseColor"]
+        placed, nodes = _textured(path, export.textures)
     if openpbr_parameters is not None:
         output = f"            token outputs:mtlx:surface.connect = <{path}/OpenPBR.outputs:out>\n"
         values = dict(openpbr_parameters)
@@ -56,14 +60,50 @@ def Xform "World"
             def Shader "Preview"
             {{
                 uniform token info:id = "UsdPreviewSurface"
-{_inputs(export.parameters, preview_surface.DEFAULTS)}                token outputs:surface
+{_inputs(own, preview_surface.DEFAULTS)}{placed}                token outputs:surface
             }}
-{second}        }}
+{nodes}{second}        }}
     }}
 
 {_mesh(glb.ball(), path, (0.0, 1.0, 0.0))}
 {_mesh(glb.plane(), path, (0.0, 0.0, -2.5))}}}
 """
+
+
+def _textured(path: str, textures: TextureFiles) -> tuple[str, str]:
+    """Inputs of UsdPreviewSurface that come from textures, and the nodes that read these."""
+    inputs = {"diffuseColor": "color3f", "normal": "normal3f"}
+    placed = "".join(
+        f"{' ' * 16}{kind} inputs:{key}.connect = <{path}/{key}.outputs:rgb>\n"
+        for key, kind in inputs.items()
+    )
+    nodes = """
+            def Shader "places"
+            {
+                uniform token info:id = "UsdPrimvarReader_float2"
+                string inputs:varname = "st"
+                float2 outputs:result
+            }
+"""
+    for key, picture in (("diffuseColor", textures.base_colour), ("normal", textures.normal)):
+        signed = key == "normal"
+        scale = "(2, 2, 2, 1)" if signed else "(1, 1, 1, 1)"
+        bias = "(-1, -1, -1, 0)" if signed else "(0, 0, 0, 0)"
+        nodes += f"""
+            def Shader "{key}"
+            {{
+                uniform token info:id = "UsdUVTexture"
+                asset inputs:file = @./{picture.name}@
+                float4 inputs:bias = {bias}
+                float4 inputs:scale = {scale}
+                token inputs:sourceColorSpace = "{"raw" if signed else "sRGB"}"
+                float2 inputs:st.connect = <{path}/places.outputs:result>
+                token inputs:wrapS = "repeat"
+                token inputs:wrapT = "repeat"
+                float3 outputs:rgb
+            }}
+"""
+    return placed, nodes
 
 
 def _turned_tangent(path: str, degrees: float) -> str:
@@ -103,6 +143,7 @@ def _tuple(values: Any) -> str:
 def _mesh(mesh: Mesh, material: str, place: tuple[float, float, float]) -> str:
     points = ", ".join(_tuple(p) for p in mesh.positions)
     normals = ", ".join(_tuple(n) for n in mesh.normals)
+    places = ", ".join(_tuple((u, 1.0 - v)) for u, v in mesh.places)
     extent = f"{_tuple(mesh.positions.min(axis=0))}, {_tuple(mesh.positions.max(axis=0))}"
     return f"""    def Mesh "{mesh.name}" (
         prepend apiSchemas = ["MaterialBindingAPI"]
@@ -114,6 +155,9 @@ def _mesh(mesh: Mesh, material: str, place: tuple[float, float, float]) -> str:
         rel material:binding = <{material}>
         point3f[] points = [{points}]
         normal3f[] normals = [{normals}] (
+            interpolation = "vertex"
+        )
+        texCoord2f[] primvars:st = [{places}] (
             interpolation = "vertex"
         )
         uniform token subdivisionScheme = "none"

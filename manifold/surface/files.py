@@ -1,0 +1,242 @@
+"""The work behind `manifold surface`: a workbook with pictures in, textures and materials of engines out."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from manifold import __version__, disk
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.conversion import encode_srgb
+from manifold.errors import UsageError
+from manifold.estimate.completions import Completed, complete_readings, file_name
+from manifold.fit.exports.document import TextureFiles
+from manifold.formats.readings import Readings
+from manifold.io_rgl import read_bsdf
+from manifold.progress import Stages
+from manifold.render import backend
+from manifold.render.images import write_display, write_image
+from manifold.surface import preview
+from manifold.surface.estimate import Surface, estimate_surface
+from manifold.surface.pictures import SurfacePictures, read_folder, read_workbook
+from manifold.surface.sparkle import Sparkle, sparkle_of
+from manifold.surface.spectra import spectral_changes
+from manifold.surface.tiling import Textures, tile
+
+TEXTURED = ("gltf", "openpbr", "standard-surface", "usd", "blender")
+"""Targets of exports whose documents take textures."""
+
+TARGETS = ("gltf", "openpbr", "usd", "blender")
+"""Those that are written by default."""
+
+_VISIBLE_SPARKLE = 1.0  # glints per 10,000 pixels and lamp that a note mentions
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceFiles:
+    """A surface, as written.
+
+    Attributes:
+        folder: of its files.
+        surface: of the sample.
+        sparkle: of the sample.
+        textures: which continue across their edges.
+        completed: the BRDF of the mean; None where there were no readings.
+        exports: differences of engines' models from the mean on the ball, CIEDE2000, by target.
+        paths: of what was written, by what it is.
+        notes: what a user should know, in sentences.
+        seconds: in all.
+    """
+
+    folder: Path
+    surface: Surface
+    sparkle: Sparkle
+    textures: Textures
+    completed: Completed | None
+    exports: Mapping[str, float]
+    paths: Mapping[str, Path]
+    notes: tuple[str, ...]
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        surface = self.surface
+        return {
+            "sample": surface.name,
+            "folder": str(self.folder),
+            "files": {kind: path.name for kind, path in self.paths.items()},
+            "pictures": list(surface.pictures.labels),
+            "pixels": list(surface.third.shape),
+            "mean_srgb_linear": surface.mean.tolist(),
+            "albedo_std": surface.albedo.std(axis=(0, 1)).tolist(),
+            "slope_std": surface.relief.std(axis=(0, 1)).tolist(),
+            "slope_uncertainty": surface.slope_std.tolist(),
+            "height_std_px": float(surface.height.std()),
+            "sparkle": self.sparkle.to_json(),
+            "exports": {target: {"ball": ball} for target, ball in self.exports.items()},
+            "completion": None if self.completed is None else self.completed.to_json(),
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+def make_surface(
+    source: Path,
+    library: Path,
+    folder: Path,
+    *,
+    sample: str | None = None,
+    pictures: Sequence[Path] = (),
+    size: int = 1024,
+    targets: Sequence[str] = TARGETS,
+) -> SurfaceFiles:
+    """The surface of a sample, as textures and as materials of engines.
+
+    Args:
+        source: a workbook with pictures; or, with `pictures`, a text of their lamps' directions.
+        library: of measured materials, by which the readings are completed.
+        folder: to write into; made if missing.
+        sample: which of a workbook with several.
+        pictures: files of pictures in the order of the lamps, where there is no workbook.
+        size: of textures, in pixels.
+        targets: of exports, of `TEXTURED`; none are written without readings.
+    Raises:
+        FileFormatError: the source cannot be read, or pictures and readings do not belong together.
+        UsageError: the folder cannot be written.
+    """
+    start = time.perf_counter()
+    if unknown := [name for name in targets if name not in TEXTURED]:
+        raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(TEXTURED)}")
+    stages = Stages({"reading": 1, "slopes and colours": 2, "completing": 4, "textures": 2, "exports": 10})
+    stages.begin("reading")
+    readings: Readings | None = None
+    if pictures:
+        taken = read_folder(pictures, source)
+    else:
+        taken, readings = read_workbook(source, sample)
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder}: is a file, expected a folder for the surface's files")
+    folder.mkdir(parents=True, exist_ok=True)
+    stages.begin("slopes and colours")
+    surface = estimate_surface(taken)
+    sparkle = sparkle_of(surface)
+    stages.begin("completing")
+    stem = "surface" if readings is None else file_name(readings).removesuffix(".bsdf")
+    paths = {}
+    completed = None
+    if readings is not None:
+        paths["mean"] = folder / f"{stem}.bsdf"
+        completed = complete_readings(readings, library, paths["mean"])
+    stages.begin("textures")
+    textures = tile(surface, size)
+    paths |= _write_textures(folder, stem, surface, textures, completed)
+    stages.begin("exports")
+    exports = {} if completed is None else _exports(paths, folder, stem, textures, targets)
+    notes = _notes(taken, surface, sparkle, completed)
+    made = SurfaceFiles(
+        folder, surface, sparkle, textures, completed, MappingProxyType(exports), MappingProxyType(paths), notes,
+        time.perf_counter() - start,
+    )  # fmt: skip
+    paths["numbers"] = folder / f"{stem}.json"
+    document = {"program": f"manifold {__version__}", **made.to_json()}
+    disk.write_text(paths["numbers"], json.dumps(document, indent=2, allow_nan=False) + "\n")
+    return made
+
+
+def _write_textures(
+    folder: Path, stem: str, surface: Surface, textures: Textures, completed: Completed | None
+) -> dict[str, Path]:
+    """Write what renderers read; paths by what they are."""
+    paths = {
+        "albedo": folder / f"{stem}_albedo.png",
+        "normal": folder / f"{stem}_normal.png",
+        "height": folder / f"{stem}_height.exr",
+        "changes": folder / f"{stem}_changes.exr",
+    }
+    write_display(paths["albedo"], encode_srgb(np.clip(surface.mean * textures.albedo, 0.0, 1.0)))
+    write_display(paths["normal"], 0.5 + 0.5 * textures.normal)
+    write_image(paths["height"], np.repeat(textures.height[..., None], 3, axis=-1))
+    changes = textures.albedo
+    if completed is not None:
+        file = read_bsdf(completed.path)
+        wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
+        changes = spectral_changes(textures.albedo, MeasuredBRDF(file).eval(wi, wo)[0], file.bands)
+        paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
+        named = {"normal": paths["normal"], "changes": paths["changes"], "mean": completed.path}
+        disk.write_text(
+            paths["mitsuba"], _MITSUBA.format(**{k: escape(path.name) for k, path in named.items()})
+        )
+    write_image(paths["changes"], changes)
+    if completed is not None and backend.is_available() and backend.choose().kind != "scalar":
+        paths["picture"] = folder / f"{stem}.png"
+        write_image(paths["picture"], preview.strip(completed.path, textures.normal, changes))
+    return paths
+
+
+_MITSUBA = """<!-- A surface of manifold: call manifold.surface.bsdf.register() before mi.load_file.
+     On shapes whose v runs upwards, such as rectangles, scale v by -1. -->
+<bsdf version="3.0.0" type="normalmap">
+    <texture name="normalmap" type="bitmap">
+        <string name="filename" value="{normal}"/>
+        <boolean name="raw" value="true"/>
+    </texture>
+    <bsdf type="surface">
+        <texture name="changes" type="bitmap">
+            <string name="filename" value="{changes}"/>
+            <boolean name="raw" value="true"/>
+        </texture>
+        <bsdf name="nested" type="measured">
+            <string name="filename" value="{mean}"/>
+        </bsdf>
+    </bsdf>
+</bsdf>
+"""
+
+
+def _exports(
+    paths: dict[str, Path], folder: Path, stem: str, textures: Textures, targets: Sequence[str]
+) -> dict[str, float]:
+    """Fit engines' models to the mean and write them with textures; their differences on the ball."""
+    from manifold.fit import exporting
+    from manifold.fit.exports.targets import TARGETS as ALL
+
+    subject = exporting.subject_of(paths["mean"])
+    found = {}
+    for name in targets:
+        target = ALL[name]
+
+        def written(base: Sequence[float], name: str = name) -> TextureFiles:
+            path = folder / f"{stem}_{name}_base.png"
+            write_display(path, encode_srgb(np.clip(np.asarray(base) * textures.albedo, 0.0, 1.0)))
+            return TextureFiles(path, paths["normal"])
+
+        paths[name] = folder / f"{stem}_{name}{target.suffix}"
+        outcome = exporting.export(subject, target, paths[name], textures=written)
+        found[name] = float((outcome.content or {})["ciede2000"])
+    return found
+
+
+def _notes(
+    pictures: SurfacePictures, surface: Surface, sparkle: Sparkle, completed: Completed | None
+) -> tuple[str, ...]:
+    notes = pictures.notes
+    across, along = surface.slope_std
+    if across > 2.0 * along:
+        notes += (
+            "all lamps lie in one plane: slopes across it follow from integrability alone; lit from the side, relief "
+            "is a guess",
+        )
+    if sparkle.density > _VISIBLE_SPARKLE:
+        notes += (
+            f"{sparkle.density:.1f} glints per 10,000 pixels and lamp, of which {100 * sparkle.seen_once:.0f} % appear "
+            "under one lamp alone: they are counted, no texture has them",
+        )
+    return notes if completed is None else (*notes, *completed.diagnostics)

@@ -1,0 +1,66 @@
+"""Synthetic twins of surfaces and of the workbooks that show them."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from manifold.formats import ma_t12
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.surface.pictures import SurfacePictures, _in_plane
+from manifold.surface.response import Response
+
+ANGLES_DEG = np.array([60.0, 45.0, 30.0, 0.0, -30.0, -65.0, np.nan])
+CAPTIONS = ("15as-45", "15as-30", "15as-15", "15as15", "15as45", "15as80", "15d")
+SIZE = (220, 260)
+
+
+def rough(rng, size=SIZE, pixels=2.0):
+    """A smooth random field of standard deviation 1."""
+    field = gaussian_filter(rng.standard_normal(size), pixels, mode="wrap")
+    return field / field.std()
+
+
+def truth(rng, size=SIZE):
+    """Heights with slopes of 0.1, and their slopes."""
+    height = rough(rng, size, 2.5)
+    slope = np.stack([-np.gradient(height, axis=1), np.gradient(height, axis=0)], axis=-1)
+    scale = 0.1 / slope.std()
+    return scale * height, scale * slope
+
+
+def photographed(rng, slope, *, noise=0.01):
+    """Pictures of a surface that answers as the table says."""
+    lamps = _in_plane(ANGLES_DEG)
+    colour = np.array([0.5, 0.3, 0.2])
+    albedo = np.exp(0.15 * rough(rng, slope.shape[:2]))[..., None] * np.array([1.0, 1.0, 1.0])
+    factors = Response.of(lamps, np.broadcast_to(colour, (7, 3))).factors
+    bright = colour * albedo * np.exp(np.einsum("jk,hwk->jhw", factors[:, :2], slope))[..., None]
+    values = bright * np.exp(noise * rng.standard_normal(bright.shape))
+    return SurfacePictures("twin", values, lamps, CAPTIONS, values.mean(axis=(1, 2))), albedo
+
+
+def workbook(path, rng, *, shift_px=0, factor=None):
+    """A workbook with readings and pictures of one sample, as the instrument's program writes it."""
+    _, slope = truth(rng, (360, 480))
+    pictures, _ = photographed(rng, slope, noise=0.0)
+    wi, wo = geometry_ma_t12()
+    nm = np.arange(400.0, 701.0, 10.0)
+    readings = Readings("twin", "MA-T12", wi, wo, nm, np.full((12, 31), 0.35 / np.pi))
+    images = {}
+    for j, (caption, values) in enumerate(zip(CAPTIONS, pictures.values, strict=True)):
+        grey = np.repeat(
+            values[..., :1] / values[..., 0].mean() * 0.35 * (1.0 if factor is None else factor[j]),
+            3,
+            axis=-1,
+        )
+        grey[..., 0] = np.roll(grey[..., 0], -shift_px, axis=0)
+        stream = io.BytesIO()
+        Image.fromarray(np.round(255.0 * np.clip(grey, 0.0, 1.0)).astype(np.uint8)).save(stream, "PNG")
+        images[caption] = stream.getvalue()
+    ma_t12.write(path, replace(readings, texture={"values": [{"Name": "twin"}], "images": images}))
+    return slope

@@ -1,0 +1,198 @@
+"""Surfaces as files: engines read textures as they were written, and Mitsuba renders them as they are."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from helpers.exported_files import read_glb
+from surface_twins import CAPTIONS, workbook
+from typer.testing import CliRunner
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.cli.main import app
+from manifold.colour.conversion import decode_srgb, to_srgb
+from manifold.fit.exports import TARGETS
+from manifold.fit.exports.document import Export, TextureFiles
+from manifold.fit.fit_metrics import BallDifference
+from manifold.io_rgl import read_bsdf
+from manifold.records import Bands
+from manifold.render import backend
+from manifold.render.images import read_display, write_display
+from manifold.surface import preview
+from manifold.surface.spectra import spectral_changes, weights_at
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory, library):
+    """Output of the command, its folder, and what its JSON says."""
+    folder = tmp_path_factory.mktemp("surface")
+    workbook(folder / "twin.xlsx", np.random.default_rng(3))
+    result = CliRunner().invoke(
+        app,
+        [
+            "surface",
+            str(folder / "twin.xlsx"),
+            "-L",
+            str(library),
+            "-o",
+            str(folder / "made"),
+            "--size",
+            "192",
+            "--target",
+            "gltf",
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    return result.output, folder / "made", json.loads((folder / "made" / "twin.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def mean(printed):
+    """The file of the mean."""
+    return printed[1] / "twin.bsdf"
+
+
+@pytest.fixture
+def textured(tmp_path):
+    """A material of given textures, for any target."""
+    textures = TextureFiles(tmp_path / "base.png", tmp_path / "normal.png")
+    for path in vars(textures).values():
+        write_display(path, np.full((4, 4, 3), 0.5))
+
+    def of(target):
+        ball = BallDifference(1.0, 1.0)
+        return Export(
+            "twin",
+            target.name,
+            target.defaults,
+            {"name": "twin"},
+            "direct",
+            ball,
+            ball,
+            "measured file",
+            textures,
+        )
+
+    return of
+
+
+def test_spectra_of_points_have_the_colours_that_were_seen_and_that_of_the_mean_in_the_mean(rng):
+    nm = np.arange(400.0, 701.0, 10.0)
+    bands = Bands(tuple(nm.tolist()))
+    mean = 0.3 + 0.2 * np.sin(nm / 50.0)
+    ratios = np.exp(0.3 * rng.standard_normal((6, 3)))
+    spectra = mean * (spectral_changes(ratios, mean, bands) @ weights_at(nm).T)
+    assert spectra.min() > 0.0
+    np.testing.assert_allclose(to_srgb(spectra, bands) / to_srgb(mean, bands), ratios, rtol=1e-6)
+    np.testing.assert_allclose(spectral_changes(np.ones(3), mean, bands), 1.0, rtol=1e-9)
+
+
+def test_the_glb_holds_both_textures_and_places_on_them(printed):
+    document, content = read_glb(printed[1] / "twin_gltf.glb")
+    material = document["materials"][0]
+    assert material["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
+    assert material["normalTexture"] == {"index": 1}
+    assert material["extras"]["textures"] == {
+        "base_colour": "twin_gltf_base.png",
+        "normal": "twin_normal.png",
+    }
+    for image in document["images"]:
+        view = document["bufferViews"][image["bufferView"]]
+        assert content[view["byteOffset"] :][:4] == b"\x89PNG"
+    assert all("TEXCOORD_0" in mesh["primitives"][0]["attributes"] for mesh in document["meshes"])
+
+
+@pytest.mark.parametrize("name", ["openpbr", "standard-surface"])
+def test_materialx_documents_are_valid_and_name_their_textures(name, textured, tmp_path):
+    mx = pytest.importorskip("MaterialX")
+    path = tmp_path / "twin.mtlx"
+    path.write_bytes(TARGETS[name].content(textured(TARGETS[name]), None))
+    document, libraries = mx.createDocument(), mx.createDocument()
+    mx.readFromXmlFile(document, str(path))
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), libraries)
+    document.setDataLibrary(libraries)
+    valid, message = document.validate()
+    assert valid, message
+    assert {node.getInputValue("file") for node in document.getNodes("image")} == {"base.png", "normal.png"}
+
+
+def test_usd_layers_read_their_textures(textured, tmp_path):
+    usd, shade = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdShade")
+    path = tmp_path / "twin.usda"
+    path.write_bytes(TARGETS["usd"].content(textured(TARGETS["usd"]), None))
+    stage = usd.Stage.Open(str(path))
+    shaders = {p.GetName(): shade.Shader(p) for p in stage.Traverse() if p.GetTypeName() == "Shader"}
+    for key, file in (("diffuseColor", "base.png"), ("normal", "normal.png")):
+        source, _, _ = shaders["Preview"].GetInput(key).GetConnectedSource()
+        assert source.GetPrim().GetName() == key
+        assert shaders[key].GetInput("file").Get().path == f"./{file}"
+    meshes = [p for p in stage.Traverse() if p.GetTypeName() == "Mesh"]
+    assert all(
+        len(p.GetAttribute("primvars:st").Get()) == len(p.GetAttribute("points").Get()) for p in meshes
+    )
+
+
+def test_scripts_of_blender_load_their_textures(textured):
+    script = TARGETS["blender"].content(textured(TARGETS["blender"]), None).decode()
+    compile(script, "twin.py", "exec")
+    assert "picture('base.png', \"sRGB\")" in script
+    assert "picture('normal.png', \"Non-Color\")" in script
+
+
+def test_the_command_prints_and_writes_numbers(printed):
+    output, folder, numbers = printed
+    assert "slopes" in output
+    assert numbers["pictures"] == list(CAPTIONS)
+    assert all((folder / name).is_file() for name in numbers["files"].values())
+    base = decode_srgb(read_display(folder / "twin_gltf_base.png")).mean(axis=(0, 1))
+    np.testing.assert_allclose(base, base.mean(), rtol=0.05)  # of a grey twin
+
+
+@pytest.mark.skipif(not backend.is_available(), reason="needs Mitsuba")
+def test_mitsuba_loads_the_surface_s_document(printed):
+    mi = backend.mitsuba("rgb")
+    if "scalar" in mi.variant():
+        pytest.skip("the plugin needs an LLVM variant")
+    preview.bsdf.register()
+    assert "SurfaceBSDF" in str(mi.load_file(str(printed[1] / "twin_mitsuba.xml")))
+
+
+@pytest.mark.skipif(not backend.is_available(), reason="needs Mitsuba")
+def test_mitsuba_shows_the_mean_under_flat_normals_and_colours_where_the_texture_has_them(mean):
+    mi = backend.mitsuba("rgb")
+    if "scalar" in mi.variant():
+        pytest.skip("the plugin needs an LLVM variant")
+    preview.bsdf.register()
+    flat = np.zeros((8, 8, 3))
+    flat[..., 2] = 1.0
+    changes = np.ones((8, 8, 3))
+    changes[:4, :, 0] = 2.0  # upper rows redder
+    material = preview.material_of(mi, mean, flat, changes)
+    scene = mi.load_dict(preview.plane_under_lamp(mi, material, np.deg2rad(40.0)))
+    picture = np.array(mi.render(scene, spp=16))
+    rows = picture.shape[0]
+    upper, lower = picture[rows // 8 : 3 * rows // 8], picture[5 * rows // 8 : 7 * rows // 8]  # texels blend
+    upper, lower = upper.mean(axis=(0, 1)), lower.mean(axis=(0, 1))
+    np.testing.assert_allclose(upper / lower, [2.0, 1.0, 1.0], rtol=0.02)
+    brdf = MeasuredBRDF(read_bsdf(mean))
+    light = np.array([[0.0, -np.sin(np.deg2rad(40.0)), np.cos(np.deg2rad(40.0))]])
+    f = brdf.eval(np.array([[0.0, 0.0, 1.0]]), light)[0]
+    np.testing.assert_allclose(lower, np.pi * f, rtol=0.03)
+
+
+@pytest.mark.skipif(not backend.is_available(), reason="needs Mitsuba")
+def test_mitsuba_lights_slopes_that_lean_towards_the_lamp(mean):
+    mi = backend.mitsuba("rgb")
+    if "scalar" in mi.variant():
+        pytest.skip("the plugin needs an LLVM variant")
+    preview.bsdf.register()
+    normal = np.zeros((8, 8, 3))
+    normal[..., 2] = 1.0
+    normal[:4, :, 1], normal[4:, :, 1] = 0.2, -0.2  # upper rows lean up, lower rows down
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    material = preview.material_of(mi, mean, normal, np.ones((8, 8, 3)))
+    rows = np.array(mi.render(mi.load_dict(preview.plane_under_lamp(mi, material, np.deg2rad(40.0))), spp=16))
+    third = rows.shape[0] // 3
+    assert rows[-third:].mean() > 1.15 * rows[:third].mean()  # the lamp stands below, at negative y

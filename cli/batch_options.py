@@ -72,14 +72,14 @@ def inputs_of(
     return found
 
 
-def folder_or_default(output: Path | None, default: str) -> Path:
+def folder_or_default(output: Path | None, default: str, outputs: str = "many files; name another") -> Path:
     """The folder that was named, or else a default.
 
     Raises:
         UsageError: it is named like a file.
     """
     if output is not None and output.suffix.lower() in _FILES and not output.is_dir():
-        raise UsageError(f"{output}: named like a file, expected a folder for many files; name another")
+        raise UsageError(f"{output}: named like a file, expected a folder for {outputs}")
     return or_default(output, default)
 
 

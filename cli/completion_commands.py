@@ -9,6 +9,7 @@ import typer
 
 from manifold import progress
 from manifold.errors import UsageError
+from manifold.names import first_few
 
 from . import options, photo_options, terminal
 from .application import app
@@ -155,13 +156,16 @@ def complete(
         with progress.shown("Reading files"):
             samples = find_samples(readings)
         if len(samples) > 1 or len(samples[0].parts) != len(readings) or into or (output and output.is_dir()):
+            names = first_few([one.parts[0][1] or one.name for one in samples])
+            found = f"{len(samples)} samples ({names}); name one by --sample"
             if units or picture:
                 raise UsageError(
-                    f"--gloss and --picture go with one sample, found {len(samples)}; leave them out"
+                    f"--gloss and --picture go with one sample, found {found}, or leave them out"
                 )
             from manifold.many import tasks
 
-            batch = tasks.completions_in(folder_or_default(output, "completions"))
+            folder = folder_or_default(output, "completions", f"{found}, or a folder")
+            batch = tasks.completions_in(folder)
             inputs.require_apart(readings, batch.folder)
             outcomes = tasks.complete_all(
                 samples, library, batch, correction=correction, count=suggest, instrument=instrument,

@@ -406,6 +406,7 @@ def locate(
             seen,
             latent=",".join(place.coordinates),
             nearest=[f"{name} ({apart:.2f})" for name, apart in place.nearest],
+            **{"reconstruction error": place.rows["reconstruction error"]},
         )
         return
     if not materials:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
@@ -31,6 +32,7 @@ from manifold.estimate.spectra import band_matrix, read_responses, srgb_response
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model import diagnostics, located
+from manifold.model.comparison import brdf_errors
 from manifold.model.located import Located
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
@@ -207,8 +209,13 @@ def locate_photographs(
     stages = _stages(picture)
     loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
     balls, material, notes = _found(request, loaded.library, None, stages)
-    place = located.locate_brdf(loaded, ClippedBRDF(material.brdf))
-    notes += place.diagnostics
+    seen = ClippedBRDF(material.brdf)
+    place = located.locate_brdf(loaded, seen)
+    notes += (
+        *place.diagnostics,
+        "the expected error and the residual of pixels are those of the material that the pixels show, the "
+        "reconstruction error is that of the prediction at the place against it",
+    )
     stages.begin("writing")
     plausibility = None
     with TemporaryDirectory() as folder:
@@ -221,6 +228,8 @@ def locate_photographs(
                 description=f"Photographed, at latent ({', '.join(place.coordinates)}), by manifold {__version__}",
             )
             plausibility = written.plausibility
+            if written.change is not None and written.file is not None:
+                place = replace(place, errors=brdf_errors(seen, MeasuredBRDF(written.file)))
             notes += (*diagnostics.of_prediction(False, plausibility), *written.projection)
         if picture is not None:
             stages.begin("rendering")

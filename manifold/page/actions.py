@@ -62,14 +62,14 @@ class Action:
         arguments: of `manifold`.
         output: the file that it writes, if any.
         picture: the picture among what it writes, if any.
-        inputs: temporary files that it reads, removed at its end.
+        inputs: temporary folder of what it reads, removed at its end.
     """
 
     title: str
     arguments: tuple[str, ...]
     output: Path | None = None
     picture: Path | None = None
-    inputs: tuple[Path, ...] = ()
+    inputs: Path | None = None
 
 
 def action(
@@ -104,13 +104,13 @@ def action(
             "--json=-",
         ]
     options += [f"--{key}={request[key]}" for key in ("like", "srgb") if key in request]
+    output = _output(name, ending, context, request.get("replace", False), is_taken)
     spectrum = _write_spectrum(request["spectrum"], inputs) if "spectrum" in request else None
     if spectrum is not None:
         options.append(f"--reflectance={spectrum}")
-    output = _output(name, ending, context, request.get("replace", False), is_taken)
     return Action(
         f"{kind} {output.name}", (kind, *options, f"--output={output}", *_model(context)), output,
-        output if kind == "render" else None, () if spectrum is None else (spectrum,),
+        output if kind == "render" else None, spectrum and spectrum.parent,
     )  # fmt: skip
 
 
@@ -120,7 +120,7 @@ def complete(
     """Complete the readings of a file that was dropped, and render the ball of what is found.
 
     Args:
-        path: the file; its name is that of what is written, without its ending.
+        path: the file, alone in its folder; its name is that of what is written, without its ending.
         sample: which of a file's samples; may be empty.
         context, is_taken: as of `action`.
         replace: whether a file of that name may be replaced.
@@ -137,12 +137,14 @@ def complete(
         "complete", str(path), f"--library={context.library}", f"--output={output}", "--picture", "--json=-",
         *([f"--sample={sample}"] if sample else []),
     )  # fmt: skip
-    return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"), (path,))
+    return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"), path.parent)
 
 
 def locate(path: Path, context: Context) -> Action:
-    """Find the latent of a file that was dropped."""
-    return Action(f"locate {path.name}", ("locate", str(path), "--json=-", *_model(context)), inputs=(path,))
+    """Find the latent of a file that was dropped, alone in its folder."""
+    return Action(
+        f"locate {path.name}", ("locate", str(path), "--json=-", *_model(context)), inputs=path.parent
+    )
 
 
 def photograph(
@@ -151,7 +153,8 @@ def photograph(
     """Find the latent of a photographed ball that was dropped, and draw what differs from the prediction.
 
     Args:
-        path: the photograph, followed by its light where that is a file; its name is that of what is written.
+        path: the photograph, followed by its light where that is a file, alone in its folder; its name is that of what
+            is written.
         request: `suffix` of the photograph, `light`, a name, or `light_suffix` and `light_bytes` of the file; and, if
             known, `circle` of the ball as X,Y,R, `turn` and `elevation` in degrees, `distance` in radii of the ball,
             and `exposure`, `free` where it is not known; see `manifold locate --photo`.
@@ -162,22 +165,21 @@ def photograph(
     _require_photograph(request, path.stat().st_size)
     picture = path.with_suffix(request["suffix"])
     path.rename(picture)
-    inputs = [picture]
-    if "light_bytes" in request:
-        inputs.append(path.with_name(f"{path.name}-light{request['light_suffix']}"))
+    light = request.get("light")
+    if light is None:
+        light = path.with_name(f"{path.name}-light{request['light_suffix']}")
         size = int(request["light_bytes"])  # 100.0 is an integer in JSON
         with picture.open("r+b") as stream:
             stream.seek(-size, os.SEEK_END)
-            inputs[1].write_bytes(stream.read())
+            light.write_bytes(stream.read())
             stream.truncate(picture.stat().st_size - size)
-    light = request.get("light", str(inputs[-1]))
     given = [f"--{key}={request[key]}" for key in _PHOTO_OPTIONS if key in request]
     output = _output(path.name, "_photo.png", context, request.get("replace", False), is_taken)
     arguments = (
         "locate", f"--photo={picture}", f"--light={light}", *given, f"--picture={output}", "--json=-",
         *_model(context),
     )  # fmt: skip
-    return Action(f"locate {path.name}", arguments, output, output, tuple(inputs))
+    return Action(f"locate {path.name}", arguments, output, output, path.parent)
 
 
 def plain_name(name: Any) -> str:

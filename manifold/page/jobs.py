@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -138,8 +139,8 @@ class Queue:
                 follower.start()
                 self._finish(job, *job.process.communicate())
                 follower.join()
-        for path in job.action.inputs:
-            path.unlink()
+        if job.action.inputs is not None:
+            shutil.rmtree(job.action.inputs)
 
     def _finish(self, job: Job, stdout: str, stderr: str) -> None:
         assert job.process is not None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hmac
 import json
 import secrets
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
@@ -155,8 +156,19 @@ class _Handler(BaseHTTPRequestHandler):
             return server.queue.add(action(kind, request, server.context, server.inputs, self._is_taken))
 
     def _file_action(self, kind: str) -> Job:
-        """Queue an action of a file that was dropped."""
-        server, path = self._explorer, self._file()
+        """Queue an action of a file that was dropped; nothing is left of one that is refused."""
+        folder = Path(mkdtemp(dir=self._explorer.inputs))
+        try:
+            return self._upload_action(kind, folder)
+        except BaseException:  # also of a connection that ends early
+            shutil.rmtree(folder)
+            raise
+
+    def _upload_action(self, kind: str, folder: Path) -> Job:
+        """Queue an action of the body, as a file in a folder of its own."""
+        server, path = self._explorer, folder / plain_name(self.headers.get("X-Name"))
+        with path.open("wb") as stream:
+            stream.writelines(self._blocks(MOST_FILE))
         if kind == "locate":
             return server.queue.add(locate(path, server.context))
         if kind == "photograph":
@@ -183,13 +195,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _json_body(self) -> dict[str, Any]:
         return _json_object(b"".join(self._blocks(MOST_JSON)))
-
-    def _file(self) -> Path:
-        """The body as a temporary file of the name that the request gives."""
-        path = Path(mkdtemp(dir=self._explorer.inputs), plain_name(self.headers.get("X-Name")))
-        with path.open("wb") as stream:
-            stream.writelines(self._blocks(MOST_FILE))
-        return path
 
     def _blocks(self, most: int) -> Iterator[bytes]:
         """The body in blocks, at most so many bytes."""

@@ -212,6 +212,10 @@ def test_a_sample_is_chosen_of_every_file_with_several(run, tmp_path):
         assert json.loads((tmp_path / "x.fit.json").read_text())["source"]["name"] == name
     status, _, err = run("fit", "several.csv", "-o", "x.fit.json", cwd=tmp_path)
     assert (status, err.count("several.csv")) == (1, 1)
+    for given in (["-o", "x_rgb.bsdf"], ["--picture"]):
+        status, _, err = run("complete", "several.csv", *given, cwd=tmp_path)
+        assert status == 2
+        assert "2 samples (red, blue); name one by --sample" in " ".join(err.split())
 
 
 def test_a_correction_says_whether_it_is_better_than_none(rng):

@@ -21,6 +21,8 @@ from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold, Settings
+from manifold.model.output_file import OutputOptions
+from manifold.model.prediction import ClippedBRDF
 from manifold.records import Bands
 from manifold.render.images import write_image
 from manifold.render.render import render_floating_ball
@@ -65,7 +67,18 @@ def test_a_photograph_is_located_near_its_material(run, folder, library):
     )  # fmt: skip
     assert code == 0, err
     assert "satin_gold" in out.split("nearest")[1].split("\n")[0]
+    assert "reconstruction error" in out
     assert np.isfinite(read_bsdf(folder / "there.bsdf").spectra).all()
+
+
+def test_errors_of_a_located_photograph_are_those_of_the_physical_file(folder, library):
+    request = photographs.PhotoRequest([folder / "ball.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
+    found = photographs.locate_photographs(
+        folder / "model.h5", request, folder / "physical.bsdf", library=library,
+        options=OutputOptions(physical=True),
+    )  # fmt: skip
+    written = MeasuredBRDF(read_bsdf(found.output))
+    assert found.located.errors == brdf_errors(ClippedBRDF(found.material.brdf), written)
 
 
 def test_a_camera_is_described_by_its_sensitivities(run, tmp_path):

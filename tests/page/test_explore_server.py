@@ -83,11 +83,15 @@ def request(server, method, path, body=None, **headers):
     return answer.status, content
 
 
-def finished(job, seconds=60.0):
+def wait_until(is_true, seconds=60.0):
     end = time.monotonic() + seconds
-    while job.ended is None and time.monotonic() < end:
+    while not is_true() and time.monotonic() < end:
         time.sleep(0.02)
-    assert job.ended is not None
+    assert is_true()
+
+
+def finished(job):
+    wait_until(lambda: job.ended is not None)
     return job
 
 
@@ -178,7 +182,7 @@ def test_a_module_in_the_output_folder_is_not_imported(context):
 def test_what_is_not_the_page_is_refused(served, context, headers, expected):
     assert request(served, "POST", "/do/predict", HERE, **headers)[0] == expected
     assert served.queue.jobs == []
-    assert files(context) == []
+    assert files(context) == list(served.inputs.iterdir()) == []
 
 
 def test_the_page_itself_needs_the_token(served):
@@ -207,7 +211,7 @@ def test_the_page_itself_needs_the_token(served):
 def test_hostile_requests_are_refused(served, context, changed):
     assert request(served, "POST", "/do/predict", HERE | changed)[0] == 400
     assert served.queue.jobs == []
-    assert files(context) == []
+    assert files(context) == list(served.inputs.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -265,7 +269,7 @@ def test_a_fit_of_the_page_is_found_by_an_export_of_its_folder(context):
 def test_files_need_plain_names_and_have_a_limit(served, context, headers):
     assert request(served, "POST", "/do/complete", b"Geometry,400\n", **headers)[0] in (400, 413)
     assert served.queue.jobs == []
-    assert files(context) == []
+    assert files(context) == list(served.inputs.iterdir()) == []
 
 
 def test_dropped_readings_are_completed_under_their_name_and_removed(served, context):
@@ -275,7 +279,7 @@ def test_dropped_readings_are_completed_under_their_name_and_removed(served, con
     assert files(context) == ["sample-2_rgb.bsdf", "sample_rgb.png"]
     assert {"--picture", "--sample=réd --force"} < set(job.action.arguments)
     served.queue.close()
-    assert not Path(job.action.arguments[1]).exists()
+    assert list(served.inputs.iterdir()) == []
 
 
 def test_a_dropped_photograph_and_its_light_are_located(serve):
@@ -291,7 +295,7 @@ def test_a_dropped_photograph_and_its_light_are_located(serve):
     assert {"--circle=10,20.5,8", "--turn=-30", "--json=-"} < set(job.action.arguments)
     assert job.action.output.name == "ball_photo.png"
     server.queue.close()
-    assert not any(path.exists() for path in job.action.inputs)
+    assert not job.action.inputs.exists()
 
 
 @pytest.mark.parametrize(
@@ -310,7 +314,7 @@ def test_hostile_photographs_are_refused(served, context, changed):
         asked = json.dumps({"suffix": ".png"} | light)
         assert request(served, "POST", "/do/photograph", b"pixels", X_Name="ball", X_Request=asked)[0] == 400
     assert served.queue.jobs == []
-    assert files(context) == []
+    assert files(context) == list(served.inputs.iterdir()) == []
 
 
 def test_a_spectrum_reaches_the_command_as_a_file(serve):
@@ -318,6 +322,8 @@ def test_a_spectrum_reaches_the_command_as_a_file(serve):
     server = serve((sys.executable, "-c", script))
     job = post(server, "/do/predict", HERE | {"spectrum": [[400, 0.25], [700, 1]]})
     assert job.message == "400.0 0.25\n700.0 1.0"
+    server.queue.close()
+    assert list(server.inputs.iterdir()) == []
 
 
 def test_a_connection_that_sends_no_more_leaves_the_server_alive(served):
@@ -325,6 +331,17 @@ def test_a_connection_that_sends_no_more_leaves_the_server_alive(served):
     with socket.create_connection(("127.0.0.1", served.server_port)) as held:
         held.sendall(b"POST /do/predict HTTP/1.1\r\nContent-Length: 100\r\n")
         assert request(served, "GET", "/jobs")[0] == 200
+
+
+def test_an_upload_that_breaks_off_leaves_nothing(served):
+    head = {"Host": f"127.0.0.1:{served.server_port}", "X-Token": served.token, "X-Name": "sample"}
+    head |= {"Origin": f"http://{head['Host']}", "Content-Length": "100"}
+    lines = ["POST /do/complete HTTP/1.1", *(f"{name}: {value}" for name, value in head.items()), "", "begun"]
+    with socket.create_connection(("127.0.0.1", served.server_port)) as upload:
+        upload.sendall("\r\n".join(lines).encode())
+        wait_until(lambda: list(served.inputs.rglob("sample")))
+    wait_until(lambda: not list(served.inputs.iterdir()))
+    assert served.queue.jobs == []
 
 
 def test_slow_connections_do_not_block_others(served):

@@ -25,7 +25,7 @@ from manifold.model.dictionary import Dictionary
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
 from manifold.names import counted
-from manifold.records import Array, Bands, Indices, evenly_spaced
+from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
 MOST_MATERIALS = 1000
 """Of a library from which readings are completed: each is left out once, against all others."""
@@ -152,11 +152,11 @@ class LibraryAtoms:
         """How many atoms, the first ones, are of materials of the library."""
         return len(self.names) * len(self.atom_bands)
 
-    def usable(self, prior: Array) -> Indices:
-        """The atoms of the library and of coats that have some prior weight, (B, n + 1), and the Lambertian; (n',)."""
+    def usable(self, prior: Array) -> Mask:
+        """Which are atoms of the library, of coats of some prior weight (B, n + 1), or the Lambertian: (n + 1,)."""
         totals = np.bincount(self.material_of, prior.mean(axis=0))
         totals[: len(self.names)] = totals[-1] = np.inf
-        return np.flatnonzero(totals[self.material_of] > _LEAST_COAT)
+        return np.asarray(totals[self.material_of] > _LEAST_COAT)
 
     def without(self, material: int) -> LibraryAtoms:
         """The atoms of all materials but one of the library."""

@@ -12,14 +12,15 @@ from manifold.brdf.measured import BRDF
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.band_mixtures import Hypotheses, band_mixtures
+from manifold.estimate.estimator import explain
 from manifold.estimate.gloss import GlossReadings, gloss_differences, gloss_units
 from manifold.estimate.mixtures import ReadingRoots, posterior
+from manifold.estimate.observation import Observation
 from manifold.estimate.reading_bands import beyond, for_library, in_all_bands
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
 from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight
-from manifold.nonnegative import nonnegative_weights
-from manifold.records import Array, Indices
+from manifold.records import Array, Mask
 
 _SHOWN_ALTERNATIVES = 5
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction: readings this near measure all but the sharpest highlights
@@ -298,7 +299,7 @@ def complete_at(
     )  # fmt: skip
 
 
-def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: Indices | None = None) -> Array:
+def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: Mask | None = None) -> Array:
     """Weights v >= 0 of atoms in every band that fit the readings, and differ little from prior weights: (B, n + 1).
 
     They minimise `sum_p w (v g - t)^2 / |t|^2 + keep (v - s) G (v - s)`.
@@ -307,7 +308,7 @@ def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: In
         read: the readings: cube roots g of atoms, t of the material, and weights w.
         gram: G, inner products of atoms averaged over all directions, shape (n + 1, n + 1).
         prior: s, weights of the mean hypothesis, shape (B, n + 1).
-        usable: the atoms that may have weights, shape (n',); all by default.
+        usable: which atoms may have weights, shape (n + 1,); all by default.
     """
     is_read = np.isfinite(read.material)
     known = np.where(is_read, read.material, 0.0)
@@ -316,15 +317,11 @@ def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: In
         return np.zeros(prior.shape)
     gain = max(float(read.weights.sum()), 1.0) / _FEW
     kept = _KEEP * gram * (read.weights.sum() / norm)
-    weights = np.zeros(prior.shape)
-    usable = np.arange(len(gram)) if usable is None else usable
-    for mask in np.unique(is_read, axis=0):
-        rows = np.flatnonzero((is_read == mask).all(axis=1))
-        w = gain * read.weights * mask / norm
-        inner, cross = (read.atoms * w) @ read.atoms.T, (known[rows] * w) @ read.atoms.T
-        inner, cross = inner + kept, cross + prior[rows] @ kept
-        weights[np.ix_(rows, usable)] = nonnegative_weights(inner[np.ix_(usable, usable)], cross[:, usable])
-    return weights
+    bands = [
+        Observation(read.atoms, row, gain * read.weights * mask / norm, np.zeros(len(row), bool), True)
+        for row, mask in zip(known, is_read, strict=True)
+    ]
+    return explain(bands, [kept] * len(bands), prior, usable)
 
 
 def _usable(readings: Readings) -> Readings:

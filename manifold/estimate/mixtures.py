@@ -19,7 +19,6 @@ SHARES = (0.5, 0.2, 0.8)  # of the first atom, besides 1
 _MOST_PAIRS = 40_000  # pairs of atoms of two materials; of larger libraries as many at random
 _REACH = 2.0  # correlation length of the residual of mixtures, in lengths of `residual`
 _FREEDOM = 3.0  # degrees of freedom of Student's t: the variances of noise and residual are estimates
-_LAMBERTIAN_SPREAD = 0.5  # standard deviation of the weight of the Lambertian, before anything is read
 _TWO_COATS = 0.8  # share of mixtures of two coats among those that a coat is part of
 _RELATIVE = 5.0  # exponent of the norm
 
@@ -37,6 +36,9 @@ COATED = 0.05
 
 SCALE_SPREAD = 0.15
 """Standard deviation of the scale of atoms about 1, before anything is read."""
+
+LAMBERTIAN_SPREAD = 0.5
+"""Standard deviation of the weight of the Lambertian, before anything is read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,19 +138,8 @@ def posterior(
     first, second, share = atom_pairs(N, (len(material_of) - 1) // N)
     log_prior = log_prior_of(material_of[first], material_of[second], material_prior(N, n_library))
     X, (y,) = read.whitened()
-    with_material = X @ y
-    at_readings, everywhere = (MixtureProducts.of(inner, first, second, share) for inner in (X @ X.T, gram))
-    a_material = share * with_material[first] + (1.0 - share) * with_material[second]
-    # Gaussian priors of scale and Lambertian, as terms of the normal equations.
-    of_scale, of_lambertian = SCALE_SPREAD**-2, _LAMBERTIAN_SPREAD**-2
-    inner = MixtureProducts(at_readings.aa + of_scale, at_readings.al, at_readings.ll + of_lambertian)
-    scale, lambertian = two_nonnegative(
-        inner.aa, inner.al, inner.ll, a_material + of_scale, float(with_material[-1])
-    )
-    misfit = inner.norm(scale, lambertian) - 2.0 * (
-        (a_material + of_scale) * scale + with_material[-1] * lambertian
-    )
-    misfit, n_readings = np.maximum(misfit + y @ y + of_scale, 0.0), len(y)
+    scale, lambertian, misfit = scaled_mixtures(X, y, first, second, share)
+    everywhere, n_readings = MixtureProducts.of(gram, first, second, share), len(y)
     X, y = read.atoms * np.sqrt(read.weights / len(read.weights)), read.material[0]
     y = y * np.sqrt(read.weights / len(read.weights))
     with_read, read_products = X @ y, MixtureProducts.of(X @ X.T, first, second, share)
@@ -159,6 +150,26 @@ def posterior(
     norm = everywhere.norm(scale, lambertian) + unexplained
     probability = normalised(log_prior + log_likelihood(misfit, n_readings) - log_of_norm(norm))
     return Mixtures(first, second, share, scale, lambertian, probability, len(X) - 1)
+
+
+def scaled_mixtures(
+    X: Array, y: Array, first: Indices, second: Indices, share: Array
+) -> tuple[Array, Array, Array]:
+    """Scale and weight of the Lambertian of largest posterior density of every mixture, and its squared error: (H,).
+
+    Args:
+        X: what atoms and, last, the Lambertian are at readings, whitened: errors have variance 1; shape (n + 1, R).
+        y: what was read, shape (R,).
+        first, second, share: of the mixtures, shape (H,).
+    """
+    with_seen, inner = X @ y, MixtureProducts.of(X @ X.T, first, second, share)
+    # Gaussian priors of scale and Lambertian, as terms of the normal equations.
+    of_scale, of_lambertian = SCALE_SPREAD**-2, LAMBERTIAN_SPREAD**-2
+    inner = MixtureProducts(inner.aa + of_scale, inner.al, inner.ll + of_lambertian)
+    of_mixture = share * with_seen[first] + (1.0 - share) * with_seen[second] + of_scale
+    scale, lambertian = two_nonnegative(inner.aa, inner.al, inner.ll, of_mixture, float(with_seen[-1]))
+    misfit = inner.norm(scale, lambertian) - 2.0 * (of_mixture * scale + with_seen[-1] * lambertian)
+    return scale, lambertian, np.maximum(misfit + y @ y + of_scale, 0.0)
 
 
 def material_prior(N: int, n_library: int | None = None) -> Array:

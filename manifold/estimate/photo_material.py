@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -14,13 +14,15 @@ from scipy.special import logsumexp
 
 from manifold import __version__
 from manifold.colour.ball_colours import delta_e
-from manifold.colour.conversion import srgb_to_xyz
+from manifold.colour.conversion import luminance, srgb_to_xyz
 from manifold.estimate.atoms import shown_shares
 from manifold.estimate.blocks import Blocks
 from manifold.estimate.expected import KINDS, Calibration, cached
+from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.light import Environment
+from manifold.estimate.observation import Observation
 from manifold.estimate.photo_atoms import PhotoAtoms
-from manifold.estimate.photo_estimate import Prior, Rows, estimate, prior_of
+from manifold.estimate.photo_estimate import Prior, estimate, prior_of
 from manifold.estimate.pixels import SAMPLES, Camera, block_sums, direction_pairs
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -62,12 +64,12 @@ class Sighting:
         """See `pixels.direction_pairs`."""
         return direction_pairs(self.blocks, self.camera, self.environment, SAMPLES)
 
-    def rows(self, atoms: PhotoAtoms) -> list[Rows]:
+    def rows(self, atoms: PhotoAtoms) -> list[Observation]:
         """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small."""
         sums = block_sums(atoms.values, *self.pairs)
         counts, blocks = np.sqrt(self.blocks.counts), self.blocks
         channels = range(sums.shape[1])
-        return [Rows(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped) for c in channels]
+        return [Observation(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped) for c in channels]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +94,7 @@ class PhotoMaterial:
     to_bands: Array
     bands: Bands
     exposure: float
-    channels: Sequence[Rows]
+    channels: Sequence[Observation]
     residual: float
     spread: float
     unlit: tuple[str, ...]
@@ -155,35 +157,49 @@ class PhotoMaterial:
         }
 
 
+Seen = Sighting | Readings | Mapping[float, float]
+"""What is known of a material: a photograph, readings, or gloss units by angle in degrees."""
+
+
 def find_material(
     atoms: PhotoAtoms,
-    sightings: Sequence[Sighting],
+    seen: Sequence[Seen],
     bands: Bands,
     to_bands: Array,
     *,
     exposure: float | None = 1.0,
-    readings: Readings | None = None,
     library: Library | None = None,
 ) -> PhotoMaterial:
-    """The material that explains photographs, and readings in linear sRGB if there are any.
+    """The material that explains photographs, and readings in linear sRGB and gloss, if there are any, together.
 
     Args:
         atoms: of the library.
-        sightings: of one material, by one camera in one exposure.
+        seen: of one material; at least one photograph, all by one camera in one exposure.
         bands: B, of the library.
         to_bands: see `spectra.band_matrix`.
-        exposure: of the photographs relative to the light; None finds the one that the library's materials make most
-            probable.
-        readings: of the same material.
+        exposure: of the photographs relative to the light; None finds the one that the library's materials, and what
+            else was seen, make most probable.
         library: that of the atoms, in whose cache errors of left-out materials are kept.
     """
+    sightings = [one for one in seen if isinstance(one, Sighting)]
     per_picture = [sighting.rows(atoms) for sighting in sightings]
-    channels = [joined([rows[c] for rows in per_picture]) for c in range(len(per_picture[0]))]
+    pictures = [Observation.joined([rows[c] for rows in per_picture]) for c in range(len(per_picture[0]))]
+    readings = [one for one in seen if isinstance(one, Readings)]
+    gloss = {angle: units for one in seen if isinstance(one, Mapping) for angle, units in one.items()}
+    gloss = {angle: units for one in readings for angle, units in one.gloss.items()} | gloss
+    beside = [
+        Observation.joined([_of_readings(atoms, one, c, rows) for one in readings]) if readings else None
+        for c, rows in enumerate(pictures)
+    ]
     if exposure is None:
-        exposure = probable_exposure(atoms, channels)
-    channels = [rows.scaled(exposure) for rows in channels]
-    if readings is not None:
-        channels = [joined([rows, _of_readings(atoms, readings, c, rows)]) for c, rows in enumerate(channels)]
+        exposure = probable_exposure(atoms, pictures, beside)
+    channels = _together(pictures, exposure, beside)
+    if gloss:
+        made, _ = estimate(atoms, channels)  # photographs say what colour highlights have
+        channels = [
+            Observation.joined([rows, of_gloss])
+            for rows, of_gloss in zip(channels, _of_gloss(atoms, gloss, made, pictures[0]), strict=True)
+        ]
     weights, priors = estimate(atoms, channels)
     residual, spread = indicators(channels, weights, priors)
     return PhotoMaterial(
@@ -191,45 +207,71 @@ def find_material(
     )
 
 
-def joined(parts: Sequence[Rows]) -> Rows:
-    """Rows of several sources together."""
-    return Rows(
-        np.concatenate([rows.atoms for rows in parts], axis=1),
-        *(
-            np.concatenate([getattr(rows, name) for rows in parts])
-            for name in ("seen", "weights", "is_bound")
-        ),
-    )
+def _together(
+    pictures: Sequence[Observation], exposure: float, beside: Sequence[Observation | None]
+) -> list[Observation]:
+    """Photographs under an exposure, and what else was seen in every channel."""
+    return [
+        rows.scaled(exposure) if other is None else Observation.joined([rows.scaled(exposure), other])
+        for rows, other in zip(pictures, beside, strict=True)
+    ]
 
 
-def _of_readings(atoms: PhotoAtoms, readings: Readings, channel: int, pixels: Rows) -> Rows:
-    """Readings of one channel beside pixels: thirty of them count as much as all of these."""
+def _of_readings(atoms: PhotoAtoms, readings: Readings, channel: int, pixels: Observation) -> Observation:
+    """Readings of one channel beside pixels: thirty of them count as much as all of these.
+
+    They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
+    """
     is_read = np.isfinite(readings.values[:, channel]) & (readings.weights > 0.0)
     wi, wo = readings.wi[is_read], readings.wo[is_read]
-    cosines, weights = cosine_weight(wi, wo), readings.weights[is_read]
+    weights = readings.weights[is_read]
     weights = weights * pixels.weights.sum() / max(weights.sum(), _ENOUGH_READINGS)
     seen = np.maximum(readings.values[is_read, channel], 0.0)
-    return Rows(atoms.values(wi, wo) * cosines, seen * cosines, weights, np.zeros(len(wi), bool))
+    scale = cosine_weight(wi, wo) * np.pi
+    scale /= np.maximum(scale * seen, 1.0)
+    return Observation(atoms.values(wi, wo) * scale, seen * scale, weights, np.zeros(len(wi), bool))
 
 
-def probable_exposure(atoms: PhotoAtoms, channels: Sequence[Rows]) -> float:
+def _of_gloss(
+    atoms: PhotoAtoms, gloss: Mapping[float, float], made: Array, pixels: Observation
+) -> list[Observation]:
+    """Gloss in every channel, of the colour that weights (3, n) make it; each counts as much as a reading."""
+    meters = [gloss_meter(angle) for angle in gloss]
+    means = np.array([meter.mean(atoms.values(meter.wi, meter.wo).T) for meter in meters]).T  # [n, G]
+    read = np.array([meter.mean_value(units) for meter, units in zip(meters, gloss.values(), strict=True)])
+    unit = np.array([meter.mean_value(1.0) for meter in meters])
+    of_channels = np.maximum(made @ means, np.finfo(float).tiny)
+    seen = read * of_channels / luminance(of_channels.T, Bands(None))
+    weights = np.full(len(read), pixels.weights.sum() / _ENOUGH_READINGS)
+    scale = 1.0 / np.maximum(seen, unit)
+    return [
+        Observation(means * k, row * k, weights, np.zeros(len(row), bool))
+        for row, k in zip(seen, scale, strict=True)
+    ]
+
+
+def probable_exposure(
+    atoms: PhotoAtoms, pictures: Sequence[Observation], beside: Sequence[Observation | None]
+) -> float:
     """The exposure at which the library's materials explain what was seen best: mean of its logarithm, posterior."""
     every = np.ones(len(atoms), bool)
     grey = atoms.mixed[-1]
-    seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in channels)
-    lit = sum(float(rows.weights @ rows.atoms[grey]) for rows in channels)
+    seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in pictures)
+    lit = sum(float(rows.weights @ rows.atoms[grey]) for rows in pictures)
     tried = _EXPOSURES * seen / (_GREY * lit)
-    log = np.array([sum(prior_of(atoms, rows.scaled(t), every).evidence for rows in channels) for t in tried])
+    log = np.array(
+        [sum(prior_of(atoms, rows, every).evidence for rows in _together(pictures, t, beside)) for t in tried]
+    )
     return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
 
 
-def indicators(channels: Sequence[Rows], weights: Array, priors: Sequence[Prior]) -> Array:
+def indicators(channels: Sequence[Observation], weights: Array, priors: Sequence[Prior]) -> Array:
     """Residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
-    residuals = [rows.residual(w) for rows, w in zip(channels, weights, strict=True)]
+    residuals = [rows.relative.error(w) for rows, w in zip(channels, weights, strict=True)]
     return np.sqrt(np.mean(np.square([residuals, [prior.spread for prior in priors]]), axis=1))
 
 
-def calibrated(atoms: PhotoAtoms, channels: Sequence[Rows]) -> Calibration:
+def calibrated(atoms: PhotoAtoms, channels: Sequence[Observation]) -> Calibration:
     """Errors of the library's materials, each found by the others in the same pixels under the same light."""
     library, axis = atoms.library, atoms.library.band_axis
     nm = axis.wavelengths_nm
@@ -248,7 +290,7 @@ def calibrated(atoms: PhotoAtoms, channels: Sequence[Rows]) -> Calibration:
     return Calibration(np.array(errors), np.array(found))
 
 
-def _cache_key(atoms: PhotoAtoms, channels: Sequence[Rows], library: Library) -> str:
+def _cache_key(atoms: PhotoAtoms, channels: Sequence[Observation], library: Library) -> str:
     """A hash of all that a calibration depends on: the library, what pixels see of it, this program."""
     digest = hashlib.sha256(f"photo {__version__} {library.content_hash} {atoms.library.coats}".encode())
     for rows in channels:
@@ -257,12 +299,12 @@ def _cache_key(atoms: PhotoAtoms, channels: Sequence[Rows], library: Library) ->
     return digest.hexdigest()
 
 
-def _clipping(rows: Rows) -> float:
+def _clipping(rows: Observation) -> float:
     """The value at which the camera clipped pixels."""
     return float(rows.seen[rows.is_bound].min()) if rows.is_bound.any() else np.inf
 
 
-def _seen_instead(rows: Rows, seen: Array) -> Rows:
+def _seen_instead(rows: Observation, seen: Array) -> Observation:
     """The same pixels of another material, clipped at the same level."""
     level = _clipping(rows)
     return replace(rows, seen=np.minimum(seen, level), is_bound=seen >= level)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,214 +11,15 @@ from manifold.brdf.measured import BRDF, all_isotropic
 from manifold.colour import ball_colours
 from manifold.encoding import EncodingPairs
 from manifold.errors import UsageError
+from manifold.estimate.estimator import explain
+from manifold.estimate.few_atoms import few_atoms
+from manifold.estimate.observation import LEAST, Observation
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.dictionary import Dictionary
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
-from manifold.nonnegative import nonnegative_weights
 from manifold.records import Array, Indices, evenly_spaced
-from manifold.threads import one_blas_thread
-
-_OF_VALUES = 0.5  # how much the error of values counts beside that of pixels
-_LEAST = 216.0 / 24389.0  # of display white: CIELAB is linear below
-_FITS = 2  # the second with the slopes of the first
-_AT_ONCE = 16  # atoms that enter together
-_TOLERANCE = 1e-9  # of slopes, relative to the norm of the target
-
-
-def reconstruction_weights(atoms: Array, material: Array, n_pixels: int) -> Array:
-    """Weights v >= 0 of atoms by which `v g` looks most like every band of a material.
-
-    Minimises `E_1 / 4 + E_2`, where E_1 is the squared cube-root error of the values
-    `sum (x*^(1/3) - x^(1/3))^2 / sum x^(2/3)`, x being `cos(theta_i) cos(theta_o) f`, and E_2 that of pixels. Sums run
-    over all bands. Pixels brighter than display white do not count; cube roots are linear below 0.9 % of it, as in
-    CIELAB.
-
-    Differences of cube roots are those of values times slopes: linear least squares, repeated with better slopes.
-
-    Args:
-        atoms: values of BRDFs, cosines included, at direction pairs, then their pixels, never negative: shape (n, R).
-        material: the same of the material's bands, shape (B, R).
-        n_pixels: how many of the R are pixels, where display white is 1.
-    Returns:
-        Shape (B, n), mostly zeros.
-    Source: docs/explanation/reconstruction.md.
-    """
-    material = np.maximum(material, 0.0)
-    weights: Array = np.zeros((len(material), len(atoms)))
-    fitted = material
-    with one_blas_thread:
-        for _ in range(_FITS):
-            slopes = cube_root_slopes(material, n_pixels, fitted)
-            v = weights[0]
-            for b, (x, slope) in enumerate(zip(material, slopes, strict=True)):
-                # From the fit before, or from the band before: neighbouring bands are alike.
-                v = _fit(atoms * slope, x * slope, weights[b] if np.any(weights[b]) else v)
-                weights[b] = v
-            fitted = weights @ atoms
-    return weights
-
-
-def cube_root_slopes(material: Array, n_pixels: int, fitted: Array) -> Array:
-    """By what to multiply errors of values so that their squares sum up to what `reconstruction_weights` minimises.
-
-    Args:
-        material: shape (B, R), at least 0.
-        n_pixels: as for `reconstruction_weights`.
-        fitted: values (B, R) near which errors are; where they are the material's, slopes are derivatives.
-    """
-    is_pixel = np.arange(material.shape[1]) >= material.shape[1] - n_pixels
-    counts = np.where(is_pixel & (material >= 1.0), 0.0, 1.0)
-    norms = [np.sum(counts[:, k] * material[:, k] ** (2.0 / 3.0)) for k in (~is_pixel, is_pixel)]
-    of_values, of_pixels = 1.0 / np.sqrt(np.maximum(norms, _LEAST))
-    a, b = np.cbrt(material), np.cbrt(fitted)
-    secant = np.maximum(a * a + a * b + b * b, 3.0 * _LEAST ** (2.0 / 3.0))
-    return np.asarray(counts * np.where(is_pixel, of_pixels, _OF_VALUES * of_values) / secant)
-
-
-def _fit(A: Array, y: Array, start: Array) -> Array:
-    """Weights v >= 0 (n,) that minimise `|v A - y|`: atoms enter by their slopes, a few at a time."""
-    norms = np.maximum(np.linalg.norm(A, axis=1), np.finfo(float).tiny)
-    limit = _TOLERANCE * np.linalg.norm(y)
-    used = np.flatnonzero(start)
-    while True:
-        some, v = A[used], np.zeros(len(A))
-        if used.size:
-            v[used] = nonnegative_weights(some @ some.T, (some @ y)[None])[0]
-        slopes = A @ (y - v[used] @ some) / norms
-        slopes[used] = 0.0
-        enter = np.argsort(-slopes)[:_AT_ONCE]
-        enter = enter[slopes[enter] > limit]
-        if enter.size == 0:
-            return v
-        used = np.union1d(used, enter)
-
-
-_CANDIDATES = 40  # of either sort, those of largest slope, are tried each time
-_SWEEPS = 4
-_FEW = 6  # terms, of which pairs are exchanged, too
-_LEAST_GAIN = 1e-9  # of the relative squared error
-
-
-def few_atoms(atoms: Array, material: Array, n_pixels: int, numbers: int, lambertian: int) -> Array:
-    """Weights v >= 0 of few atoms by which `v g` looks most like every band of a material.
-
-    Minimises what `reconstruction_weights` minimises. An atom takes a number that says which it is, and a weight per
-    band, or one weight that all bands share; a Lambertian is always meant, and takes its weights alone. Atoms enter by
-    the error that they save per number; then each is taken out in turn, and others take its place where that is better.
-
-    Args:
-        atoms, material, n_pixels: as for `reconstruction_weights`.
-        numbers: at most so many, at least 1.
-        lambertian: the index of that atom.
-    Returns:
-        Shape (B, n), mostly zeros.
-    """
-    material = np.maximum(material, 0.0)
-    with one_blas_thread:
-        search = _Search(atoms, material, cube_root_slopes(material, n_pixels, material), lambertian)
-        terms, error = search.extended([], numbers)
-        for _ in range(_SWEEPS):
-            before = error
-            for out in _taken_out(terms):
-                found, lower = search.extended([term for term in terms if term not in out], numbers)
-                if lower < error:
-                    terms, error = found, lower
-            if error > (1.0 - 1e-3) * before:
-                break
-        weights = search.weights(terms)
-        slopes = cube_root_slopes(material, n_pixels, weights @ atoms)
-        return _Search(atoms, material, slopes, lambertian).weights(terms)
-
-
-def _taken_out(terms: list[_Term]) -> list[tuple[_Term, ...]]:
-    """What is taken out in turn: each term, and of few terms each pair."""
-    pairs = combinations(terms, 2) if len(terms) <= _FEW else ()
-    return [*((term,) for term in terms), *pairs]
-
-
-class _Term(NamedTuple):
-    atom: int
-    is_shared: bool  # by all bands: one weight
-
-
-class _Search:
-    """Least squares of a material (B, R) by few of n atoms (n, R), errors multiplied by slopes (B, R)."""
-
-    def __init__(self, atoms: Array, material: Array, slopes: Array, lambertian: int) -> None:
-        self._atoms, self._slopes, self._lambertian = atoms, slopes, lambertian
-        self._target = material * slopes
-        self._norms = np.maximum((slopes**2) @ (atoms**2).T, np.finfo(float).tiny)  # [B, n]
-
-    def extended(self, terms: list[_Term], numbers: int) -> tuple[list[_Term], float]:
-        """Terms, and those that save most, or most per number, as numbers are left; and the squared error."""
-        return min((self._extended(terms, numbers, power) for power in (0, 1)), key=lambda found: found[1])
-
-    def _extended(self, terms: list[_Term], numbers: int, power: int) -> tuple[list[_Term], float]:
-        weights, error = self._solve(terms, [terms])[0]
-        while True:
-            left = numbers - sum(map(self._cost, terms))
-            tried = [[*terms, term] for term in self._candidates(terms, weights, left)]
-            solved = self._solve([each[-1] for each in tried] + terms, tried)
-            gains = [
-                (error - e) / self._cost(each[-1]) ** power
-                for each, (_, e) in zip(tried, solved, strict=True)
-            ]
-            if not gains or max(gains) < _LEAST_GAIN:
-                return terms, error
-            best = int(np.argmax(gains))
-            terms, (weights, error) = tried[best], solved[best]
-
-    def weights(self, terms: list[_Term]) -> Array:
-        """The best weights of terms, shape (B, n)."""
-        every = np.zeros((len(self._target), len(self._atoms)))
-        for term, column in zip(terms, self._solve(terms, [terms])[0][0].T, strict=True):
-            every[:, term.atom] += column
-        return every
-
-    def _cost(self, term: _Term) -> int:
-        return (1 if term.is_shared else len(self._target)) + (term.atom != self._lambertian)
-
-    def _candidates(self, terms: Sequence[_Term], weights: Array, left: int) -> list[_Term]:
-        """Terms of at most so many numbers that save most by themselves."""
-        fitted = weights @ self._atoms[[term.atom for term in terms]]
-        slopes = ((self._target - fitted * self._slopes) * self._slopes) @ self._atoms.T  # [B, n]
-        gains = (
-            np.sum(np.maximum(slopes, 0.0) ** 2 / self._norms, axis=0),
-            np.maximum(slopes.sum(axis=0), 0.0) ** 2 / self._norms.sum(axis=0),
-        )
-        best = [
-            _Term(int(atom), bool(is_shared))
-            for is_shared, gain in enumerate(gains)
-            for atom in np.argsort(-gain)[:_CANDIDATES]
-            if gain[atom] > 0.0
-        ]
-        return [term for term in best if self._cost(term) <= left and term not in terms]
-
-    def _solve(self, pool: list[_Term], choices: list[list[_Term]]) -> list[tuple[Array, float]]:
-        """The best weights (B, terms) of each choice from a pool of terms, and the squared error."""
-        atoms = sorted({term.atom for term in pool})
-        position = {atom: k for k, atom in enumerate(atoms)}
-        rows = self._atoms[atoms] * self._slopes[:, None]  # [B, m, R]
-        gram, cross = rows @ rows.transpose(0, 2, 1), rows @ self._target[..., None]
-        B, norm = len(rows), float(np.sum(self._target**2))
-        found = []
-        for terms in choices:
-            # One unknown per term and band, then those that bands share are added up.
-            at = [position[term.atom] for term in terms]
-            shares = [np.ones((B, 1)) if term.is_shared else np.eye(B) for term in terms]
-            spread = np.zeros((B, len(terms), sum(share.shape[1] for share in shares)))
-            first = 0
-            for k, share in enumerate(shares):
-                spread[:, k, first : first + share.shape[1]] = share
-                first += share.shape[1]
-            H = np.sum(spread.transpose(0, 2, 1) @ gram[:, at][:, :, at] @ spread, axis=0)
-            c = np.sum(spread.transpose(0, 2, 1) @ cross[:, at], axis=0)[:, 0]
-            v = nonnegative_weights(H, c[None])[0] if terms else c
-            found.append((spread @ v, norm - 2.0 * float(v @ c) + float(v @ H @ v)))
-        return found
-
 
 DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0))
 """Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""
@@ -229,6 +28,7 @@ MAX_BANDS = 20
 """In which weights of few atoms are found."""
 
 _SAMPLES_AT_ONCE = 300  # materials among which weights are found together
+_OF_VALUES = 0.25  # how much the squared error of values counts beside that of pixels
 _STUDIOS_DEG = (60.0, 180.0, 300.0)  # reports show the ball at 0: in a light that no reconstruction saw
 
 
@@ -265,10 +65,10 @@ class ComparedValues:
         """
         material = self.of(brdf)
         if numbers is None:
-            return reconstruction_weights(atoms, material, self.n_pixels)
+            return explain(observations(atoms, material, self.n_pixels))
         bands = evenly_spaced(len(material), MAX_BANDS)
         lambertian = len(atoms) - len(DICTIONARY.lobes)
-        found = few_atoms(atoms, material[bands], self.n_pixels, numbers, lambertian)
+        found = few_atoms(observations(atoms, material[bands], self.n_pixels), numbers, lambertian)
         weights = np.zeros((len(material), len(atoms)))
         for k in np.flatnonzero(found.any(axis=0)):
             weights[:, k] = np.interp(np.arange(len(material)), bands, found[:, k])
@@ -291,13 +91,29 @@ class ComparedValues:
         return np.hstack([f[:, :P] * self._cosines, *pixels])
 
 
+def observations(atoms: Array, material: Array, n_pixels: int) -> list[Observation]:
+    """What is seen of a material (B, R), never negative, by functionals, the last of them pixels, of atoms (n, R).
+
+    Errors of cube roots are relative, over all bands, among values and among pixels. Pixels brighter than display
+    white do not count.
+    """
+    material = np.maximum(material, 0.0)
+    is_pixel = np.arange(material.shape[1]) >= material.shape[1] - n_pixels
+    counts = np.where(is_pixel & (material >= 1.0), 0.0, np.where(is_pixel, 1.0, _OF_VALUES))
+    squares = np.sum((counts > 0.0) * material ** (2.0 / 3.0), axis=0)
+    for rows in (is_pixel, ~is_pixel):
+        counts[:, rows] /= max(float(squares[rows].sum()), LEAST)
+    no_bound = np.zeros(material.shape[1], bool)
+    return [Observation(atoms, *each, no_bound) for each in zip(material, counts, strict=True)]
+
+
 def reconstruct(
     materials: MaterialCache,
     sample_bands: Indices,
     brdf: BRDF,
     numbers: int | None = None,
 ) -> PredictedBRDF:
-    """Combine bands of materials, and lobes, with weights that may only add: see `reconstruction_weights`.
+    """Combine bands of materials, and lobes, with weights that may only add: see `estimator.explain`.
 
     Of more than 300 materials, weights are found among 300 after 300, each time beside those that had any before.
 

@@ -27,7 +27,14 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.band_mixtures import band_mixtures
 from manifold.estimate.complete import completion_weights
 from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
-from manifold.estimate.mixtures import COATED, LIKE_ONE, ReadingRoots, log_prior_of, material_prior, posterior
+from manifold.estimate.mixtures import (
+    COATED,
+    LIKE_ONE,
+    ReadingRoots,
+    log_prior_of,
+    material_prior,
+    posterior,
+)
 from manifold.estimate.reading_bands import for_library, in_all_bands
 from manifold.estimate.residual import coordinates, covariance, residual_factors
 from manifold.estimate.suggest import DIRECTIONS as INSTRUMENTS

@@ -129,7 +129,7 @@ def test_readings_count_beside_pixels(photo_atoms, felt):
     elevations = np.deg2rad(np.linspace(0.0, 60.0, 40))
     wi, wo = from_spherical(np.full(40, 0.7), 0.0), from_spherical(elevations, np.pi)
     bright = Readings("sample", "test", wi, wo, None, np.full((40, 3), 0.9 / np.pi), np.ones(40))
-    found = find_material(photo_atoms, [felt[0]], RGB, np.eye(3), readings=bright)
+    found = find_material(photo_atoms, [felt[0], bright], RGB, np.eye(3))
     at = found.brdf.eval(wi, wo).mean()
     assert at > 1.2 * felt[1].brdf.eval(wi, wo).mean()
 

@@ -121,20 +121,21 @@ def complete(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
         )
     if photo:
-        if lab is not None or suggest:
-            raise UsageError(
-                "found --photo with --lab or --suggest, expected it with files of readings, or alone"
-            )
+        if suggest:
+            raise UsageError("found --photo with --suggest, which suggests readings; leave one of them out")
         request = photo_options.photo_request(
             photo, light, circle, turn, elevation, distance, exposure, camera
         )
         from manifold.estimate import photographs
 
+        given = completions.parse_gloss(gloss or [])
         measured = completions.read(readings, sample, correction)[0] if readings else None
+        if lab is not None:
+            measured = completions.readings_of_lab(lab, {}, library)
         target = or_default(output, f"{photo[0].stem}.bsdf")
         with progress.shown("Completing"):
             seen = photographs.complete_photographs(
-                request, library, target, readings=measured,
+                request, library, target, readings=measured, gloss=given,
                 picture=checked(target.with_suffix(".png"), "picture") if picture else None,
                 options=OutputOptions(physical, terminal.is_strict(), resolution, incidences),
             )  # fmt: skip

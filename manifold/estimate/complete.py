@@ -12,14 +12,14 @@ from manifold.brdf.measured import BRDF
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.band_mixtures import Hypotheses, band_mixtures
-from manifold.estimate.estimator import explain
 from manifold.estimate.gloss import GlossReadings, gloss_differences, gloss_units
 from manifold.estimate.mixtures import ReadingRoots, posterior
-from manifold.estimate.observation import Observation
 from manifold.estimate.reading_bands import beyond, for_library, in_all_bands
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
 from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight
+from manifold.model.estimator import explain
+from manifold.model.observation import Observation
 from manifold.records import Array, Mask
 
 _SHOWN_ALTERNATIVES = 5

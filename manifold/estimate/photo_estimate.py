@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from manifold.estimate.estimator import explain
 from manifold.estimate.mixtures import (
     LAMBERTIAN_SPREAD,
     MixtureProducts,
@@ -23,8 +22,9 @@ from manifold.estimate.mixtures import (
     material_prior,
     scaled_mixtures,
 )
-from manifold.estimate.observation import LEAST, Observation
 from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.model.estimator import explain
+from manifold.model.observation import LEAST, Observation
 from manifold.records import Array, Indices, Mask
 
 _MODEL_ERROR = 0.05  # standard deviation of cube roots of pixels about the best mixture, relative

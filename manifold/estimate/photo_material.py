@@ -20,13 +20,13 @@ from manifold.estimate.blocks import Blocks
 from manifold.estimate.expected import KINDS, Calibration, cached
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.light import Environment
-from manifold.estimate.observation import Observation
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_estimate import Prior, estimate, prior_of
 from manifold.estimate.pixels import SAMPLES, Camera, block_sums, direction_pairs
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.model.observation import Observation
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, Bands, Mask, evenly_spaced
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,11 @@ from manifold.estimate import photo_figure
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.blocks import blocks_of, reduced
 from manifold.estimate.circle import Circle, find_circle
+from manifold.estimate.gloss import gloss_units
 from manifold.estimate.light import Environment
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
-from manifold.estimate.photo_material import PhotoMaterial, Sighting, find_material
+from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
 from manifold.estimate.pixels import Camera
 from manifold.estimate.reading_bands import for_library
 from manifold.estimate.spectra import band_matrix, read_responses, srgb_responses
@@ -36,7 +38,7 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.located import Located
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
-from manifold.model.prediction import ClippedBRDF
+from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.plots import figures
 from manifold.progress import Stages
 from manifold.records import Array
@@ -142,6 +144,7 @@ def complete_photographs(
     output: Path,
     *,
     readings: Readings | None = None,
+    gloss: Mapping[float, float] = MappingProxyType({}),
     picture: Path | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> FromPhotographs:
@@ -152,6 +155,7 @@ def complete_photographs(
         library: of measured materials.
         output: the `.bsdf` file to write.
         readings: of the same material, if there are any.
+        gloss: units of a gloss meter by its angle in degrees, if there are any.
         picture: of photographs, predictions and differences; None draws none.
         options: of the output.
     Raises:
@@ -163,7 +167,7 @@ def complete_photographs(
     start = time.perf_counter()
     require_bsdf_output(output)
     stages = _stages(picture)
-    balls, material, notes = _found(request, Library(library), readings, stages)
+    balls, material, notes = _found(request, Library(library), readings, gloss, stages)
     stages.begin("writing")
     description = (
         f"Found in {len(balls)} photograph{'s' * (len(balls) > 1)} of a ball through "
@@ -208,7 +212,7 @@ def locate_photographs(
         require_bsdf_output(output)
     stages = _stages(picture)
     loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
-    balls, material, notes = _found(request, loaded.library, None, stages)
+    balls, material, notes = _found(request, loaded.library, None, {}, stages)
     seen = ClippedBRDF(material.brdf)
     place = located.locate_brdf(loaded, seen)
     notes += (
@@ -253,7 +257,11 @@ def _stages(picture: Path | None) -> Stages:
 
 
 def _found(
-    request: PhotoRequest, library: Library, readings: Readings | None, stages: Stages
+    request: PhotoRequest,
+    library: Library,
+    readings: Readings | None,
+    gloss: Mapping[float, float],
+    stages: Stages,
 ) -> tuple[tuple[SeenBall, ...], PhotoMaterial, tuple[str, ...]]:
     """What was seen, the material, and notes."""
     stages.begin("reading pictures")
@@ -273,10 +281,14 @@ def _found(
     stages.begin("reading materials")
     atoms = PhotoAtoms(LibraryAtoms.of_library(library))
     stages.begin("comparing pixels")
+    seen: list[Seen] = [ball.sighting for ball in balls]
+    if readings is not None:
+        seen.append(readings)
+    if gloss:
+        seen.append(gloss)
     material = find_material(
-        atoms, [ball.sighting for ball in balls], library.bands,
-        band_matrix(library, atoms.library.names, responses), exposure=request.exposure, readings=readings,
-        library=library,
+        atoms, seen, library.bands, band_matrix(library, atoms.library.names, responses),
+        exposure=request.exposure, library=library,
     )  # fmt: skip
     notes = [note for ball in balls for note in ball.notes] + list(material.notes)
     if request.exposure is None:
@@ -286,11 +298,26 @@ def _found(
         )
     if readings is not None:
         notes += readings.notes
+    notes += _agreement(material.brdf, readings, gloss)
     if not library.bands.is_rgb:
         notes.append(
             "spectra are estimated from three channels: bands that no channel sees follow the library's"
         )
     return balls, material, tuple(dict.fromkeys(notes))
+
+
+def _agreement(brdf: PredictedBRDF, readings: Readings | None, gloss: Mapping[float, float]) -> list[str]:
+    """How far a material is from what was given beside its photographs, in sentences."""
+    notes = []
+    if readings is not None:
+        made, seen = np.cbrt(brdf.eval(readings.wi, readings.wo)), np.cbrt(np.maximum(readings.values, 0.0))
+        is_read = np.isfinite(seen)
+        error = float(np.linalg.norm((made - seen)[is_read]) / np.linalg.norm(seen[is_read]))
+        notes.append(f"readings: cube roots differ by {100 * error:.1f} % (root mean square)")
+    given = {**(readings.gloss if readings is not None else {}), **gloss}
+    for angle, units in gloss_units(brdf, given).items():
+        notes.append(f"gloss at {angle:g} degrees: {given[angle]:g} given, {units:.3g} found")
+    return notes
 
 
 def see(request: PhotoRequest) -> tuple[SeenBall, ...]:

@@ -11,13 +11,13 @@ from manifold.brdf.measured import BRDF, all_isotropic
 from manifold.colour import ball_colours
 from manifold.encoding import EncodingPairs
 from manifold.errors import UsageError
-from manifold.estimate.estimator import explain
-from manifold.estimate.few_atoms import few_atoms
-from manifold.estimate.observation import LEAST, Observation
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.dictionary import Dictionary
+from manifold.model.estimator import explain
+from manifold.model.few_atoms import few_atoms
 from manifold.model.materials import MaterialCache
+from manifold.model.observation import LEAST, Observation
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, Indices, evenly_spaced
 

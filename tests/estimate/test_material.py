@@ -14,6 +14,7 @@ from manifold.directions import from_spherical
 from manifold.estimate import photo_material
 from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle
+from manifold.estimate.gloss import gloss_units
 from manifold.estimate.light import Environment
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph
@@ -132,6 +133,15 @@ def test_readings_count_beside_pixels(photo_atoms, felt):
     found = find_material(photo_atoms, [felt[0], bright], RGB, np.eye(3))
     at = found.brdf.eval(wi, wo).mean()
     assert at > 1.2 * felt[1].brdf.eval(wi, wo).mean()
+
+
+def test_gloss_counts_beside_pixels(photo_atoms, felt):
+    before = gloss_units(felt[1].brdf, [60.0])[60.0]
+    given = 4.0 * before + 5.0
+    found = find_material(photo_atoms, [felt[0], {60.0: given}], RGB, np.eye(3))
+    after = gloss_units(found.brdf, [60.0])[60.0]
+    assert abs(after - given) < 0.5 * abs(before - given)
+    assert found.residual >= felt[1].residual - 1e-6  # of all rows: gloss contradicts these pixels
 
 
 def test_neutral_colours_have_flat_spectra(rng):

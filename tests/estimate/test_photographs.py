@@ -16,6 +16,8 @@ from manifold.colour.conversion import encode_srgb
 from manifold.colour.lights import environment
 from manifold.colour.pictures import read_picture
 from manifold.estimate import photographs
+from manifold.estimate.attributes import lab_of
+from manifold.estimate.gloss import gloss_units
 from manifold.estimate.spectra import read_responses
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
@@ -58,6 +60,26 @@ def test_a_photograph_is_completed(run, folder, library):
     assert document["plausibility"]["max_albedo"] <= 1.05
     assert set(document["expected"]) == {"ball", "cube_root", "linear"}
     assert "expected error" in out
+
+
+def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
+    truth = MeasuredBRDF(read_bsdf(folder / "gold_rgb.bsdf"))
+    units = gloss_units(truth, [60.0])[60.0]
+    code, _, err = run(
+        "complete", "--lab", "{:.2f},{:.2f},{:.2f}".format(*lab_of(truth)), "--gloss", f"60={units:.1f}",
+        "--photo", "ball.exr", "--light", "light.exr", "--distance", 8, "--library", library,
+        "-o", "together.bsdf", "--json", "together.json", cwd=folder,
+    )  # fmt: skip
+    assert code == 0, err
+    found = MeasuredBRDF(read_bsdf(folder / "together.bsdf"))
+    assert brdf_errors(truth, found).ball < 2.0
+    notes = " ".join(json.loads((folder / "together.json").read_text())["diagnostics"])
+    assert "readings: cube roots differ by" in notes
+    assert f"gloss at 60 degrees: {units:.1f} given" in notes
+    assert (
+        "--suggest"
+        in run("complete", "--photo", "ball.exr", "--light", "studio", "--suggest", 2, cwd=folder)[2]
+    )
 
 
 def test_a_photograph_is_located_near_its_material(run, folder, library):

@@ -62,7 +62,7 @@ def test_a_new_material_is_nearer_than_any_of_the_library(model, pairs):
 def test_materials_of_many_groups_describe_one_as_well_as_all_at_once(model, monkeypatch):
     brdf = MeasuredBRDF(measured(LEFT_OUT))
     at_once = brdf_errors(brdf, model.reconstruct(brdf))
-    monkeypatch.setattr(reconstruction, "_AT_ONCE", 2)
+    monkeypatch.setattr(reconstruction, "_SAMPLES_AT_ONCE", 2)
     in_groups = brdf_errors(brdf, model.reconstruct(brdf))
     # One that had no weight among a few may have one among all, so a little is lost.
     assert in_groups.cube_root < 1.1 * at_once.cube_root

@@ -26,6 +26,7 @@ def usda(export: Export, openpbr_parameters: Mapping[str, Any] | None = None) ->
     name = identifier(export.name)
     path = f"/World/Materials/{name}"
     own = dict(export.parameters)
+    is_textured = export.textures is not None
     if export.textures is not None:
         own["diffuseColor"] = preview_surface.DEFAULTS["diffuseColor"]
         placed, nodes = _textured(path, export.textures)
@@ -65,8 +66,8 @@ def Xform "World"
 {nodes}{second}        }}
     }}
 
-{_mesh(glb.ball(), path, (0.0, 1.0, 0.0))}
-{_mesh(glb.plane(), path, (0.0, 0.0, -2.5))}}}
+{_mesh(glb.ball(), path, (0.0, 1.0, 0.0), is_textured=is_textured)}
+{_mesh(glb.plane(), path, (0.0, 0.0, -2.5), is_textured=is_textured)}}}
 """
 
 
@@ -140,10 +141,14 @@ def _tuple(values: Any) -> str:
     return "(" + ", ".join(f"{float(v):.9g}" for v in values) + ")"
 
 
-def _mesh(mesh: Mesh, material: str, place: tuple[float, float, float]) -> str:
+def _mesh(mesh: Mesh, material: str, place: tuple[float, float, float], *, is_textured: bool) -> str:
     points = ", ".join(_tuple(p) for p in mesh.positions)
     normals = ", ".join(_tuple(n) for n in mesh.normals)
-    places = ", ".join(_tuple((u, 1.0 - v)) for u, v in mesh.places)
+    places = ""
+    if is_textured:
+        texture = ", ".join(_tuple((u, 1.0 - v)) for u, v in mesh.places)
+        vertex = '(\n            interpolation = "vertex"\n        )\n'
+        places = f"        texCoord2f[] primvars:st = [{texture}] {vertex}"
     extent = f"{_tuple(mesh.positions.min(axis=0))}, {_tuple(mesh.positions.max(axis=0))}"
     return f"""    def Mesh "{mesh.name}" (
         prepend apiSchemas = ["MaterialBindingAPI"]
@@ -157,10 +162,7 @@ def _mesh(mesh: Mesh, material: str, place: tuple[float, float, float]) -> str:
         normal3f[] normals = [{normals}] (
             interpolation = "vertex"
         )
-        texCoord2f[] primvars:st = [{places}] (
-            interpolation = "vertex"
-        )
-        uniform token subdivisionScheme = "none"
+{places}        uniform token subdivisionScheme = "none"
         double3 xformOp:translate = {_tuple(place)}
         uniform token[] xformOpOrder = ["xformOp:translate"]
     }}

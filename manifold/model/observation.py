@@ -37,9 +37,11 @@ class Observation:
     @classmethod
     def joined(cls, parts: Sequence[Observation]) -> Observation:
         """Rows of several sources together."""
-        names = ("seen", "weights", "is_bound")
-        rows = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return cls(np.concatenate([part.atoms for part in parts], axis=1), *rows)
+        seen, weights, bounds = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("seen", "weights", "is_bound")
+        )
+        return cls(np.concatenate([part.atoms for part in parts], axis=1), seen, weights, bounds)
 
     def scaled(self, exposure: float) -> Observation:
         """The same for what was seen under an exposure."""

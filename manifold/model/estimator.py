@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from manifold.estimate.observation import Observation
+from manifold.model.observation import Observation
 from manifold.nonnegative import nonnegative_weights
 from manifold.records import Array, Mask
 from manifold.threads import one_blas_thread

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.estimate.observation import Observation
+from manifold.model.observation import Observation
 from manifold.nonnegative import nonnegative_weights
 from manifold.records import Array
 from manifold.threads import one_blas_thread

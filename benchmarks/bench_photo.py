@@ -3,6 +3,7 @@
     python benchmarks/bench_photo.py FOLDER                    # of .bsdf files: five lights, and variants in the first
     python benchmarks/bench_photo.py FOLDER --lights sky room --variants --expected
     python benchmarks/bench_photo.py FOLDER --lights overcast --every 3 --json FILE      # rows are added to those there
+    python benchmarks/bench_photo.py FOLDER --together        # twelve readings, one photograph, and both
     python benchmarks/bench_photo.py --spectral                # spectra of the built-in corpus from RGB pictures
 
 Mitsuba renders the ball of every file, 256 pixels across, with noise, clipped at display white; what was found without
@@ -31,6 +32,7 @@ from manifold.colour.reflectances import srgb_spectra
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle
+from manifold.estimate.complete import complete
 from manifold.estimate.expected import KINDS
 from manifold.estimate.light import Environment
 from manifold.estimate.photo_atoms import PhotoAtoms
@@ -38,9 +40,11 @@ from manifold.estimate.photo_files import Photograph
 from manifold.estimate.photo_material import PhotoMaterial, Sighting, errors_of, find_material
 from manifold.estimate.pixels import Camera
 from manifold.estimate.spectra import srgb_responses, wiener_matrix
+from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.model.comparison import brdf_errors
 from manifold.model.output_file import output_file
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.reconstruction import ComparedValues
@@ -149,6 +153,27 @@ def reconstructed(atoms: PhotoAtoms, m: int) -> tuple[float, float, float]:
     return errors(atoms, m, weights)
 
 
+def together(
+    atoms: PhotoAtoms, m: int, seen: Sighting
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Errors of material m from the twelve readings of an MA-T12, from one photograph, and from both."""
+    library, truth = atoms.library, atoms.library.materials[m]
+    wi, wo = geometry_ma_t12()
+    values = np.maximum(truth.eval(wi, wo), 0.0)
+    readings = Readings("sample", "MA-T12", wi, wo, None, values)
+    without = PhotoAtoms(library.without(m))
+    made = [
+        complete(without.library, readings).brdf,
+        *(
+            find_material(without, observed, library.bands, np.eye(3)).brdf
+            for observed in ([seen], [seen, readings])
+        ),
+    ]
+    found = [brdf_errors(truth, brdf) for brdf in made]
+    first, second, third = ((e.ball, e.cube_root, e.linear) for e in found)
+    return first, second, third
+
+
 class Table:
     """Medians and 90th percentiles, printed and kept.
 
@@ -208,6 +233,13 @@ def real(folder: Path, options: argparse.Namespace) -> None:
     for k, name in enumerate(options.lights):
         light = environment(name, 256)
         pictures = dict(zip(chosen, rendered([files[m] for m in chosen], light), strict=True))
+        if options.together:
+            rows = [together(atoms, m, sighting(picture, STANDARD, light)) for m, picture in pictures.items()]
+            for kind, own in zip(
+                ("twelve readings", "photograph", "both"), zip(*rows, strict=True), strict=True
+            ):
+                table.add(f"{name}: {kind}{part}", list(own))
+            continue
         for shot in (STANDARD, *(VARIANTS if options.variants and k == 0 else ())):
             start, rows, expected = time.perf_counter(), [], []
             for m, picture in pictures.items():
@@ -258,6 +290,9 @@ def main() -> None:
     parser.add_argument("--others", action="store_true", help="`reconstruct` and the nearest material")
     parser.add_argument("--every", type=int, default=1, help="one file in this many")
     parser.add_argument("--json", type=Path, help="where rows are kept")
+    parser.add_argument(
+        "--together", action="store_true", help="readings and photograph, each alone and both"
+    )
     parser.add_argument("--spectral", action="store_true")
     options = parser.parse_args()
     if options.spectral:

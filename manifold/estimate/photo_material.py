@@ -41,7 +41,6 @@ _GREY = 0.3  # its albedo
 _HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
 _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
-_ENOUGH_READINGS = 30  # that count as much as all photographs
 _UNEXPLAINED = 0.03  # residual that noise can make
 
 
@@ -218,14 +217,14 @@ def _together(
 
 
 def _of_readings(atoms: PhotoAtoms, readings: Readings, channel: int, pixels: Observation) -> Observation:
-    """Readings of one channel beside pixels: thirty of them count as much as all of these.
+    """Readings of one channel beside pixels: each counts as much as a block of these in the mean.
 
     They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
     """
     is_read = np.isfinite(readings.values[:, channel]) & (readings.weights > 0.0)
     wi, wo = readings.wi[is_read], readings.wo[is_read]
     weights = readings.weights[is_read]
-    weights = weights * pixels.weights.sum() / max(weights.sum(), _ENOUGH_READINGS)
+    weights = weights * pixels.weights.mean() / max(weights.mean(), np.finfo(float).tiny)
     seen = np.maximum(readings.values[is_read, channel], 0.0)
     scale = cosine_weight(wi, wo) * np.pi
     scale /= np.maximum(scale * seen, 1.0)
@@ -242,7 +241,7 @@ def _of_gloss(
     unit = np.array([meter.mean_value(1.0) for meter in meters])
     of_channels = np.maximum(made @ means, np.finfo(float).tiny)
     seen = read * of_channels / luminance(of_channels.T, Bands(None))
-    weights = np.full(len(read), pixels.weights.sum() / _ENOUGH_READINGS)
+    weights = np.full(len(read), pixels.weights.mean())
     scale = 1.0 / np.maximum(seen, unit)
     return [
         Observation(means * k, row * k, weights, np.zeros(len(row), bool))

@@ -140,7 +140,7 @@ def test_gloss_counts_beside_pixels(photo_atoms, felt):
     given = 4.0 * before + 5.0
     found = find_material(photo_atoms, [felt[0], {60.0: given}], RGB, np.eye(3))
     after = gloss_units(found.brdf, [60.0])[60.0]
-    assert abs(after - given) < 0.5 * abs(before - given)
+    assert 2.0 * before < after < given  # pixels contradict it
     assert found.residual >= felt[1].residual - 1e-6  # of all rows: gloss contradicts these pixels
 
 

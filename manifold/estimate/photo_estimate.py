@@ -56,13 +56,15 @@ def estimate(
 ) -> tuple[Array, list[Prior]]:
     """Weights of atoms, never negative, that explain every channel, and the prior of each: (C, n).
 
+    The prior is of pixels alone: readings of a kind of material that the library lacks would choose a wrong one.
+
     Args:
         atoms: n of them.
         channels: of a camera, C.
         usable: which atoms may be used, shape (n,); by default all.
     """
     usable = np.ones(len(atoms), bool) if usable is None else usable
-    priors = [prior_of(atoms, rows, usable) for rows in channels]
+    priors = [prior_of(atoms, rows.pixels, usable) for rows in channels]
     G = atoms.on_grid[:, ::_STRIDE]
     means = np.array([np.cbrt(np.maximum(prior.mean @ G, 0.0)) for prior in priors])
     norms = np.sum(means**2, axis=1)

@@ -196,7 +196,7 @@ def find_material(
     if gloss:
         made, _ = estimate(atoms, channels)  # photographs say what colour highlights have
         channels = [
-            Observation.joined([rows, of_gloss])
+            rows.beside(of_gloss)
             for rows, of_gloss in zip(channels, _of_gloss(atoms, gloss, made, pictures[0]), strict=True)
         ]
     weights, priors = estimate(atoms, channels)
@@ -211,7 +211,7 @@ def _together(
 ) -> list[Observation]:
     """Photographs under an exposure, and what else was seen in every channel."""
     return [
-        rows.scaled(exposure) if other is None else Observation.joined([rows.scaled(exposure), other])
+        rows.scaled(exposure) if other is None else rows.scaled(exposure).beside(other)
         for rows, other in zip(pictures, beside, strict=True)
     ]
 
@@ -282,7 +282,7 @@ def calibrated(atoms: PhotoAtoms, channels: Sequence[Observation]) -> Calibratio
     errors, found = [], []
     for m in evenly_spaced(len(library.names), _LEFT_OUT):
         own = m * axis.count + three
-        rows = [_seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
+        rows = [seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
         weights, priors = estimate(atoms, rows, atoms.without(m))
         errors.append(errors_of(atoms, own, weights))
         found.append(indicators(rows, weights, priors))
@@ -303,10 +303,11 @@ def _clipping(rows: Observation) -> float:
     return float(rows.seen[rows.is_bound].min()) if rows.is_bound.any() else np.inf
 
 
-def _seen_instead(rows: Observation, seen: Array) -> Observation:
+def seen_instead(rows: Observation, seen: Array) -> Observation:
     """The same pixels of another material, clipped at the same level."""
     level = _clipping(rows)
-    return replace(rows, seen=np.minimum(seen, level), is_bound=seen >= level)
+    is_bound = (seen >= level) & (np.arange(len(seen)) < len(seen) - rows.n_beside)
+    return replace(rows, seen=np.where(is_bound, level, seen), is_bound=is_bound)
 
 
 def errors_of(atoms: PhotoAtoms, own: Array, weights: Array) -> tuple[float, float, float]:

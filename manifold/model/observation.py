@@ -26,6 +26,7 @@ class Observation:
         weights: how much the squared error of each counts, shape (R,).
         is_bound: the material was at least as bright as seen, since the camera clipped it, shape (R,).
         is_root: the rows are functionals of cube roots of the BRDF.
+        n_beside: how many of the rows, the last ones, stand beside a camera's pixels, see `beside`.
     """
 
     atoms: Array
@@ -33,6 +34,7 @@ class Observation:
     weights: Array
     is_bound: Mask
     is_root: bool = False
+    n_beside: int = 0
 
     @classmethod
     def joined(cls, parts: Sequence[Observation]) -> Observation:
@@ -42,6 +44,17 @@ class Observation:
             for name in ("seen", "weights", "is_bound")
         )
         return cls(np.concatenate([part.atoms for part in parts], axis=1), seen, weights, bounds)
+
+    def beside(self, other: Observation) -> Observation:
+        """The same pixels, and rows of another source: these are never clipped, and do not choose the prior."""
+        n_beside = self.n_beside + len(other.seen)
+        return replace(Observation.joined([self, other]), n_beside=n_beside)
+
+    @property
+    def pixels(self) -> Observation:
+        """The rows that stand beside nothing."""
+        n = len(self.seen) - self.n_beside
+        return Observation(self.atoms[:, :n], self.seen[:n], self.weights[:n], self.is_bound[:n])
 
     def scaled(self, exposure: float) -> Observation:
         """The same for what was seen under an exposure."""

@@ -17,12 +17,14 @@ from manifold.estimate.circle import Circle
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.light import Environment
 from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.photo_estimate import estimate
 from manifold.estimate.photo_files import Photograph
-from manifold.estimate.photo_material import Sighting, errors_of, find_material
+from manifold.estimate.photo_material import Sighting, errors_of, find_material, seen_instead
 from manifold.estimate.pixels import Camera, block_sums
 from manifold.estimate.spectra import wiener_matrix
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
+from manifold.model.observation import Observation
 from manifold.records import Bands
 
 SIZE, MARGIN = 96, 0.3
@@ -142,6 +144,20 @@ def test_gloss_counts_beside_pixels(photo_atoms, felt):
     after = gloss_units(found.brdf, [60.0])[60.0]
     assert 2.0 * before < after < given  # pixels contradict it
     assert found.residual >= felt[1].residual - 1e-6  # of all rows: gloss contradicts these pixels
+
+
+def test_what_stands_beside_pixels_neither_chooses_the_prior_nor_is_clipped(photo_atoms, felt):
+    pixels = felt[0].rows(photo_atoms)
+    level = np.array([0.9])
+    read = [Observation(rows.atoms[:, :1], level, np.ones(1), np.zeros(1, bool)) for rows in pixels]
+    both = [rows.beside(other) for rows, other in zip(pixels, read, strict=True)]
+    for alone, prior in zip(*(estimate(photo_atoms, rows)[1] for rows in (pixels, both)), strict=True):
+        np.testing.assert_array_equal(alone.mean, prior.mean)
+    clipped = replace(both[0], is_bound=np.arange(len(both[0].seen)) == 0)
+    other = seen_instead(clipped, clipped.seen + 1.0)  # of a brighter material
+    assert other.is_bound[:-1].all()
+    assert not other.is_bound[-1]
+    assert other.seen[-1] == level + 1.0
 
 
 def test_neutral_colours_have_flat_spectra(rng):

@@ -55,7 +55,7 @@ WithoutOption = Annotated[
 @app.command(
     "embed",
     short_help="Fit a manifold to a library.",
-    epilog="Example: manifold embed --latent-dim 2 --mapping cube-root",
+    epilog="Example: manifold embed --library library.zarr --model model.h5",
 )
 def embed(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
@@ -80,13 +80,14 @@ def embed(
         ),
     ] = "2",
     mapping: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Mapping of BRDF values, of kind material: identity, cube-root, log, log-relative, or auto. Blends "
-            "have cube-root only.",
+            help="For --kind material: mapping of BRDF values, identity, cube-root, log, log-relative, or auto. "
+            "[default: cube-root]",
             metavar="NAME",
+            show_default=False,
         ),
-    ] = "cube-root",
+    ] = None,
     optimizer: Annotated[
         Optimizer | None,
         typer.Option(
@@ -140,7 +141,11 @@ def embed(
     }
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
-    if not auto_mapping:
+    if mapping is not None and kind == "blend":
+        raise UsageError(
+            f"found --mapping {mapping}, which goes with --kind material; blends are of cube roots"
+        )
+    if mapping is not None and not auto_mapping:
         chosen["mapping"] = mapping
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
@@ -172,8 +177,7 @@ def embed(
         {
             "materials": fitted.space.materials_in_words,
             "kind": kind,
-            "latent dimensions": f"{settings.latent_dim}"
-            + ", and a colour per band" * (kind == "monochrome"),
+            "latent dimensions": settings.latent_dim,
             "mapping": settings.mapping,
             "kernel": settings.kernel,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
@@ -269,9 +273,8 @@ def predict(
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
-    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another; on a monochrome
-    manifold, whose latent describes structure only (gloss, layers), it is that of the nearest material. With --gloss,
-    --lightness, --chroma or --hue, the nearest place and colour that have them.
+    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. With --gloss, --lightness,
+    --chroma or --hue, the nearest place and colour that have them.
     """
     from manifold.estimate import predictions
     from manifold.estimate.attributes import Attributes

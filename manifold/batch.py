@@ -10,6 +10,7 @@ import csv
 import io
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -35,6 +36,10 @@ _MOST = 1 << 30  # bytes of an index: a row has about two thousand
 _ENTRY = '{"file": '  # every line of an index begins so
 
 S = TypeVar("S")
+
+
+class SheetWarning(UserWarning):
+    """A batch is done, but the sheet of its balls could not be drawn."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +224,14 @@ class Batch:
             from manifold.plots import figures, sheet
 
             cells = [(o.name, self._under(o), ball_path(o.path)) for o in every]
-            figures.save(sheet.contact_sheet(cells, self.under), self.sheet)
+            try:
+                figures.save(sheet.contact_sheet(cells, self.under), self.sheet)
+            except Exception as error:  # those of Pillow and Matplotlib are of many kinds
+                warnings.warn(
+                    f"{self.sheet.name}: the sheet of balls could not be drawn ({error}); everything else is written",
+                    SheetWarning,
+                    stacklevel=2,
+                )
 
     def _under(self, outcome: Outcome[Any]) -> str:
         if outcome.failure is not None:

@@ -125,7 +125,7 @@ class Data(Values):
             )
             return flat @ flat.T
 
-        return self.cached((repr(mapping), power, None if bands is None else tuple(bands.tolist())), products)
+        return self.cached((mapping, power, None if bands is None else tuple(bands.tolist())), products)
 
     def samples(self, mapping: Mapping, bands: Indices | None = None) -> Array:
         """T(f), sample by sample.

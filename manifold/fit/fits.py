@@ -26,7 +26,7 @@ from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.diagnostics import Prediction
-from manifold.model.manifold import Manifold
+from manifold.model.manifold import load_model
 from manifold.names import printable
 from manifold.progress import Stages
 from manifold.records import BsdfFile
@@ -172,7 +172,7 @@ def fit_prediction(place: PlaceSource, output: Path | None, settings: FitSetting
     path = Path("predicted.fit.json") if output is None else output
     disk.require_writable(path)
     stages = Stages({"reading materials": 3, "fitting": 7})
-    loaded = Manifold.load(place.model, place.library)
+    loaded = load_model(place.model, place.library)
     stages.begin("reading materials")
     loaded.prepare()
     predicted = diagnostics.predict(loaded, place.place, place.colour)

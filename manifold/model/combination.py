@@ -34,9 +34,11 @@ class Values:
     f: Array
     wi: Array
     wo: Array
-    _mapped: dict[str, Array] = field(default_factory=dict, repr=False, kw_only=True)
-    _samples: dict[tuple[str, tuple[int, ...]], Array] = field(default_factory=dict, repr=False, kw_only=True)
-    _lobes: dict[tuple[str, Lobes], Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _mapped: dict[Mapping, Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _samples: dict[tuple[Mapping, tuple[int, ...]], Array] = field(
+        default_factory=dict, repr=False, kw_only=True
+    )
+    _lobes: dict[tuple[Mapping, Lobes], Array] = field(default_factory=dict, repr=False, kw_only=True)
 
     @classmethod
     def at(cls, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Values:
@@ -53,11 +55,10 @@ class Values:
 
     def mapped(self, mapping: Mapping) -> Array:
         """T(f) of all materials, shape (N, P, B); cached."""
-        key = repr(mapping)
-        if key not in self._mapped:
+        if mapping not in self._mapped:
             cosines = np.broadcast_to(self.cosines, self.f.shape[:2])
-            self._mapped[key] = mapping.forward(self.f, cosines)
-        return self._mapped[key]
+            self._mapped[mapping] = mapping.forward(self.f, cosines)
+        return self._mapped[mapping]
 
     @cached_property
     def roots(self) -> Array:
@@ -66,7 +67,7 @@ class Values:
 
     def mapped_samples(self, mapping: Mapping, bands: Indices) -> Array:
         """T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); cached."""
-        key = (repr(mapping), tuple(int(b) for b in bands))
+        key = (mapping, tuple(int(b) for b in bands))
         if key not in self._samples:
             f = np.ascontiguousarray(np.moveaxis(self.f[..., list(key[1])], 2, 1))  # [N, B_s, P]
             flat = f.reshape(-1, f.shape[2], 1)
@@ -76,7 +77,7 @@ class Values:
 
     def mapped_lobes(self, mapping: Mapping, lobes: Lobes) -> Array:
         """T(f) of analytic lobes, shape (n_l, P); cached."""
-        key = repr(mapping), lobes
+        key = mapping, lobes
         if key not in self._lobes:
             self._lobes[key] = mapping.forward(lobes.values(self.wi, self.wo))
         return self._lobes[key]
@@ -186,9 +187,9 @@ def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool 
 
 def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
     """Indices of those that one product serves, group by group; measured materials are in none."""
-    groups: dict[tuple[str, bool], list[int]] = {}
+    groups: dict[tuple[Mapping, bool], list[int]] = {}
     for m, combination in enumerate(combinations):
         if combination.source is None:
-            key = (repr(combination.mapping), combination.sample_bands is None)
+            key = (combination.mapping, combination.sample_bands is None)
             groups.setdefault(key, []).append(m)
     return list(groups.values())

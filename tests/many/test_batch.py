@@ -11,13 +11,14 @@ from helpers.small_library import small_model
 
 from manifold.analytic.base import Lambert
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
-from manifold.batch import Batch, Task, _Made
+from manifold.batch import Batch, SheetWarning, Task, _Made, ball_path
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.completions import calibrate_instrument
 from manifold.estimate.inputs import Input, find_inputs
 from manifold.estimate.samples import find_samples
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.model.colours import ColourChoice
+from manifold.plots import figures
 from manifold.work import Finished
 
 COLUMNS = {"letters": lambda content: content["letters"]}
@@ -78,6 +79,26 @@ def test_a_failure_stops_nothing_and_stands_in_the_tables(tmp_path):
     assert len(json.loads((tmp_path / "words.json").read_text())["failed"]) == 2
     outcomes = run(tmp_path, ["a", "refused"], written)
     assert [o.was_there for o in outcomes] == [True, False]
+
+
+def test_a_sheet_that_cannot_be_drawn_is_a_warning(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(figures, "save", fail)
+
+    def make(name, path):
+        ball = ball_path(path)
+        ball.parent.mkdir(exist_ok=True)
+        ball.write_bytes(b"no picture")
+        return written(name, path)
+
+    batch = Batch(tmp_path, "words", COLUMNS, has_balls=True)
+    todo = [Task("word", tmp_path / "word.txt", "word")]
+    with pytest.warns(SheetWarning, match="everything else is written"):
+        (outcome,) = batch.run(todo, make, lambda name: {"name": name})
+    assert outcome.failure is None
+    assert (tmp_path / "words.csv").is_file()
 
 
 def test_no_file_takes_the_place_of_the_table(tmp_path):

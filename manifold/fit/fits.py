@@ -145,7 +145,7 @@ def fit_all(
     """Fit many materials, one JSON each; up-to-date fits are kept.
 
     Args:
-        sources: see `inputs.find_inputs`.
+        sources: see `estimate.inputs.find_inputs`.
         batch: see `fits_in`.
         settings: how.
         with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.

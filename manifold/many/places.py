@@ -28,7 +28,7 @@ def predict_all(
     """Write the `.bsdf` of every row into a folder; what an earlier run made of the same row is kept.
 
     Args:
-        model, library, options: as of `prediction.predict`.
+        model, library, options: as of `estimate.predict`.
         table: the rows.
         folder: where to; made if missing. Its `predictions.jsonl` says what each file was made of.
         workers: who makes them.

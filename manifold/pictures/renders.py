@@ -144,7 +144,7 @@ def latent_material(
     """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials.
 
     Raises:
-        UsageError: `direct` without LLVM; and what `prediction.predict` raises.
+        UsageError: `direct` without LLVM; and what `estimate.predict` raises.
     """
     from manifold.estimate import predictions
     from manifold.model import diagnostics

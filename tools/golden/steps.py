@@ -96,6 +96,9 @@ COMMANDS: dict[str, str] = {
     "reconstruct physical": "reconstruct real-left-out/paper_blue_rgb.bsdf --physical -L real.zarr -o made.bsdf",
     # -- readings
     "complete twelve readings": "complete ma-t12/syn_satin_rose.xlsx -L real.zarr -o made.bsdf --suggest 3 --picture",
+    "surface": "surface shared/ma-t12/PEN_PW_RO_CC_1.xlsx -L real.zarr -o own --size 192 --target gltf",
+    "complete together": f"complete ma-t12/syn_satin_rose.xlsx {_PHOTO} --circle 24,24,18.46 --gloss 60=40"
+    " -L corpus.zarr -o made.bsdf",
     "complete real paint": "complete shared/ma-t12/PAR_PW_CN_MC_2.xlsx -L real.zarr -o made.bsdf;"
     "complete shared/ma-t12/PEN_PW_RO_CC_1.xlsx --gloss 60=20 -L corpus.zarr -o gloss.bsdf",
     "complete goniometer": "complete mini-diff/syn_satin_rose.astm -L real.zarr -o made.bsdf",

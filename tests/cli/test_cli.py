@@ -527,7 +527,7 @@ def test_an_interruption_leaves_nothing_half_written(tmp_path):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "interrupted" in one_line(err)
+    assert "interrupted" in err.splitlines()[-1]  # after a line of progress where the machine is busy
     files = sorted((tmp_path / "out").iterdir())
     assert files
     for path in files:

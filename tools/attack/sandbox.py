@@ -25,7 +25,7 @@ class Ended:
         status: exit status; negative, the signal that ended it.
         seconds: of a core that it took.
         waited: seconds from its start to its end.
-        bytes: of memory at most.
+        bytes: of memory at most, beyond what this process held when it forked.
         out, err: what it wrote.
     """
 
@@ -52,6 +52,12 @@ class Ended:
         return None
 
 
+def _memory() -> tuple[int, int]:
+    """Bytes of address space and of resident memory that this process has."""
+    space, resident, *_ = Path("/proc/self/statm").read_text().split()
+    return int(space) * resource.getpagesize(), int(resident) * resource.getpagesize()
+
+
 def start(task: Callable[[], object], folder: Path, log: Path) -> int:
     """Fork, and do a task in a folder; the process's number."""
     pid = os.fork()
@@ -65,8 +71,7 @@ def start(task: Callable[[], object], folder: Path, log: Path) -> int:
         sys.stdout, sys.stderr = open(1, "w"), open(2, "w")  # noqa: SIM115
         os.chdir(folder)
         signal.alarm(MOST_WAITING)  # the default action: it ends the process
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + 2 * MOST_BYTES,) * 2)
+        resource.setrlimit(resource.RLIMIT_AS, (_memory()[0] + 2 * MOST_BYTES,) * 2)
         task()
         status = 0
     except SystemExit as leaving:
@@ -90,7 +95,8 @@ def wait(pid: int, began: float, log: Path) -> Ended:
     ]
     code = os.waitstatus_to_exitcode(status)
     seconds = usage.ru_utime + usage.ru_stime
-    return Ended(code, seconds, time.monotonic() - began, usage.ru_maxrss << 10, texts[0], texts[1])
+    grown = (usage.ru_maxrss << 10) - _memory()[1]  # a fork counts its parent's pages as its own
+    return Ended(code, seconds, time.monotonic() - began, max(grown, 0), texts[0], texts[1])
 
 
 def run(task: Callable[[], object], folder: Path, log: Path) -> Ended:

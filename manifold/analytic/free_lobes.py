@@ -1,14 +1,16 @@
-"""Analytic BRDFs that serve as further atoms: a Lambertian, and microfacet lobes whose Fresnel term is free.
+"""Analytic BRDFs that serve as further atoms: microfacet lobes whose Fresnel term is free, a Lambertian, soft lobes.
 
 A lobe is `D(theta_h) G(wi, wo) / (4 cos(theta_i) cos(theta_o)) * b_k(cos(theta_d))`. The Bernstein polynomials `b_k`
 are never negative and sum to 1; Schlick's Fresnel term, `F0 + (1 - F0) (1 - cos(theta_d))^5`, is
 `F0 sum_k b_k + (1 - F0) b_0` at degree 5, so that non-negative weights represent it, and approximate thin films and
-flakes.
+flakes. Soft lobes, `(b_j(cos(theta_i)) b_k(cos(theta_o)) + b_k(cos(theta_i)) b_j(cos(theta_o))) / pi`, describe what
+a rough body reflects towards the horizon more or less than a Lambertian.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from math import comb
 
 import numpy as np
@@ -22,20 +24,27 @@ DEGREE = 5
 
 @dataclass(frozen=True)
 class Lobes:
-    """A Lambertian of albedo 1, and a lobe for every roughness, tail and polynomial, in this order of nesting.
+    """A Lambertian of albedo 1, a lobe for every roughness, tail and polynomial, in this order of nesting, soft lobes.
 
     Attributes:
         roughnesses: alpha, each in (0, 1).
         tails: exponents of the normal distribution, each above 1: 2 is GGX, less has longer tails.
         degree: of the Bernstein polynomials.
+        soft_degree: of those of soft lobes, each pair of which makes one; 0 for none.
     """
 
     roughnesses: tuple[float, ...] = ROUGHNESSES
     tails: tuple[float, ...] = TAILS
     degree: int = DEGREE
+    soft_degree: int = 0
 
     def __len__(self) -> int:
-        return 1 + len(self.roughnesses) * len(self.tails) * (self.degree + 1)
+        return 1 + len(self.shapes) * (self.degree + 1) + len(self._soft)
+
+    @property
+    def _soft(self) -> list[tuple[int, int]]:
+        """The polynomials of soft lobes."""
+        return list(combinations_with_replacement(range(self.soft_degree + 1), 2)) if self.soft_degree else []
 
     @property
     def shapes(self) -> list[tuple[float, float]]:
@@ -43,8 +52,9 @@ class Lobes:
         return [(alpha, tail) for alpha in self.roughnesses for tail in self.tails]
 
     def shape_of(self, chosen: Indices) -> Indices:
-        """Which of the shapes lobes (n,) have, -1 for the Lambertian."""
-        return (chosen - 1) // (self.degree + 1)
+        """Which of the shapes lobes (n,) have, -1 for the Lambertian and soft lobes."""
+        shape = (chosen - 1) // (self.degree + 1)
+        return np.where(shape < len(self.shapes), shape, -1)
 
     def values(self, wi: Array, wo: Array, chosen: Indices | None = None) -> Array:
         """f of lobes at P direction pairs in 1/sr, 0 below the horizon: shape (n, P).
@@ -61,6 +71,12 @@ class Lobes:
         for k in np.unique(shape[shape >= 0]):
             rows = shape == k
             f[rows] = microfacet_lobe(wi, wo, *self.shapes[k]) * fresnel[power[rows]]
+        first = len(self) - len(self._soft)
+        if np.any(chosen >= first):
+            b = [bernstein(np.clip(w[:, 2], 0.0, 1.0), self.soft_degree) for w in (wi, wo)]
+        for row in np.flatnonzero(chosen >= first):
+            j, k = self._soft[chosen[row] - first]
+            f[row] = (b[0][j] * b[1][k] + b[0][k] * b[1][j]) / np.pi
         return np.where((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0), f, 0.0)
 
     def cube_roots(self, wi: Array, wo: Array) -> Array:

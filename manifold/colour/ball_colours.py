@@ -85,6 +85,28 @@ def delta_e_itp(xyz: Array, xyz_star: Array) -> float:
     return float(np.mean(difference.delta_e_itp(xyz, xyz_star)))
 
 
+@dataclass(frozen=True, eq=False)
+class _Lit:
+    """The direction pairs that light the pixels of a ball, whatever the light.
+
+    Attributes:
+        wi, wo, starts, places: as in `Ball`.
+        world: directions towards the light, unit vectors (P, 3).
+        weight: cosine times solid angle, shape (P,).
+    """
+
+    wi: Array
+    wo: Array
+    world: Array
+    weight: Array
+    starts: Indices
+    places: Array
+
+    def under(self, radiance: Array) -> Ball:
+        """The ball under radiance (P,) from `world`."""
+        return Ball(self.wi, self.wo, radiance * self.weight, self.starts, self.places)
+
+
 @lru_cache(maxsize=8)
 def ball(
     pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, turned_deg: float = 0.0
@@ -95,6 +117,32 @@ def ball(
         pixels, rings, spokes: how fine.
         turned_deg: how far the studio is turned about the vertical; 180 has its key light behind the ball.
     """
+    lit = lit_ball(pixels, rings, spokes)
+    return lit.under(radiance_at(environment(), rotate_z(lit.world, np.deg2rad(turned_deg))))
+
+
+@lru_cache(maxsize=8)
+def lit_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> _Lit:
+    """The direction pairs of `ball`; cached: do not write to them."""
+    x, y, frame = frames(pixels)
+    u = (np.arange(rings) + 0.5) / rings
+    theta = np.repeat(0.5 * np.pi * u * u, spokes)
+    turn = (np.arange(spokes) + 0.5)[None] / spokes + _GOLDEN * np.arange(rings)[:, None]
+    m = from_spherical(theta, 2.0 * np.pi * turn.ravel())  # [M, 3]
+    area = np.sin(theta) * np.pi * np.repeat(u, spokes) / rings * 2.0 * np.pi / spokes
+    wi = frame @ VIEW
+    cosine = wi @ m.T  # [K, M]
+    wo = 2.0 * cosine[..., None] * m - wi[:, None]
+    lit = (cosine > 0.0) & (wo[..., 2] > 0.0)
+    world = np.einsum("kmc,kcw->kmw", wo, frame)[lit]
+    pixel = np.nonzero(lit)[0]
+    starts = np.searchsorted(pixel, np.arange(len(wi)))
+    weight = wo[lit][:, 2] * (4.0 * cosine * area)[lit]
+    return _Lit(wi[pixel], normalize(wo[lit]), world, weight, starts, np.column_stack([x, y]))
+
+
+def frames(pixels: int) -> tuple[Array, Array, Array]:
+    """Right and up (K,) of the pixels of a ball in a square of pixels^2, and their frames (K, 3, 3): rows are axes."""
     right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
     up = np.cross(VIEW, right)
     across = 2.0 * (np.arange(pixels) + 0.5) / pixels - 1.0
@@ -103,25 +151,26 @@ def ball(
     x, y = x[inside], y[inside]
     depth = np.sqrt(1.0 - x * x - y * y)
     normal = x[:, None] * right + y[:, None] * up + depth[:, None] * VIEW
-
-    u = (np.arange(rings) + 0.5) / rings
-    theta = np.repeat(0.5 * np.pi * u * u, spokes)
-    turn = (np.arange(spokes) + 0.5)[None] / spokes + _GOLDEN * np.arange(rings)[:, None]
-    m = from_spherical(theta, 2.0 * np.pi * turn.ravel())  # [M, 3]
-    area = np.sin(theta) * np.pi * np.repeat(u, spokes) / rings * 2.0 * np.pi / spokes
-
     tangent = normalize(np.cross(up, normal))
-    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)  # rows are the local axes
-    wi = frame @ VIEW
-    cosine = wi @ m.T  # [K, M]
-    wo = 2.0 * cosine[..., None] * m - wi[:, None]
-    lit = (cosine > 0.0) & (wo[..., 2] > 0.0)
-    world = rotate_z(np.einsum("kmc,kcw->kmw", wo, frame)[lit], np.deg2rad(turned_deg))
-    radiance = radiance_at(environment(), world)
-    pixel = np.nonzero(lit)[0]
-    light = radiance * wo[lit][:, 2] * (4.0 * cosine * area)[lit]
-    starts = np.searchsorted(pixel, np.arange(len(wi)))
-    return Ball(wi[pixel], normalize(wo[lit]), light, starts, np.column_stack([x, y]))
+    return x, y, np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
+
+
+@lru_cache(maxsize=32)
+def sun_ball(degrees: float, pixels: int) -> Ball:
+    """The lit pixels of a ball under a distant lamp, one direction pair each; cached: do not write to it.
+
+    A white diffuser that faces the lamp has the radiance 1.
+
+    Args:
+        degrees: between lamp and view, to the right; above 90 the lamp stands behind the ball.
+        pixels: across the ball.
+    """
+    x, y, frame = frames(pixels)
+    right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
+    lamp = np.cos(np.deg2rad(degrees)) * VIEW + np.sin(np.deg2rad(degrees)) * right
+    lit = frame[:, 2] @ lamp > 0.0
+    wi, wo = frame[lit] @ VIEW, frame[lit] @ lamp
+    return Ball(wi, wo, np.pi * wo[:, 2], np.arange(len(wi)), np.column_stack([x, y])[lit])
 
 
 def radiance_at(image: Array, directions: Array) -> Array:

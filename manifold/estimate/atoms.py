@@ -12,7 +12,7 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import BRDF, all_isotropic
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.encoding import EncodingPairs
 from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter
@@ -43,9 +43,9 @@ _BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
 @cache
 def ball_coordinates() -> Array:
-    """Coordinates of the pairs that light a ball, see `residual.coordinates`."""
-    ball = ball_colours.ball()
-    return coordinates(ball.wi, ball.wo)
+    """Coordinates of the pairs that light a ball in the judged lights, see `residual.coordinates`."""
+    lights = panel.judged()
+    return coordinates(lights.wi, lights.wo)
 
 
 @cache
@@ -75,7 +75,7 @@ class LibraryAtoms:
         directions: cube roots at the encoding grid, then at some pairs that light a ball, shape (n + 1, P).
         weights: of these pairs; grid and ball have the same energy, shape (P,).
         grid: the encoding grid.
-        ball: cube roots at all pairs that light a ball, shape (n + 1, P_b).
+        ball: cube roots at all pairs that light a ball in the judged lights, shape (n + 1, P_b).
     """
 
     names: tuple[str, ...]
@@ -111,10 +111,11 @@ class LibraryAtoms:
         cache = MaterialCache(library, names, is_nonnegative=True)
         coats = dielectric_coats(bands.select(chosen))
         materials: list[BRDF] = [*cache.in_bands(chosen.tolist()), *coats.values()]
-        grid, ball = EncodingPairs.default(all_isotropic(materials)), ball_colours.ball()
-        on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, ball))
-        some = slice(None, None, _BALL_STRIDE)
-        of_grid, of_ball = grid.cosines ** (2.0 / 3.0), ball.light[some] ** (2.0 / 3.0)
+        grid, lights = EncodingPairs.default(all_isotropic(materials)), panel.judged()
+        on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, lights))
+        ball = lights.balls[0]  # in the studio
+        some = slice(None, len(ball.wi), _BALL_STRIDE)
+        of_grid, of_ball = grid.cosines ** (2.0 / 3.0), ball.light[::_BALL_STRIDE] ** (2.0 / 3.0)
         energy = [
             float(np.sum(roots**2 @ weights))
             for roots, weights in ((on_grid, of_grid), (on_ball[:, some], of_ball))

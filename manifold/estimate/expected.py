@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from manifold import __version__
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.complete import Completion, complete_at
@@ -30,7 +30,8 @@ class Calibration:
     """Errors of left-out materials of a library, completed from the directions of some readings.
 
     Attributes:
-        errors: ball CIEDE2000, cube-root error and linear error of every material, shape (N, 3).
+        errors: CIEDE2000 of the ball, mean over the judged lights, cube-root error and linear error of every material,
+            shape (N, 3).
         indicators: residual of the readings and spread of hypotheses, from which errors are predicted, shape (N, 2).
     """
 
@@ -136,7 +137,7 @@ def _cache_key(atoms: LibraryAtoms, readings: Readings, library: Library) -> str
         readings.bands.wavelengths_nm,
         tuple(readings.gloss),
     )
-    digest = hashlib.sha256(f"completion {__version__} {library.content_hash} {axes}".encode())
+    digest = hashlib.sha256(f"completion in lights {__version__} {library.content_hash} {axes}".encode())
     for array in (readings.wi, readings.wo, readings.weights):
         digest.update(array.tobytes())
     return digest.hexdigest()
@@ -197,11 +198,11 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> tu
         atoms: of the library.
         m: index of the material.
         on_grid: f on the grid, shape (P_g, B_s).
-        on_ball: f at the pairs that light a ball, shape (P_b, B_s).
+        on_ball: f at the pairs that light a ball in the judged lights, shape (P_b, B_s).
     """
     if not np.all(np.isfinite(on_ball)):
         return np.nan, np.nan, np.nan
     own, n = atoms.material_of == m, atoms.n_grid
-    of_ball = ball_colours.ball().difference(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
+    of_ball = panel.judged().errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis).ball
     truth, cosines = atoms.directions[own, :n].T ** 3, atoms.weights[:n] ** 1.5
     return of_ball, cube_root_error(truth, on_grid, cosines), relative_error(truth, on_grid, cosines)

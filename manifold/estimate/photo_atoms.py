@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
@@ -16,8 +16,6 @@ from manifold.model.reconstruction import DICTIONARY
 from manifold.records import Array, Bands, Indices, Mask
 
 _LOBES = DICTIONARY.lobes
-TURNED_DEG = 180.0
-"""Of the studio in which errors of balls are measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +69,9 @@ class PhotoAtoms:
 
     @cached_property
     def on_ball(self) -> Array:
-        """Pixels of a ball under the turned studio, shape (n, K)."""
-        ball = ball_colours.ball(turned_deg=TURNED_DEG)
-        values = self._from_roots(self.library.ball, ball.wi, ball.wo) * ball.light
-        return np.add.reduceat(values, ball.starts, axis=1)
+        """Pixels of a ball in the judged lights, shape (n, K)."""
+        lights = panel.judged()
+        return lights.pixels(self._from_roots(self.library.ball, lights.wi, lights.wo))
 
     def predicted(self, weights: Array, bands: Bands) -> PredictedBRDF:
         """The BRDF of weights (B, n) of atoms in some bands."""

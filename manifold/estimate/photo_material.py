@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from manifold import __version__
-from manifold.colour.ball_colours import delta_e
+from manifold.colour import panel
 from manifold.colour.conversion import luminance, srgb_to_xyz
 from manifold.estimate.atoms import shown_shares
 from manifold.estimate.blocks import Blocks
@@ -291,7 +291,9 @@ def calibrated(atoms: PhotoAtoms, channels: Sequence[Observation]) -> Calibratio
 
 def _cache_key(atoms: PhotoAtoms, channels: Sequence[Observation], library: Library) -> str:
     """A hash of all that a calibration depends on: the library, what pixels see of it, this program."""
-    digest = hashlib.sha256(f"photo {__version__} {library.content_hash} {atoms.library.coats}".encode())
+    digest = hashlib.sha256(
+        f"photo in lights {__version__} {library.content_hash} {atoms.library.coats}".encode()
+    )
     for rows in channels:
         for array in (rows.atoms, rows.weights, np.array(_clipping(rows))):
             digest.update(array.tobytes())
@@ -311,11 +313,15 @@ def seen_instead(rows: Observation, seen: Array) -> Observation:
 
 
 def errors_of(atoms: PhotoAtoms, own: Array, weights: Array) -> tuple[float, float, float]:
-    """Ball CIEDE2000 in another light, cube-root and linear error of weights (3, n) against three atoms `own`."""
+    """Errors of weights (3, n) against three atoms `own`: the ball in the judged lights, cube roots, values."""
     truth, made = atoms.on_grid[own].T, (weights @ atoms.on_grid).T
     balls = [srgb_to_xyz(np.clip(ball.T, 0.0, 1.0)) for ball in (atoms.on_ball[own], weights @ atoms.on_ball)]
     ones = np.ones(len(truth))  # cosines are in the values
-    return delta_e(*balls), cube_root_error(truth, made, ones), relative_error(truth, made, ones)
+    return (
+        panel.judged().compare(*balls).ball,
+        cube_root_error(truth, made, ones),
+        relative_error(truth, made, ones),
+    )
 
 
 def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
@@ -238,13 +238,11 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
         level: expected cube roots at the candidates, shape (D,).
         mean_on_ball: expected cube roots at the pairs that light a ball, shape (P_b,).
     """
-    ball = ball_colours.ball()
-    light = np.maximum(mean_on_ball, 0.0) ** 3 * ball.light
-    total = np.maximum(np.add.reduceat(light, ball.starts), np.finfo(float).tiny)
+    lights, f = panel.judged(), np.maximum(mean_on_ball, 0.0) ** 3
+    total = np.maximum(lights.pixels(f[None])[0], np.finfo(float).tiny)
 
     def with_pixels(of: Array) -> Array:
-        sums = np.add.reduceat(covariance(of, ball_coordinates()) * light, ball.starts, axis=1)
-        return np.asarray(sums / total)
+        return np.asarray(lights.pixels(covariance(of, ball_coordinates()) * f) / total)
 
     own, of_pixels = covariance(where, where), with_pixels(where)
     if len(taken):
@@ -268,9 +266,7 @@ def _noise(square: Array, share: float) -> Array:
 
 def _pixels(roots: Array) -> Array:
     """Cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): shape (h, K)."""
-    ball = ball_colours.ball()
-    light = np.add.reduceat(np.maximum(roots, 0.0) ** 3 * ball.light, ball.starts, axis=1)
-    return np.asarray(np.cbrt(np.minimum(light, 1.0)))
+    return np.asarray(np.cbrt(np.minimum(panel.judged().pixels(np.maximum(roots, 0.0) ** 3), 1.0)))
 
 
 def _mean_roots(atoms: LibraryAtoms, roots: Array) -> Array:

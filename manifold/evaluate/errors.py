@@ -12,8 +12,9 @@ import numpy as np
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import Plausibility, plausibilities
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
+from manifold.colour.panel import LookErrors
 from manifold.evaluate.tabulated import Data
 from manifold.metrics import RunningErrors
 from manifold.model.combination import Combination, Values, evaluate
@@ -113,36 +114,34 @@ def standardised_error(data: Data, i: int, combination: Combination) -> float:
 
 
 class BallErrors:
-    """Balls of N materials in some of their bands, under the studio light, and how predictions of them differ.
+    """Balls of N materials in some of their bands, in the judged lights, and how predictions of them differ.
 
     Attributes:
-        pairs: direction pairs (P,) that light a ball; see `ball_colours.Ball`.
+        pairs: direction pairs (P,) that light a ball; see `panel.Panel`.
         values: of the materials there.
     """
 
-    def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices, *, turned_deg: float = 0.0) -> None:
-        """Colour the balls in bands (B',), the studio turned about the vertical."""
-        self._ball = ball_colours.ball(turned_deg=turned_deg)
+    def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices) -> None:
+        """Colour the balls in bands (B',)."""
+        self._lights = panel.judged()
         self._bands = materials[0].bands.select(bands)
-        self.pairs = DirectionPairs(self._ball.wi, self._ball.wo)
+        self.pairs = DirectionPairs(self._lights.wi, self._lights.wo)
         self.values = Values.at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
         self._chosen = bands
-        self._xyz = [self._ball.xyz(f, self._bands) for f in self.values.f]
+        self._xyz = [self._lights.xyz(f, self._bands) for f in self.values.f]
 
-    def differences(self, i: int, f: Array) -> tuple[float, float]:
-        """Mean CIEDE2000 and mean Delta E_ITP between material i and values f (P, B') in 1/sr."""
-        pair = self._xyz[i], self._ball.xyz(f, self._bands)
-        return ball_colours.delta_e(*pair), ball_colours.delta_e_itp(*pair)
+    def differences(self, i: int, f: Array) -> LookErrors:
+        """Between material i and values f (P, B') in 1/sr."""
+        return self._lights.compare(self._xyz[i], self._lights.xyz(f, self._bands))
 
-    def of(self, combinations: Sequence[Combination]) -> tuple[Array, Array]:
-        """Mean CIEDE2000 and mean Delta E_ITP of a prediction per material, shape (N,) each."""
+    def of(self, combinations: Sequence[Combination]) -> list[LookErrors]:
+        """Those of a prediction per material."""
         here = [c.in_bands(self._chosen) for c in combinations]
-        found: list[tuple[float, float]] = []
+        found: list[LookErrors] = []
         for first in range(0, len(here), _AT_ONCE):
             predicted = evaluate(here[first : first + _AT_ONCE], self.values)
             found += [self.differences(first + k, f) for k, f in enumerate(predicted)]
-        ciede2000, itp = np.array(found).T
-        return ciede2000, itp
+        return found
 
 
 @dataclass(frozen=True)

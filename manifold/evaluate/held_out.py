@@ -100,11 +100,12 @@ class HeldOut:
         )  # fmt: skip
 
     def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, ...]:
-        """Linear and cube-root error, RMSE, and the ball's, of a prediction of material i, (P, B') and (P_ball, B')."""
+        """Linear and cube-root error, RMSE, and the ball's (CIEDE2000, Delta E_ITP), of a prediction of material i, (P, B') and (P_ball, B')."""
         data = self.data
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
         cube_root = metrics.cube_root_error(data.f[i], f, data.cosines)
-        return data.relative_error(i, f), cube_root, rmse, *self.balls.differences(i, f_ball)
+        look = self.balls.differences(i, f_ball)
+        return data.relative_error(i, f), cube_root, rmse, look.ball, look.ball_itp
 
     def _fitted(self, fit: Fit) -> _Fitted:
         """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""

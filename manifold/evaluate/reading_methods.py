@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.complete import complete_at
@@ -124,15 +124,15 @@ def _nearest(task: Task, chosen: Indices) -> Predicted:
 
 def _principled(task: Task, chosen: Indices) -> Predicted:
     """Mitsuba's principled BSDF fitted to the readings; NaN where they do not make a fit."""
-    grid, ball = task.others.grid, ball_colours.ball()
+    grid, lights = task.others.grid, panel.judged()
     read = task.readings(chosen)
     try:
         fitted = fit_bsdf(FitSamples.from_arrays(read.wi, read.wo, read.values, bands=read.bands))
     except UsageError:
-        empty = [np.full((len(p.wi), read.bands.count), np.nan) for p in (grid, ball)]
+        empty = [np.full((len(p.wi), read.bands.count), np.nan) for p in (grid, lights)]
         return empty[0], empty[1]
     brdf = FittedBRDF(fit_json.document(fitted, fit_json.Source(read.name)))
-    return brdf.eval(grid.wi, grid.wo), brdf.eval(ball.wi, ball.wo)
+    return brdf.eval(grid.wi, grid.wo), brdf.eval(lights.wi, lights.wo)
 
 
 METHODS = (

@@ -57,7 +57,9 @@ class MethodResult:
         predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
         rmse: eq. 22 of Hikichi & Iwasaki per material, in 1/sr: summed over all bands, as those of errors have it.
         relative_error, cube_root_error: linear, cosine-weighted, and of cube roots, per material; see `metrics`.
-        ball_delta_e, ball_delta_e_itp: mean CIEDE2000 and Delta E_ITP of the ball, per material.
+        ball, ball_itp: CIEDE2000 and Delta E_ITP of the ball, means over the judged lights, per material.
+        worst: CIEDE2000 in the light where it is largest, per material.
+        lights: CIEDE2000 of the ball by light, per material.
         negative_share, clipped_share: of predicted values, below zero; or before the method cut them to 0.
         reciprocity_error, max_albedo: worst over materials, in the tabulated bands; see `plausibility`.
         colour: per illuminant.
@@ -81,12 +83,16 @@ class MethodResult:
     cube_root_error: tuple[float, ...]
     median_cube_root_error: float
     p90_cube_root_error: float
-    ball_delta_e: tuple[float, ...]
-    median_ball_delta_e: float
-    p90_ball_delta_e: float
-    ball_delta_e_itp: tuple[float, ...]
-    median_ball_delta_e_itp: float
-    p90_ball_delta_e_itp: float
+    ball: tuple[float, ...]
+    median_ball: float
+    p90_ball: float
+    ball_itp: tuple[float, ...]
+    median_ball_itp: float
+    p90_ball_itp: float
+    worst: tuple[float, ...]
+    median_worst: float
+    p90_worst: float
+    lights: dict[str, tuple[float, ...]]
     negative_share: float
     clipped_share: float
     reciprocity_error: float
@@ -262,7 +268,7 @@ def _result(
 ) -> MethodResult:  # fmt: skip
     """All that is measured of one method."""
     n_bands, negative = model.bands.count, errors.negative_share
-    ciede2000, itp = balls.of(encoded.combinations)
+    looks = balls.of(encoded.combinations)
     return MethodResult(
         key=method.key,
         title=method.title,
@@ -275,8 +281,10 @@ def _result(
         rmse=tuple(errors.rmse(n_counted).tolist()),
         **_summary("relative_error", errors.linear),
         **_summary("cube_root_error", errors.cube_root),
-        **_summary("ball_delta_e", ciede2000),
-        **_summary("ball_delta_e_itp", itp),
+        **_summary("ball", np.array([look.ball for look in looks])),
+        **_summary("ball_itp", np.array([look.ball_itp for look in looks])),
+        **_summary("worst", np.array([look.worst for look in looks])),
+        lights={name: tuple(look.lights[name] for look in looks) for name in looks[0].lights},
         negative_share=0.0 if errors.is_clipped else negative,
         clipped_share=negative if errors.is_clipped else 0.0,
         reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical])),

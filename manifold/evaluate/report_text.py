@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from manifold.colour.panel import JUDGED
 from manifold.evaluate.report import MethodResult, Report
 from manifold.names import counted
 from manifold.text_tables import table_lines
@@ -40,8 +41,8 @@ _ERRORS: Columns = (
     ("p90", lambda m: _fixed(m.p90_relative_error)),
     ("cube root", lambda m: _fixed(m.median_cube_root_error)),
     ("p90", lambda m: _fixed(m.p90_cube_root_error)),
-    ("CIEDE2000", lambda m: f"{m.median_ball_delta_e:.2f}"),
-    ("p90", lambda m: f"{m.p90_ball_delta_e:.2f}"),
+    ("CIEDE2000", lambda m: f"{m.median_ball:.2f}"),
+    ("p90", lambda m: f"{m.p90_ball:.2f}"),
 )
 _ERROR_NOTE = """\
 Reconstructions use the material they predict; the mix of two uses it to choose
@@ -51,14 +52,24 @@ are fitted without the material.
 a + b per band: a coordinates that all bands share, and b of every band.
 Medians and 90th percentiles of materials. linear: relative, cosine-weighted,
 dominated by highlights; cube root: the same of cube roots, closer to perceived
-differences; CIEDE2000: mean over a ball in a studio, D65."""
+differences; CIEDE2000: mean over a ball, D65, and over the lights below."""
+
+_LIGHTS: Columns = (
+    *((name, lambda m, name=name: f"{np.nanmedian(m.lights[name]):.2f}") for name in JUDGED),
+    ("worst", lambda m: f"{m.median_worst:.2f}"),
+    ("p90", lambda m: f"{m.p90_worst:.2f}"),
+)
+_LIGHTS_NOTE = """\
+Median CIEDE2000 of the ball in lights that no fit sees: the studio, the same
+light from everywhere, suns so many degrees beside the view; worst: in the light
+where it is largest for each material, median and 90th percentile."""
 
 _PLAUSIBILITY: Columns = (
     ("RMSE", lambda m: f"{np.nanmedian(m.rmse):.3g}"),
     ("negative", lambda m: f"{m.negative_share:.2%}"),
     ("reciprocity", lambda m: f"{m.reciprocity_error:.3f}"),
     ("albedo", lambda m: f"{m.max_albedo:.2f}"),
-    ("ball ITP", lambda m: f"{m.median_ball_delta_e_itp:.1f}"),
+    ("ball ITP", lambda m: f"{m.median_ball_itp:.1f}"),
 )
 _PLAUSIBILITY_NOTE = """\
 RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr. negative: share of values;
@@ -113,9 +124,9 @@ def lead(report: Report) -> str:
     )
     return (
         f"A left-out material, found by {how} from its own data, differs from the measured one by "
-        f"{own.median_ball_delta_e:.1f} CIEDE2000 of the rendered ball in the median, nine in ten by less than "
-        f"{own.p90_ball_delta_e:.1f}. The most similar other material differs by {nearest.median_ball_delta_e:.1f} in "
-        f"the median, a linear mix of the two nearest by {linear.median_ball_delta_e:.1f}. {last}"
+        f"{own.median_ball:.1f} CIEDE2000 of the rendered ball in the median, nine in ten by less than "
+        f"{own.p90_ball:.1f}. The most similar other material differs by {nearest.median_ball:.1f} in "
+        f"the median, a linear mix of the two nearest by {linear.median_ball:.1f}. {last}"
     )
 
 
@@ -137,6 +148,7 @@ def format_report(report: Report) -> str:
         *textwrap.wrap(lead(report), _WIDTH, break_on_hyphens=False),
         "",
         *_section("method", methods, _ERRORS, _ERROR_NOTE),
+        *_section("light", methods, _LIGHTS, _LIGHTS_NOTE),
         *_section("values", methods, _PLAUSIBILITY, _PLAUSIBILITY_NOTE),
         *_section("colour", methods, colours, _COLOUR_NOTE),
         *_section("cost", methods, _COSTS, _COST_NOTE),
@@ -214,7 +226,7 @@ def _materials(report: Report) -> list[str]:
         (
             name,
             _latent(report.latents[k]),
-            f"{first.ball_delta_e[k]:.2f}",
+            f"{first.ball[k]:.2f}",
             *(_fixed(by_key[key].relative_error[k]) for key in shown),
         )
         for k, name in enumerate(report.names)

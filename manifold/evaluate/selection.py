@@ -130,5 +130,5 @@ class _Trials:
         (errors,) = measure_errors([found], self._data.bands, [self._data])
         mean = float(np.exp(np.mean(np.log(np.maximum(errors.linear, 1e-12)))))
         linear, cube_root = MedianAndP90.of(errors.linear), MedianAndP90.of(errors.cube_root)
-        ball = MedianAndP90.of(self._balls.of(found)[0])
+        ball = MedianAndP90.of(np.array([look.ball for look in self._balls.of(found)]))
         return Candidate(name, latent_dim, mean, linear, cube_root, ball, seconds)

@@ -55,7 +55,7 @@ class ChartRow:
         relative_error: linear, cosine-weighted, over a grid, in some of the bands.
         cube_root_error: the same of cube roots; see `metrics.cube_root_error`.
         rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
-        delta_e, delta_e_itp: mean CIEDE2000 and Delta E_ITP of the ball; see `ball_colours`.
+        delta_e, delta_e_itp: CIEDE2000 and Delta E_ITP of the ball, means over the judged lights; see `panel`.
         p90: 90th percentiles of these five over materials, by their names.
         fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
             it was not measured.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.encoding import EncodingPairs
 from manifold.errors import LibraryError
 from manifold.library import staging, visible_normals
@@ -197,16 +197,16 @@ def _pairs(is_isotropic: bool) -> EncodingPairs:
 
 def _errors_from(file: BsdfFile) -> Callable[[BsdfFile], tuple[float, float]]:
     """Ball and cube-root error of other forms of a file."""
-    ball, pairs = ball_colours.ball(), _pairs(file.is_isotropic)
+    lights, pairs = panel.judged(), _pairs(file.is_isotropic)
 
     def values(other: BsdfFile) -> tuple[Array, Array]:
         brdf = MeasuredBRDF(other)
-        return ball.xyz(brdf.eval(ball.wi, ball.wo), brdf.bands), brdf.eval(pairs.wi, pairs.wo)
+        return lights.xyz(brdf.eval(lights.wi, lights.wo), brdf.bands), brdf.eval(pairs.wi, pairs.wo)
 
     xyz, f = values(file)
 
     def errors(other: BsdfFile) -> tuple[float, float]:
         xyz_star, f_star = values(other)
-        return ball_colours.delta_e(xyz, xyz_star), cube_root_error(f, f_star, pairs.cosines)
+        return lights.compare(xyz, xyz_star).ball, cube_root_error(f, f_star, pairs.cosines)
 
     return errors

@@ -10,6 +10,7 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF
 from manifold.colour import ball_colours
+from manifold.colour.panel import Panel
 from manifold.encoding import EncodingPairs
 from manifold.records import Array
 
@@ -51,6 +52,6 @@ def appearance_pairs(is_isotropic: bool = True) -> AppearancePairs:
     return AppearancePairs(pairs, len(grid.cosines), amplitude)
 
 
-def roots_at(materials: Sequence[BRDF], pairs: EncodingPairs | ball_colours.Ball) -> Array:
+def roots_at(materials: Sequence[BRDF], pairs: EncodingPairs | ball_colours.Ball | Panel) -> Array:
     """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
     return np.concatenate([np.cbrt(np.maximum(m.eval(pairs.wi, pairs.wo), 0.0)).T for m in materials])

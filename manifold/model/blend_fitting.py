@@ -17,7 +17,7 @@ from manifold.brdf.plausibility import (
     squared_valleys_of_some,
     valley_depth,
 )
-from manifold.colour import ball_colours
+from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.encoding import EncodingPairs
@@ -156,7 +156,7 @@ class BlendSamples:
         bands: which bands are samples, shape (B_s,).
         roots: cube roots of the samples at the appearance pairs, shape (N B_s, P).
         pairs: these pairs.
-        on_ball: cube roots of the samples at all pairs of the ball, shape (N B_s, P').
+        on_ball: cube roots of the samples at all pairs of the ball in the judged lights, shape (N B_s, P').
         sphere, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
         reflectances: of the materials in all bands, shape (N, B).
     """
@@ -199,6 +199,7 @@ def evaluate(
 ) -> tuple[Appearance, BlendSamples]:
     """What maps of blends are fitted to, of materials one after another; `bands` (B_s,) become samples."""
     ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), EncodingPairs.default(is_isotropic)
+    lights = panel.judged()
     wi_wo = profile_pairs() if is_isotropic else profile_pairs(azimuths_deg=LAYOUT_AZIMUTHS_DEG)
     spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
     on_ball: list[Halves] = []
@@ -215,8 +216,10 @@ def evaluate(
             (to_lab(xyz, white), (np.log(f + _FLOOR) * amplitude).ravel().astype(np.float32), profile)
         )
         sample = material.select_bands(bands.tolist())
-        in_grid, lit = (roots_at([sample], pairs).astype(np.float32) for pairs in (grid, ball))
-        roots.append(np.hstack([in_grid, lit[:, OF_BALL]]))
+        in_grid, lit = (roots_at([sample], pairs).astype(np.float32) for pairs in (grid, lights))
+        roots.append(
+            np.hstack([in_grid, lit[:, : len(ball.wi)][:, OF_BALL]])
+        )  # those of the studio come first
         on_ball.append(lit.astype(np.float16))
         for kept, (pairs, _) in zip(inside, spheres, strict=True):
             kept.append(roots_at([sample], pairs).astype(np.float32))

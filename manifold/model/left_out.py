@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from manifold import progress
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.mapping import CubeRoot
 from manifold.metrics import cube_root_error
 from manifold.model.appearance import roots_at
@@ -34,7 +34,7 @@ def landmark_left_out(
 
     The errors are those of `MaterialTable.errors`; only materials that are left out are read.
     """
-    at, pairs, ball = np.searchsorted(bands, space.bands), samples.pairs, ball_colours.ball()
+    at, pairs, lights = np.searchsorted(bands, space.bands), samples.pairs, panel.judged()
     search, grid = LandmarkSearch(space, samples.roots, bands), slice(None, samples.pairs.n_grid)
 
     def find(i: int) -> tuple[Array, Combination, float]:
@@ -56,7 +56,7 @@ def landmark_left_out(
         )
         at_grid = truth.eval(pairs.pairs.wi[grid], pairs.pairs.wo[grid])
         return (
-            ball.difference(truth.eval(ball.wi, ball.wo), on_ball, truth.bands),
+            lights.errors(truth.eval(lights.wi, lights.wo), on_ball, truth.bands).ball,
             cube_root_error(at_grid, in_grid, pairs.pairs.cosines[grid]),
         )
 
@@ -64,7 +64,8 @@ def landmark_left_out(
 
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
-_PREFIX, _ARRAYS = "left_out_", ("places", "ball", "cube_root", "residual", "materials")
+# Files of 0.2.0 hold errors in the studio alone, by "left_out_": they are not calibrated.
+_PREFIX, _ARRAYS = "left_out_in_lights_", ("places", "ball", "cube_root", "residual", "materials")
 _SAMPLE = 200  # materials that are left out where not all were laid out: spread evenly over the map
 _MOST_BALL = 10.0  # CIEDE2000: the appearance of another material
 _LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
@@ -75,7 +76,7 @@ class ExpectedErrors:
     """Expected errors of predictions; the errors of nine in ten left-out materials are less than twice as large.
 
     Attributes:
-        ball: mean CIEDE2000 of the ball, shape (M,) or ().
+        ball: CIEDE2000 of the ball, mean over the judged lights, shape (M,) or ().
         cube_root: relative error of cube roots, shape (M,) or ().
     """
 
@@ -111,7 +112,7 @@ class LeftOut:
     Attributes:
         space: of N materials.
         places: shape (n, Q).
-        ball: mean CIEDE2000 of the ball, shape (n,).
+        ball: CIEDE2000 of the ball, mean over the judged lights, shape (n,).
         cube_root: error of cube roots on the encoding grid, relative, shape (n,).
         residual: of the search, see `Embedded`, shape (n,).
         materials: which they are: all, or some of those of a map by landmarks, shape (n,).

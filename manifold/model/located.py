@@ -53,12 +53,7 @@ class Reconstruction:
     @property
     def rows(self) -> dict[str, object]:
         """Labels and values for a terminal."""
-        errors = [
-            f"{self.errors.ball:.1f} CIEDE2000 of the ball",
-            f"{self.errors.cube_root:.0%} cube-root error",
-            f"{self.errors.linear:.0%} linear",
-        ]
-        rows: dict[str, object] = {"reconstruction error": errors}
+        rows: dict[str, object] = {"reconstruction error": self.errors.words}
         if self.rotation_rad:
             rows["rotation of the sample"] = f"{np.rad2deg(self.rotation_rad):.1f} degrees, undone to find it"
         if self.plausibility is not None:
@@ -75,9 +70,7 @@ class Reconstruction:
         return {
             "materials": self.materials,
             "parts": self.largest_parts,
-            "relative_error": self.errors.linear,
-            "cube_root_error": self.errors.cube_root,
-            "ball": self.errors.ball,
+            **self.errors.to_json(),
             "plausibility": self.plausibility and vars(self.plausibility),
             "diagnostics": self.diagnostics,
             "refusal": self.refusal,

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.pairs import DirectionPairs
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.encoding import EncodingPairs
 from manifold.metrics import cube_root_error
 from manifold.model.combination import Combination, Values, evaluate
@@ -25,21 +25,21 @@ class MaterialTable:
         """Select the bands of all materials."""
         self.bands = bands
         self.materials = [material.select_bands(bands.tolist()) for material in materials]
-        self._ball, self._pairs = ball_colours.ball(), EncodingPairs.default(all_isotropic(materials))
+        self._lights, self._pairs = panel.judged(), EncodingPairs.default(all_isotropic(materials))
 
     @cached_property
     def _on_ball(self) -> Values:
-        return Values.at(self.materials, DirectionPairs(self._ball.wi, self._ball.wo))
+        return Values.at(self.materials, DirectionPairs(self._lights.wi, self._lights.wo))
 
     @cached_property
     def _in_grid(self) -> Values:
         return Values.at(self.materials, DirectionPairs(self._pairs.wi, self._pairs.wo))
 
     def errors(self, i: int, combination: Combination) -> tuple[float, float]:
-        """Ball CIEDE2000 and cube-root error of a prediction of material i."""
+        """CIEDE2000 of the ball, mean over the judged lights, and cube-root error of a prediction of material i."""
         here = combination.in_bands(self.bands)
         on_ball, in_grid = (evaluate([here], values)[0] for values in (self._on_ball, self._in_grid))
         return (
-            self._ball.difference(self._on_ball.f[i], on_ball, self.materials[0].bands),
+            self._lights.errors(self._on_ball.f[i], on_ball, self.materials[0].bands).ball,
             cube_root_error(self._in_grid.f[i], in_grid, self._pairs.cosines),
         )

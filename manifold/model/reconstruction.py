@@ -7,8 +7,9 @@ from functools import cache
 
 import numpy as np
 
+from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import BRDF, all_isotropic
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.encoding import EncodingPairs
 from manifold.errors import UsageError
 from manifold.mapping import Identity
@@ -21,7 +22,7 @@ from manifold.model.observation import LEAST, Observation
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, Indices, evenly_spaced
 
-DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0))
+DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0), Lobes(soft_degree=4))
 """Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""
 
 MAX_BANDS = 20
@@ -29,23 +30,23 @@ MAX_BANDS = 20
 
 _SAMPLES_AT_ONCE = 300  # materials among which weights are found together
 _OF_VALUES = 0.25  # how much the squared error of values counts beside that of pixels
-_STUDIOS_DEG = (60.0, 180.0, 300.0)  # reports show the ball at 0: in a light that no reconstruction saw
 
 
 class ComparedValues:
-    """What a reconstruction compares: values at direction pairs, and the pixels of the ball in three lights.
+    """What a reconstruction compares: values at direction pairs, and the pixels of the ball in the fitted lights.
 
     Attributes:
-        n_pixels: how many of the values are pixels.
+        pixel_weights: how much each pixel counts, so that all lights count the same, shape (K,); the K pixels are the
+            last of the values.
     """
 
     def __init__(self, pairs: EncodingPairs) -> None:
         """Compare BRDFs at direction pairs (P, 3)."""
-        self._balls = [ball_colours.ball(turned_deg=degrees) for degrees in _STUDIOS_DEG]
-        ball = self._balls[0]  # in all lights pixels are lit from the same directions
-        self._wi, self._wo = np.concatenate([pairs.wi, ball.wi]), np.concatenate([pairs.wo, ball.wo])
+        self._lights = panel.fitted()
+        self._wi = np.concatenate([pairs.wi, self._lights.wi])
+        self._wo = np.concatenate([pairs.wo, self._lights.wo])
         self._cosines = pairs.cosines
-        self.n_pixels = len(ball.starts) * len(self._balls)
+        self.pixel_weights = self._lights.pixel_weights
         self._lobes = self._of_values(DICTIONARY.lobes.values(self._wi, self._wo))
 
     @classmethod
@@ -65,10 +66,10 @@ class ComparedValues:
         """
         material = self.of(brdf)
         if numbers is None:
-            return explain(observations(atoms, material, self.n_pixels))
+            return explain(observations(atoms, material, self.pixel_weights))
         bands = evenly_spaced(len(material), MAX_BANDS)
         lambertian = len(atoms) - len(DICTIONARY.lobes)
-        found = few_atoms(observations(atoms, material[bands], self.n_pixels), numbers, lambertian)
+        found = few_atoms(observations(atoms, material[bands], self.pixel_weights), numbers, lambertian)
         weights = np.zeros((len(material), len(atoms)))
         for k in np.flatnonzero(found.any(axis=0)):
             weights[:, k] = np.interp(np.arange(len(material)), bands, found[:, k])
@@ -87,20 +88,21 @@ class ComparedValues:
     def _of_values(self, f: Array) -> Array:
         """From f in 1/sr, shape (n, P + P_ball)."""
         P = len(self._cosines)
-        pixels = [np.add.reduceat(f[:, P:] * ball.light, ball.starts, axis=1) for ball in self._balls]
-        return np.hstack([f[:, :P] * self._cosines, *pixels])
+        return np.hstack([f[:, :P] * self._cosines, self._lights.pixels(f[:, P:])])
 
 
-def observations(atoms: Array, material: Array, n_pixels: int) -> list[Observation]:
+def observations(atoms: Array, material: Array, pixel_weights: Array) -> list[Observation]:
     """What is seen of a material (B, R), never negative, by functionals, the last of them pixels, of atoms (n, R).
 
-    Errors of cube roots are relative, over all bands, among values and among pixels. Pixels brighter than display
-    white do not count.
+    Errors of cube roots are relative, over all bands, among values and among pixels of weights (K,). Pixels brighter
+    than display white do not count.
     """
     material = np.maximum(material, 0.0)
-    is_pixel = np.arange(material.shape[1]) >= material.shape[1] - n_pixels
-    counts = np.where(is_pixel & (material >= 1.0), 0.0, np.where(is_pixel, 1.0, _OF_VALUES))
-    squares = np.sum((counts > 0.0) * material ** (2.0 / 3.0), axis=0)
+    n_values = material.shape[1] - len(pixel_weights)
+    is_pixel = np.arange(material.shape[1]) >= n_values
+    each = np.concatenate([np.ones(n_values), pixel_weights])
+    counts = np.where(is_pixel & (material >= 1.0), 0.0, each * np.where(is_pixel, 1.0, _OF_VALUES))
+    squares = np.sum((counts > 0.0) * each * material ** (2.0 / 3.0), axis=0)
     for rows in (is_pixel, ~is_pixel):
         counts[:, rows] /= max(float(squares[rows].sum()), LEAST)
     no_bound = np.zeros(material.shape[1], bool)

@@ -146,7 +146,7 @@ def test_an_anisotropic_material_is_reconstructed_at_all_azimuths():
     library = CacheOf(brushed(0.3, 0.6), brushed(0.3, 0.15))
     truth = brushed(0.3, 0.5)
     found = brdf_errors(truth, reconstruct(library, np.arange(3), truth))
-    assert found.cube_root < 0.01  # by half vectors in the plane alone 0.020
+    assert found.cube_root < 0.015  # by half vectors in the plane alone 0.020
     assert found.ball < 0.5  # 1.6
 
 

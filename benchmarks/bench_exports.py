@@ -40,7 +40,8 @@ def losses(files: Path, target: str, work: Path, *, is_mapped: bool) -> dict[str
     outcomes = export_all(files, TARGETS[target], work / f"{target}_{is_mapped}", is_mapped=is_mapped)
     made = {outcome.name: outcome.content or {} for outcome in outcomes}
     return {
-        name: {"own": e["ciede2000"], "principled": e["principled_ciede2000"]} for name, e in made.items()
+        name: {"own": e["ball"]["unseen_light"], "principled": e["principled_ball"]["unseen_light"]}
+        for name, e in made.items()
     }
 
 
@@ -72,7 +73,7 @@ def in_lights(files: Path, target: str, exported: Path) -> dict[str, dict[str, f
         model = TargetBRDF(TARGETS[target], TARGETS[target].defaults | export["parameters"])
         path = next(p for p in files.rglob("*.bsdf") if material_name(p) == export["material"])
         material = MeasuredBRDF(read_bsdf(path))
-        made[export["material"]] = {"printed": export["ciede2000"]} | {
+        made[export["material"]] = {"printed": export["ball"]["unseen_light"]} | {
             light: ball.difference(
                 *(brdf.eval(ball.wi, ball.wo) for brdf in (model, material)), material.bands
             )

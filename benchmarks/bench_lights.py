@@ -55,9 +55,9 @@ def errors(brdf: BRDF, file: BsdfFile) -> LookErrors:
 
 def row(found: list[LookErrors]) -> dict[str, tuple[float, float]]:
     """Median and 90th percentile over files, by column."""
-    columns = {name: [one.ball[k] for one in found] for k, name in enumerate(found[0].names)}
-    columns |= {"mean": [one.mean for one in found], "worst": [one.worst[1] for one in found]}
-    columns |= {"mean ITP": [one.mean_itp for one in found]}
+    columns = {name: [one.lights[name] for one in found] for name in found[0].lights}
+    columns |= {"mean": [one.ball for one in found], "worst": [one.worst for one in found]}
+    columns |= {"mean ITP": [one.ball_itp for one in found]}
     return {
         name: (round(float(np.median(each)), 3), round(float(np.percentile(each, 90)), 3))
         for name, each in columns.items()

@@ -111,14 +111,13 @@ def export(
 
 
 def _show(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
+    from manifold.fit.fit_metrics import BallDifference
+
     content = outcome.content or {}
     rows = terminal.parameter_rows(content["parameters"])
-    rows["CIEDE2000 on the ball"] = (
-        f"{content['ciede2000']:.2f}, against the {content['against']}; in the light of the fit "
-        f"{content['ciede2000_in_fitted_light']:.2f}"
-    )
-    if content["principled_ciede2000"] is not None:
-        rows["of Mitsuba's principled"] = f"{content['principled_ciede2000']:.2f}"
+    rows["CIEDE2000 on the ball"] = f"{BallDifference(**content['ball'])}, against the {content['against']}"
+    if content["principled_ball"] is not None:
+        rows["of Mitsuba's principled"] = BallDifference(**content["principled_ball"])
     if picture is not None:
         rows["picture"] = picture
     rows |= terminal.numbered("note", outcome.notes)
@@ -130,11 +129,11 @@ def _show_all(results: terminal.Results, outcomes: list[Outcome[Any]], folder: P
     rows = []
     for outcome in outcomes:
         if outcome.content is not None:
-            losses = (outcome.content["ciede2000"], outcome.content["principled_ciede2000"])
-            rows.append(
-                [outcome.name, *("" if v is None else f"{v:.2f}" for v in losses), "kept" * outcome.was_there]
-            )
-    results.table(["material", "CIEDE2000", "of principled", ""], rows)
+            ball, principled = outcome.content["ball"], outcome.content["principled_ball"]
+            losses = (ball["unseen_light"], ball["worst"], principled and principled["unseen_light"])
+            cells = ("" if loss is None else f"{loss:.2f}" for loss in losses)
+            rows.append([outcome.name, *cells, ball["worst_light"], "kept" * outcome.was_there])
+    results.table(["material", "CIEDE2000", "worst light", "of principled", "worst light's name", ""], rows)
     failed = [f"{o.name}: {o.failure}" for o in outcomes if o.failure is not None]
     kept = sum(o.was_there for o in outcomes)
     results.text(count_words(len(rows), "materials", folder, kept) + "\n")

@@ -175,7 +175,7 @@ def _rows(content: dict[str, Any]) -> dict[str, object]:
     for statement in content["statements"]:
         rows[statement["name"]] = str(ParameterIdentifiability(**statement))
     if content["ball"] is not None:
-        rows["CIEDE2000 on the ball"] = str(BallDifference(**content["ball"]))
+        rows["CIEDE2000 on the ball"] = BallDifference(**content["ball"])
     rows["relative residual"] = [f"{name} {value:.3f}" for name, value in content["residuals"].items()]
     rows["best diffuse"] = f"{content['metric']} {content['diffuse_residual']:.3f}"
     if content["spectral_residual"] is not None:

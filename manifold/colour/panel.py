@@ -90,13 +90,13 @@ class Panel:
         return np.repeat(counts.mean() / counts, counts)
 
     def pixels(self, f: Array) -> Array:
-        """Radiance (n, K) of the pixels of all lights, one after the other, of values f (n, P) in 1/sr."""
+        """Radiance (..., K) of the pixels of all lights, one after the other, of values f (..., P) in 1/sr."""
         return np.concatenate(
             [
-                np.add.reduceat(f[:, part] * ball.light, ball.starts, axis=1)
+                np.add.reduceat(f[..., part] * ball.light, ball.starts, axis=-1)
                 for ball, part in zip(self.balls, self.parts, strict=True)
             ],
-            axis=1,
+            axis=-1,
         )
 
     def xyz(self, f: Array, bands: Bands) -> Array:

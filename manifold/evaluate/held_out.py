@@ -100,7 +100,12 @@ class HeldOut:
         )  # fmt: skip
 
     def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, ...]:
-        """Linear and cube-root error, RMSE, and the ball's (CIEDE2000, Delta E_ITP), of a prediction of material i, (P, B') and (P_ball, B')."""
+        """Errors of a prediction of material i: linear, cube root, RMSE, CIEDE2000 and Delta E_ITP of the ball.
+
+        Args:
+            i: which.
+            f, f_ball: predicted, (P, B') and (P_ball, B').
+        """
         data = self.data
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
         cube_root = metrics.cube_root_error(data.f[i], f, data.cosines)

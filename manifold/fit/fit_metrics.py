@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from manifold.brdf.measured import EvaluableBRDF
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
+from manifold.colour.panel import LookErrors, Panel
 from manifold.errors import UsageError
 from manifold.fit.fit_samples import FitSamples
 from manifold.records import Array
@@ -72,25 +73,39 @@ NOTICEABLE = 2.3
 
 @dataclass(frozen=True)
 class BallDifference:
-    """Mean CIEDE2000 between the balls of two materials.
+    """How differently the balls of two materials look.
 
     Attributes:
-        unseen_light: in the light in which errors are measured everywhere, which fits do not see.
-        fitted_light: in that of fits, from behind.
+        unseen_light: CIEDE2000, mean over the judged lights, which fits do not see.
+        fitted_light: the same over the lights of fits.
+        worst, worst_light: in the judged light where it is largest; None, as what follows, in files of 0.2.0, whose
+            numbers are of one light.
+        ball_itp: Delta E_ITP, mean over the judged lights.
+        lights: CIEDE2000 in each of them.
     """
 
     unseen_light: float
     fitted_light: float
+    worst: float | None = None
+    worst_light: str | None = None
+    ball_itp: float | None = None
+    lights: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def between(cls, fitted: EvaluableBRDF, material: EvaluableBRDF) -> BallDifference:
         """Of a fit and its material."""
-        balls = ball_colours.ball(), ball_colours.ball(turned_deg=180.0)
-        both = [(brdf.eval(balls[0].wi, balls[0].wo), brdf.bands) for brdf in (fitted, material)]
-        return cls(*(ball_colours.delta_e(*(ball.xyz(*one) for one in both)) for ball in balls))
+
+        def errors(lights: Panel) -> LookErrors:
+            f, f_star = (brdf.eval(lights.wi, lights.wo) for brdf in (fitted, material))
+            return lights.errors(f, f_star, material.bands)
+
+        look = errors(panel.judged())
+        seen = errors(panel.fitted()).ball
+        return cls(look.ball, seen, look.worst, look.worst_light, look.ball_itp, look.lights)
 
     def __str__(self) -> str:
-        return f"{self.unseen_light:.2f}; in the light of the fit {self.fitted_light:.2f}"
+        worst = "" if self.worst is None else f", in {self.worst_light} {self.worst:.2f}"
+        return f"{self.unseen_light:.2f}{worst}; in the lights of the fit {self.fitted_light:.2f}"
 
 
 class Criterion:
@@ -112,10 +127,11 @@ class Criterion:
         self._pixels = samples.pixels if name == "appearance" else None
         self.wi, self.wo, self.norm = samples.wi, samples.wo, float(np.linalg.norm(self._target))
         if self._pixels is not None:
-            self.wi = np.concatenate([samples.wi, self._pixels.wi])
-            self.wo = np.concatenate([samples.wo, self._pixels.wo])
+            self.wi = np.concatenate([samples.wi, self._pixels.lights.wi])
+            self.wo = np.concatenate([samples.wo, self._pixels.lights.wo])
             shown = _DISPLAY(_shown(self._pixels.values)[0])
-            self._scale = _BALL * self.norm / np.sqrt(len(shown))
+            weights = self._pixels.lights.pixel_weights
+            self._scale = _BALL * self.norm * np.sqrt(weights / len(shown))[:, None]
             self._shown = self._scale * shown
             self.norm = float(np.hypot(self.norm, np.linalg.norm(self._shown)))
 
@@ -143,10 +159,11 @@ class Criterion:
         return float(np.linalg.norm(self.residual(f_cos))) / self.norm
 
     def ball_difference(self, f_cos: Array) -> float:
-        """Mean CIEDE2000 between the pixels of values (P, 3) in linear sRGB and of the material."""
+        """CIEDE2000 between the pixels of values (P, 3) in linear sRGB and of the material, mean over the lights."""
         assert self._pixels is not None
         both = self._pixels.of(f_cos[len(self.samples) :]), self._pixels.values
-        return ball_colours.delta_e(*(srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in both))
+        xyz, xyz_star = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in both)
+        return self._pixels.lights.compare(xyz, xyz_star).ball
 
 
 _DISPLAY = Metric("appearance", _KNEE)

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manifold.brdf.measured import EvaluableBRDF
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.colour.narrow_bands import with_spectra
+from manifold.colour.panel import Panel
 from manifold.directions import require_directions, rotate_z
 from manifold.errors import ShapeError, UsageError
 from manifold.formats.readings import Readings
@@ -20,38 +21,32 @@ from manifold.records import Array, Bands, Indices
 MIN_PAIRS = 4
 MAX_PAIRS = 2048
 _GRAZING_COS = 0.05  # 87 degrees: beyond, instruments and files extrapolate
-_BALL = (6, 18, 8)  # pixels, rings and spokes: 3,100 direction pairs
+_BALL, _SUN_PIXELS = (6, 18, 8), 16  # pixels, rings and spokes; pixels under suns: 3,900 direction pairs
 
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """A small picture of a ball, lit from behind: errors are reported in the other light, which fits do not see.
+    """Small pictures of a ball in the lights that fits see: errors are reported in others.
 
     Attributes:
-        wi, wo: the direction pairs that light it, unit vectors (P, 3).
-        light: what values f_cos at the pairs are multiplied by, shape (P, 1).
-        starts: first direction pair of each pixel, shape (K,).
-        values: linear radiance of the material's pixels, a white surface's being 1 in white surroundings; (K, B).
+        lights: the panel.
+        values: linear radiance of the material's pixels in 1 over that of a white surface; (K, B).
     """
 
-    wi: Array
-    wo: Array
-    light: Array
-    starts: Indices
+    lights: Panel
     values: Array
 
     @classmethod
     def of_values(cls, f: Callable[[Array, Array], Array]) -> Pixels:
         """The ball of a material by its BRDF at direction pairs; negative values of a prediction count as 0."""
-        ball = ball_colours.ball(*_BALL, turned_deg=180.0)
-        light = (ball.light / ball.wo[:, 2])[:, None]
-        empty = cls(ball.wi, ball.wo, light, ball.starts, np.zeros(0))
-        f_cos = np.maximum(f(ball.wi, ball.wo), 0.0) * ball.wo[:, 2:]
-        return replace(empty, values=empty.of(f_cos))
+        lights = panel.fitted(*_BALL, sun_pixels=_SUN_PIXELS)
+        empty = cls(lights, np.zeros(0))
+        return replace(empty, values=empty.of(np.maximum(f(lights.wi, lights.wo), 0.0) * lights.wo[:, 2:]))
 
     def of(self, f_cos: Array) -> Array:
-        """Pixels (..., K, B) of values (..., P, B)."""
-        return np.asarray(np.add.reduceat(f_cos * self.light, self.starts, axis=-2))
+        """Pixels (..., K, B) of values f cos(theta_o) (..., P, B) at the direction pairs of the panel."""
+        f = np.moveaxis(f_cos / self.lights.wo[:, 2:], -1, -2)
+        return np.moveaxis(self.lights.pixels(f), -1, -2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,14 +47,14 @@ def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
     assert result.exit_code == 0, result.output
     (made,) = json.loads(result.stdout)["exports"]
     assert made["against"] == "fit"
-    assert made["principled_ciede2000"] is None
-    assert made["ciede2000"] < 1.0  # a copper of principled is one of glTF
+    assert made["principled_ball"] is None
+    assert made["ball"]["unseen_light"] < 1.0  # a copper of principled is one of glTF
     document, _ = read_glb(tmp_path / "x.glb")
     values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
     found = gltf_parameters(document["materials"][0])
     assert found["baseColorFactor"] == pytest.approx(values["base_color"], abs=1e-4)  # ends are snapped
     assert found["roughnessFactor"] == pytest.approx(values["roughness"], abs=1e-6)
-    assert document["materials"][0]["extras"]["ciede2000"] == made["ciede2000"]
+    assert document["materials"][0]["extras"]["ball"]["unseen_light"] == made["ball"]["unseen_light"]
 
 
 def test_a_file_that_is_not_named_is_called_after_the_material(folder, tmp_path, monkeypatch):
@@ -69,12 +69,12 @@ def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_
     subject = exporting.subject_of(folder / "copper_rgb.fit.json", folder / "copper_rgb.bsdf")
     made = exporting.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx").content
     assert made["against"] == "measured file"
-    assert made["principled_ciede2000"] > 0.0
-    assert abs(made["ciede2000"] - made["principled_ciede2000"]) < 1.0
+    assert made["principled_ball"]["unseen_light"] > 0.0
+    assert abs(made["ball"]["unseen_light"] - made["principled_ball"]["unseen_light"]) < 1.0
     assert made["method"] == "direct"
     mapped = exporting.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx", is_mapped=True).content
     assert mapped["method"] == "mapping"
-    assert made["ciede2000_in_fitted_light"] < mapped["ciede2000_in_fitted_light"]
+    assert made["ball"]["fitted_light"] < mapped["ball"]["fitted_light"]
 
 
 def test_an_export_that_differs_visibly_says_so(folder, tmp_path):
@@ -89,7 +89,7 @@ def test_an_export_that_differs_visibly_says_so(folder, tmp_path):
         for against in (folder / "copper_rgb.bsdf", tmp_path / "felt_rgb.bsdf")
     ]
     said = [any("visibly different" in note for note in one.notes) for one in found]
-    assert [one.content["ciede2000"] > 2.3 for one in found] == said == [False, True]
+    assert [one.content["ball"]["unseen_light"] > 2.3 for one in found] == said == [False, True]
 
 
 def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
@@ -114,7 +114,7 @@ def test_a_prediction_is_exported(tmp_path):
     (made,) = json.loads((tmp_path / "report.json").read_text())["exports"]
     assert (made["material"], made["against"], made["target"]) == (NAMES[0], "prediction", "usd")
     assert len(made["source"]["latent"]) == 2
-    assert made["ciede2000"] is not None
+    assert made["ball"]["unseen_light"] is not None
 
 
 def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
@@ -152,7 +152,7 @@ def test_a_library_is_exported(tmp_path, monkeypatch, folder):
     )
     report = json.loads((tmp_path / "r.json").read_text())
     assert [made["material"] for made in report["exports"]] == sorted(NAMES)
-    assert max(made["ciede2000"] for made in report["exports"]) < 2.3  # though all began as copper
+    assert max(made["ball"]["unseen_light"] for made in report["exports"]) < 2.3  # though all began as copper
     assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
 
 

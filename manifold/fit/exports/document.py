@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -93,11 +93,8 @@ class Export:
             "target": self.target,
             "source": dict(self.source),
             "method": self.method,
-            "ciede2000": self.ball.unseen_light,
-            "ciede2000_in_fitted_light": self.ball.fitted_light,
-            "principled_ciede2000": None
-            if self.principled_ball is None
-            else self.principled_ball.unseen_light,
+            "ball": asdict(self.ball),
+            "principled_ball": None if self.principled_ball is None else asdict(self.principled_ball),
             "against": self.against,
             **(
                 {}
@@ -110,7 +107,7 @@ class Export:
         """One line for people."""
         return (
             f"{self.label}: Exported by manifold {__version__} for {self.target}; "
-            f"mean CIEDE2000 {self.ball.unseen_light:.2f} on the ball, against the {self.against}"
+            f"CIEDE2000 on the ball against the {self.against}: {self.ball}"
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -266,7 +266,7 @@ def _inspect_fit(path: Path) -> Inspection:
     from manifold.render import fit_json
 
     content = fit_json.read(path)
-    source, metric, entry = content["source"], content["metric"], content.get("target")
+    source, metric = content["source"], content["metric"]
     of = source["file"] or "a BRDF"
     if source["latent"] is not None:
         of = f"the prediction of {source['model']} at latent {_words(source['latent'])}"
@@ -279,10 +279,6 @@ def _inspect_fit(path: Path) -> Inspection:
     if content["notes"]:
         rows["notes"] = tuple(content["notes"])
     tables = {"parameter": content["values"]}
-    if entry is not None:
-        ball = f"{entry['ciede2000']:.2f} CIEDE2000 on the ball"
-        rows["target"] = f"{entry['name']}, {ball} against the {entry['against']}"
-        tables[f"parameter of {entry['name']}"] = entry["parameters"]
     return Inspection(
         f"{path.name}: fit by {content['program']}",
         rows,

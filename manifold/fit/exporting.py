@@ -21,7 +21,7 @@ from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import Target, TargetBRDF
-from manifold.fit.fit_metrics import NOTICEABLE, BallDifference
+from manifold.fit.fit_metrics import NOTICEABLE, BallDifference, missed_highlight
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
@@ -182,7 +182,10 @@ def export(
     notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
     if made.ball.unseen_light > NOTICEABLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
-        notes = (f"visibly different from the {subject.against}{better}", *notes)
+        worst = f": CIEDE2000 {made.ball.unseen_light:.1f}, in {made.ball.worst_light} {made.ball.worst:.1f}"
+        notes = (f"visibly different from the {subject.against}{worst}{better}", *notes)
+        if (missed := missed_highlight(model, material)) is not None:
+            notes = (missed, *notes)
     ends = () if is_mapped else at_bounds(target, parameters)
     if ends:
         notes = (f"at the end of the range: {', '.join(ends)}", *notes)

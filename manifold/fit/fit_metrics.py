@@ -9,7 +9,9 @@ import numpy as np
 from manifold.brdf.measured import EvaluableBRDF
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
+from manifold.colour.difference import delta_e_2000
 from manifold.colour.panel import LookErrors, Panel
+from manifold.directions import half_vector
 from manifold.errors import UsageError
 from manifold.fit.fit_samples import FitSamples
 from manifold.records import Array
@@ -106,6 +108,36 @@ class BallDifference:
     def __str__(self) -> str:
         worst = "" if self.worst is None else f", in {self.worst_light} {self.worst:.2f}"
         return f"{self.unseen_light:.2f}{worst}; in the lights of the fit {self.fitted_light:.2f}"
+
+
+_NEAR_DEG, _HIGHLIGHT_SUN = (
+    25.0,
+    "sun 45",
+)  # what counts as the highlight, and the light in which it is looked at
+_MISSED, _MISSED_SHARE = (
+    5.0,
+    2.0,
+)  # CIEDE2000 of a highlight that is missed, and its ratio to that of the rest
+
+
+def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | None:
+    """A sentence where a model misses the highlight's colour or strength much more than the rest; None where not.
+
+    Such are the rainbows of flakes and films in models without them: other parameters cannot make up for it.
+    """
+    lights = panel.panel((_HIGHLIGHT_SUN,))
+    part = lights.parts[0]
+    wi, wo = lights.wi[part], lights.wo[part]
+    xyz, xyz_star = (lights.balls[0].xyz(brdf.eval(wi, wo), brdf.bands) for brdf in (fitted, material))
+    differences = delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))
+    is_near = half_vector(wi, wo)[:, 2] > np.cos(np.deg2rad(_NEAR_DEG))
+    near, rest = float(differences[is_near].mean()), float(differences[~is_near].mean())
+    if near < max(_MISSED, _MISSED_SHARE * rest):
+        return None
+    return (
+        f"its highlight is missed: under a sun, CIEDE2000 {near:.0f} within {_NEAR_DEG:.0f} degrees of the mirror "
+        f"direction, {rest:.0f} elsewhere, which no parameter makes up for"
+    )
 
 
 class Criterion:

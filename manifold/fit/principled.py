@@ -163,7 +163,11 @@ def fit_bsdf(
             "x; in Mitsuba, turn the tangents by it",
         )
     if ball.unseen_light > NOTICEABLE:
-        notes += (f"visibly different: mean CIEDE2000 {ball.unseen_light:.1f} on the ball",)
+        notes += (
+            f"visibly different: CIEDE2000 {ball.unseen_light:.1f} on the ball, in {ball.worst_light} {ball.worst:.1f}",
+        )
+        if (missed := fit_metrics.missed_highlight(fitted, target)) is not None:
+            notes += (missed,)
     return replace(found, ball=ball, notes=notes, rotation_deg=degrees)
 
 

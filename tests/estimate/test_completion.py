@@ -16,7 +16,7 @@ from helpers.small_library import NAMES
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
 from manifold.directions import from_spherical
@@ -278,8 +278,9 @@ def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
 
 def test_residuals_of_all_hypotheses_are_known_near_readings_as_regression_says(rng):
     where, taken = (rng.random((n, 3)) * 4.0 for n in (6, 3))
-    ball = ball_colours.ball()
-    lit, on_ball, level = coordinates(ball.wi, ball.wo), rng.random(len(ball.wi)), rng.random(6) + 0.5
+    lights = panel.judged()
+    ball = lights.balls[0]
+    lit, on_ball, level = coordinates(lights.wi, lights.wo), rng.random(len(lights.wi)), rng.random(6) + 0.5
     found = _residual(where, taken, level, on_ball)
     gain = np.linalg.solve(covariance(taken, taken) + 0.3 * np.eye(3), covariance(taken, where)).T
     left = covariance(where, where) - gain @ covariance(taken, where)

@@ -55,7 +55,7 @@ def felt(photo_atoms, render):
 
 def test_a_material_of_the_library_is_found(photo_atoms, felt):
     ball, cube_root, _ = errors(photo_atoms, "syn_felt_green", felt[1])
-    assert ball < 1.0
+    assert ball < 1.5  # in lights other than the photograph's
     assert cube_root < 0.1
     assert felt[1].residual < 0.05
     assert not any("is the light" in note for note in felt[1].notes)

@@ -46,7 +46,11 @@ def test_a_material_without_a_neural_fit_has_no_error(materials, data, monkeypat
     (errors,) = measure_errors([found], data.bands, [data])
     np.testing.assert_allclose(errors.cube_root, [np.nan, 0.5, np.nan], rtol=1e-12)  # 0.125^(1/3) is 0.5
     assert MedianAndP90.of(errors.linear).median == pytest.approx(0.875)
-    assert np.isnan(BallErrors(materials, data.bands).of(found)[0]).tolist() == [True, False, True]
+    assert [np.isnan(look.ball) for look in BallErrors(materials, data.bands).of(found)] == [
+        True,
+        False,
+        True,
+    ]
 
 
 def test_a_prediction_that_is_a_brdf_meets_values_in_some_bands(materials, data):

@@ -188,12 +188,10 @@ def test_three_errors_stand_side_by_side(models, reports):
     for i, n in enumerate(nearest):
         assert result.relative_error[i] == pytest.approx(relative_error(data.f[i], data.f[n], data.cosines))
         assert result.cube_root_error[i] == pytest.approx(cube_root_error(data.f[i], data.f[n], data.cosines))
-        assert result.ball_delta_e[i] == pytest.approx(balls.differences(i, balls.values.f[n])[0])
-        assert balls.differences(i, balls.values.f[i]) == (0.0, 0.0)
-        assert (
-            0.5 < result.ball_delta_e_itp[i] / result.ball_delta_e[i] < 20.0
-        )  # another unit, of the same pictures
-    for name in ("relative_error", "cube_root_error", "ball_delta_e", "ball_delta_e_itp"):
+        assert result.ball[i] == pytest.approx(balls.differences(i, balls.values.f[n]).ball)
+        assert set(balls.differences(i, balls.values.f[i]).lights.values()) == {0.0}
+        assert 0.5 < result.ball_itp[i] / result.ball[i] < 20.0  # another unit, of the same pictures
+    for name in ("relative_error", "cube_root_error", "ball", "ball_itp", "worst"):
         errors = getattr(result, name)
         assert getattr(result, f"median_{name}") == np.median(errors)
         assert getattr(result, f"p90_{name}") == np.percentile(errors, 90)
@@ -264,11 +262,11 @@ def test_a_report_leads_with_the_models_own_error_for_left_out_materials(models,
     own, nearest = method(made, "blend_encoded"), method(made, "nearest")
     assert "blend_refitted" not in {m.key for m in made.methods}
     assert own.is_held_out
-    np.testing.assert_allclose(own.ball_delta_e, blend.left_out.ball, rtol=0.05, atol=0.05)  # of fewer bands
+    np.testing.assert_allclose(own.ball, blend.left_out.ball, rtol=0.05, atol=0.05)  # of fewer bands
     sentences = lead(made).split(". ")
     assert len(sentences) == 3
-    assert f"{own.median_ball_delta_e:.1f} CIEDE2000" in sentences[0]
-    assert f"{nearest.median_ball_delta_e:.1f}" in sentences[1]
+    assert f"{own.median_ball:.1f} CIEDE2000" in sentences[0]
+    assert f"{nearest.median_ball:.1f}" in sentences[1]
     text = format_report(made)
     assert text.index("A left-out material") < text.index("reconstruction")
 
@@ -291,7 +289,7 @@ def test_every_material_is_shown_with_its_left_out_errors(reports, kind):
     first = method(made, "gp_refitted")
     for k, name in enumerate(made.names):
         (row,) = (line.split() for line in text.splitlines() if line.startswith(f"{name} "))
-        assert {f"{first.ball_delta_e[k]:.2f}", f"{first.relative_error[k]:.3f}"} <= set(row)
+        assert {f"{first.ball[k]:.2f}", f"{first.relative_error[k]:.3f}"} <= set(row)
 
 
 def test_methods_without_errors_of_their_own_have_no_table_of_them(made):

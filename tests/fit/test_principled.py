@@ -14,7 +14,7 @@ from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
@@ -442,11 +442,30 @@ def test_a_fit_looks_like_its_material_in_a_light_that_it_did_not_see():
     assert seen.ball.fitted_light < 0.6 * by_samples.ball.fitted_light
     assert seen.residuals["appearance"] < by_samples.residuals["appearance"]
     assert by_samples.residuals["cube-root"] < seen.residuals["cube-root"]
-    ball = ball_colours.ball()
-    fitted = evaluator(seen.family, ball.wi, ball.wo, 3)
-    f = fitted.values(fitted.layout.join(seen.values))[0] / ball.wo[:, 2:]
-    expected = ball.difference(f, paint.eval(ball.wi, ball.wo), Bands(None))
-    assert seen.ball.unseen_light == pytest.approx(expected, rel=1e-6)
+    lights = panel.judged()
+    fitted = evaluator(seen.family, lights.wi, lights.wo, 3)
+    f = fitted.values(fitted.layout.join(seen.values))[0] / lights.wo[:, 2:]
+    expected = lights.errors(f, paint.eval(lights.wi, lights.wo), Bands(None))
+    assert seen.ball.unseen_light == pytest.approx(expected.ball, rel=1e-6)
+    assert (seen.ball.worst_light, seen.ball.worst) == (
+        expected.worst_light,
+        pytest.approx(expected.worst, rel=1e-6),
+    )
+
+
+def test_a_highlight_that_the_model_lacks_is_said():
+    class Rainbow:
+        bands, is_isotropic = Bands(None), True
+
+        def eval(self, wi, wo):
+            h = wi + wo
+            theta = np.arccos(np.clip(h[..., 2] / np.linalg.norm(h, axis=-1), -1.0, 1.0))
+            hue = np.stack([np.cos(9.0 * theta + turn) for turn in (0.0, 2.1, 4.2)], axis=-1)
+            return 0.1 + np.exp(-((theta / 0.3) ** 2))[..., None] * (0.3 + 0.3 * hue)
+
+    found = fit_bsdf(Rainbow())
+    assert any(note.startswith("its highlight is missed") for note in found.notes)
+    assert not any("highlight" in note for note in fit_bsdf(GlossyPaint()).notes)
 
 
 def test_samples_alone_have_no_ball_and_are_fitted_in_cube_roots():

@@ -70,6 +70,7 @@ def test_what_is_not_finite_is_refused():
 
 GRID = RusinkiewiczGrid(16, 9, 6)
 N_PIXELS = 12
+PIXELS = np.ones(N_PIXELS)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +104,7 @@ def test_a_combination_of_samples_is_found_again(samples, atoms, rng):
     truth = np.zeros((3, len(samples)))
     truth[:, [2, 9, 20]] = rng.uniform(0.2, 1.0, (3, 3))
     targets = truth @ atoms
-    weights = explain(observations(atoms, targets, N_PIXELS))
+    weights = explain(observations(atoms, targets, PIXELS))
     assert weights.min() >= 0.0
     # samples are alike (materials of one colour): the values are determined, the weights hardly
     np.testing.assert_allclose(weights @ atoms, targets, rtol=1e-3, atol=1e-4 * targets.max())
@@ -116,7 +117,7 @@ def test_pixels_come_nearer_where_they_count(atoms):
     bright[:, -n_pixels:] += 1.0  # beyond display white
 
     def errors(targets):
-        found = np.cbrt(explain(observations(others, targets, n_pixels)) @ others) - np.cbrt(atoms[6:9])
+        found = np.cbrt(explain(observations(others, targets, PIXELS)) @ others) - np.cbrt(atoms[6:9])
         found[:, -n_pixels:] *= atoms[6:9, -n_pixels:] < 1.0
         return np.sum(found[:, :-n_pixels] ** 2), np.sum(found[:, -n_pixels:] ** 2)
 
@@ -129,13 +130,13 @@ def test_a_highlight_survives_where_the_base_is_black(pairs):
     """Cube roots, linearised where values are near 0, would give up the highlight for them."""
     atoms = compared(Lobes((0.1, 0.4), (2.0,)).values(*pairs), pairs)
     target = np.maximum(0.04 * atoms[[6]] - 1e-3 * atoms[[0]], 0.0)  # black but for the highlight
-    found = explain(observations(atoms, target, N_PIXELS)) @ atoms
+    found = explain(observations(atoms, target, PIXELS)) @ atoms
     assert found.max() > 0.8 * target.max()
 
 
 def test_black_is_made_of_nothing(atoms):
-    assert not np.any(explain(observations(atoms, 0.0 * atoms[:3], N_PIXELS)))
-    assert not np.any(few_atoms(observations(atoms, 0.0 * atoms[:3], N_PIXELS), 12, LAMBERTIAN))
+    assert not np.any(explain(observations(atoms, 0.0 * atoms[:3], PIXELS)))
+    assert not np.any(few_atoms(observations(atoms, 0.0 * atoms[:3], PIXELS), 12, LAMBERTIAN))
 
 
 # -- few atoms ---------------------------------------------------------------------------------------------
@@ -152,12 +153,12 @@ def numbers_of(weights):
 def test_few_atoms_are_found_again(atoms):
     truth = np.zeros((3, len(atoms)))
     truth[:, 10], truth[:, 22], truth[:, LAMBERTIAN] = (0.9, 0.5, 0.1), 0.3, (0.2, 0.3, 0.4)
-    found = few_atoms(observations(atoms, truth @ atoms, N_PIXELS), 9, LAMBERTIAN)  # 4 + 2 + 3
+    found = few_atoms(observations(atoms, truth @ atoms, PIXELS), 9, LAMBERTIAN)  # 4 + 2 + 3
     np.testing.assert_allclose(found, truth, atol=1e-5)
 
 
 def error_of(weights, atoms, targets):
-    slopes = np.array([band.slopes(band.seen) for band in observations(targets, targets, N_PIXELS)])
+    slopes = np.array([band.slopes(band.seen) for band in observations(targets, targets, PIXELS)])
     return np.sum(((weights @ atoms - targets) * slopes) ** 2)
 
 
@@ -166,24 +167,24 @@ def test_numbers_are_kept_to_and_more_of_them_are_never_worse(atoms):
     lambertian = LAMBERTIAN - 3
     errors = []
     for numbers in (1, 4, 8, 12, 24):
-        weights = few_atoms(observations(others, targets, N_PIXELS), numbers, lambertian)
+        weights = few_atoms(observations(others, targets, PIXELS), numbers, lambertian)
         assert weights.min() >= 0.0
         assert numbers_of(np.insert(weights, [0] * 3, 0.0, axis=1)) <= numbers
         errors.append(error_of(weights, others, targets))
     assert np.all(np.diff(errors) < 0.0)
-    assert error_of(explain(observations(others, targets, N_PIXELS)), others, targets) < errors[-1]
+    assert error_of(explain(observations(others, targets, PIXELS)), others, targets) < errors[-1]
 
 
 def test_few_atoms_are_as_good_as_the_best_of_all_pairs(atoms):
     """Of two atoms with weights per band, against all pairs tried one after the other."""
     others, targets = np.delete(atoms, [0, 1, 2], axis=0), atoms[:3]
-    slopes = np.array([band.slopes(band.seen) for band in observations(targets, targets, N_PIXELS)])
+    slopes = np.array([band.slopes(band.seen) for band in observations(targets, targets, PIXELS)])
 
     def error(pair):
         residuals = [nnls((others[list(pair)] * s).T, t * s)[1] for t, s in zip(targets, slopes, strict=True)]
         return np.sum(np.square(residuals))
 
     best = min(map(error, combinations(range(len(others)), 2)))
-    found = few_atoms(observations(others, targets, N_PIXELS), 8, LAMBERTIAN - 3)
+    found = few_atoms(observations(others, targets, PIXELS), 8, LAMBERTIAN - 3)
     # weights are found with slopes between the target and a first fit: a little off these
     assert error_of(found, others, targets) < 1.05 * best

@@ -116,7 +116,7 @@ def test_verification_names_what_is_damaged(copy):
     assert found.rows["verified"] == "1 damaged"
 
 
-def test_a_fit_shows_its_material_parameters_and_target(tmp_path):
+def test_a_fit_shows_its_material_and_parameters(tmp_path):
     content = fit_json.document(fit_bsdf(measured(NAMES[0])), fit_json.Source("felt", file="felt_rgb.bsdf"))
     fit_json.write_document(tmp_path / "felt.fit.json", content)
     found = inspect(tmp_path / "felt.fit.json")
@@ -128,17 +128,14 @@ def test_a_fit_shows_its_material_parameters_and_target(tmp_path):
     assert float(roughness) == pytest.approx(content["values"]["roughness"], rel=1e-3)
     json.dumps(found.document, allow_nan=False)
 
-    entry = {"name": "gltf", "ciede2000": 1.25, "against": "prediction", "parameters": {"ior": 1.4}}
     source = content["source"] | {"file": None, "latent": [0.5, -1.0], "model": "model.h5"}
     spectral = content["values"] | {"base_color": [0.1, 0.2, 0.5, 0.4, 0.3]}
-    changed = content | {"source": source, "target": entry, "values": spectral}
+    changed = content | {"source": source, "values": spectral}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fit_json, "read", lambda _: changed)
         found = inspect(tmp_path / "felt.fit.json")
     assert found.rows["fitted to"] == "the prediction of model.h5 at latent 0.5, -1"
-    assert found.rows["target"] == "gltf, 1.25 CIEDE2000 on the ball against the prediction"
     assert dict(found.tables[0][1])["base_color"] == "0.1 to 0.5 in 5 bands"
-    assert found.tables[1][1] == [("ior", "1.4")]
 
 
 def _truncated(path: Path, folder: Path) -> None:

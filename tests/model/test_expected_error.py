@@ -126,6 +126,6 @@ def test_far_from_all_materials_the_data_support_nothing(model):
 
 def test_errors_that_do_not_fit_the_materials_are_refused(model):
     arrays = model.left_out.arrays
-    arrays["left_out_ball"] = arrays["left_out_ball"][:-1]
-    with pytest.raises(ValueError, match="'left_out_ball' has shape"):
+    arrays["left_out_in_lights_ball"] = arrays["left_out_in_lights_ball"][:-1]
+    with pytest.raises(ValueError, match="'left_out_in_lights_ball' has shape"):
         LeftOut.from_arrays(arrays, model.space)

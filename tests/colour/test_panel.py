@@ -1,0 +1,64 @@
+"""The panel of lights: exact values of diffusers, and which lights are fitted and judged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manifold.colour import panel
+from manifold.colour.conversion import srgb_to_xyz
+from manifold.records import Bands
+
+RGB = Bands(None)
+
+
+def pixels_of(name: str, f: np.ndarray) -> np.ndarray:
+    lights = panel.panel((name,))
+    return lights.pixels(np.broadcast_to(f, (1, len(lights.wi))))[0]
+
+
+def test_no_judged_light_is_fitted():
+    assert not set(panel.FITTED) & set(panel.JUDGED)
+
+
+def test_a_white_diffuser_in_white_light_is_white_everywhere():
+    np.testing.assert_allclose(pixels_of("white", np.array([1.0 / np.pi])), 1.0, atol=0.01)
+
+
+@pytest.mark.parametrize("degrees", [20, 45, 130])
+def test_a_sun_lights_a_diffuser_by_the_cosine(degrees):
+    lights = panel.panel((f"sun {degrees}",))
+    (ball,) = lights.balls
+    np.testing.assert_allclose(pixels_of(f"sun {degrees}", np.array([1.0 / np.pi])), ball.wo[:, 2])
+    between = np.rad2deg(np.arccos(np.sum(ball.wi * ball.wo, axis=1)))
+    np.testing.assert_allclose(between, degrees)
+
+
+def test_lights_count_the_same_whatever_their_pixels():
+    lights = panel.judged()
+    weights, end = lights.pixel_weights, 0
+    assert weights.mean() == pytest.approx(1.0)
+    totals = []
+    for ball in lights.balls:
+        totals.append(weights[end : (end := end + len(ball.starts))].sum())
+    np.testing.assert_allclose(totals, totals[0])
+
+
+def test_errors_name_the_worst_light():
+    lights = panel.judged()
+    f = np.full((len(lights.wi), 3), 0.5 / np.pi)
+    assert lights.errors(f, f, RGB).ball == 0.0
+    darker = f.copy()
+    darker[lights.parts[3]] *= 0.5
+    found = lights.errors(darker, f, RGB)
+    assert found.worst_light == panel.JUDGED[3]
+    assert found.ball == pytest.approx(found.worst / len(panel.JUDGED))
+    assert found.ball_itp > 0.0
+    assert str(found) == f"{found.ball:.2f} in the mean of 5 lights, {found.worst:.2f} in {panel.JUDGED[3]}"
+
+
+def test_pixels_are_those_of_their_balls():
+    lights = panel.fitted()
+    f = np.random.default_rng(0).random((len(lights.wi), 3)) * 0.1
+    pixels = srgb_to_xyz(np.clip(lights.pixels(f.T).T, 0.0, 1.0))
+    np.testing.assert_allclose(pixels, lights.xyz(f, RGB), atol=1e-9)

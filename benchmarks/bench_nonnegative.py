@@ -4,7 +4,8 @@
     python benchmarks/bench_nonnegative.py rgl_nbrdf.zip    # of the published neural fits, taken as the truth
 
 `--numbers 8 12 16 24 40` adds the curve of error against numbers. Encoded at every sixth direction pair of the default
-grid, evaluated at all of them, and by the ball in the judged lights: their mean, and the worst. Results: docs/explanation/reconstruction.md.
+grid, evaluated at all of them, and by the ball in the judged lights: their mean, and the worst.
+Results: docs/explanation/reconstruction.md.
 """
 
 from __future__ import annotations

@@ -97,7 +97,9 @@ def test_real_materials_are_predicted_within_the_target():
         (errors,) = measure_errors([combinations], data.bands, [data])
         assert errors.negative_share == 0.0
         for found, (median, p90) in zip(
-            (errors.linear, errors.cube_root, [look.ball for look in balls.of(combinations)]), most, strict=True
+            (errors.linear, errors.cube_root, [look.ball for look in balls.of(combinations)]),
+            most,
+            strict=True,
         ):
             assert np.median(found) <= median
             assert np.percentile(found, 90) <= p90

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +20,7 @@ from .outputs import checked, or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
+    from manifold.estimate.complete import Completion
     from manifold.estimate.suggest import Suggested
 
 _SHOWN_PROBABILITY = 0.005  # of a mixture, which is printed with two decimals
@@ -66,6 +69,16 @@ def complete(
             metavar="ANGLE=UNITS",
         ),
     ] = None,
+    repeatability: Annotated[
+        float | None,
+        typer.Option(
+            help="How well the instrument repeats a reading, in per cent of its value; the completion meets readings "
+            "as well.  [default: 0.25 of spectrophotometers, 3 of goniometers]",
+            metavar="PERCENT",
+            min=0.0,
+            max=100.0,
+        ),
+    ] = None,
     lab: Annotated[
         str | None,
         typer.Option(
@@ -100,7 +113,7 @@ def complete(
     instrument: InstrumentOption = None,
     physical: options.PhysicalOption = False,
     resolution: options.ResolutionOption = 32,
-    incidences: options.IncidencesOption = 8,
+    incidences: options.IncidencesOption = 24,
     processes: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
@@ -159,9 +172,9 @@ def complete(
         if len(samples) > 1 or len(samples[0].parts) != len(readings) or into or (output and output.is_dir()):
             names = first_few([one.parts[0][1] or one.name for one in samples])
             found = f"{len(samples)} samples ({names}); name one by --sample"
-            if units or picture:
+            if units or picture or repeatability is not None:
                 raise UsageError(
-                    f"--gloss and --picture go with one sample, found {found}, or leave them out"
+                    f"--gloss, --picture and --repeatability go with one sample, found {found}, or leave them out"
                 )
             from manifold.many import tasks
 
@@ -188,6 +201,8 @@ def complete(
             else completions.read_sample(samples[0], correction, units)
         )
         target = or_default(output, completions.file_name(taken))
+    if repeatability is not None:
+        taken = replace(taken, repeatability=repeatability / 100.0)
     ball = checked(target.with_suffix(".png"), "picture") if picture else None
     with progress.shown("Completing"):
         made = completions.complete_readings(
@@ -204,6 +219,7 @@ def complete(
             f"linear {100 * expected['linear']:.0f} %",
             "residual of readings": f"{100 * made.residual:.1f} % in cube roots, "
             f"at most {100 * max(found.misfits.max(), made.residual):.1f} %",
+            **_colours_at(found),
             **(
                 {
                     "gloss": [
@@ -278,6 +294,19 @@ def calibrate(
     )
     for note in completions.calibration_notes(learned, n_samples):
         results.sentence(f"note: {note}")
+
+
+def _colours_at(found: Completion) -> dict[str, str]:
+    """How well the colours of readings are met."""
+    if (off := found.colour_misfits) is None:
+        return {}
+    most = int(off.argmax())
+    wi, wo = found.readings.wi[most], found.readings.wo[most]
+    angles = " and ".join(f"{math.degrees(math.acos(min(w[2], 1.0))):.0f}" for w in (wi, wo))
+    return {
+        "colours at the readings": f"off by CIEDE2000 {off.mean():.2f} in the mean, at most {off[most]:.2f} "
+        f"(at {angles} degrees)"
+    }
 
 
 def _show_suggested(results: terminal.Results, suggested: Suggested, title: str) -> None:

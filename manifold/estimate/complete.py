@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.measured import BRDF
+from manifold.colour.difference import colour_differences
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.band_mixtures import Hypotheses, band_mixtures
@@ -27,6 +28,7 @@ _NEAR_MIRROR_DEG = 5.0  # from a mirror direction: readings this near measure al
 _DARK = 0.1  # of the mean over readings: errors of darker ones are relative to this
 _GLOSS_MISSED = 0.1  # relative, in cube roots
 _UNEXPLAINED = 0.2  # residual of mixtures
+_VISIBLE_NM = 550.0  # bands on both sides make a colour
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
 _KEEP = 0.1  # weight of changes over all directions against residuals at readings
 _FEW = (
@@ -171,6 +173,15 @@ class Completion:
         return np.hypot(relative, self.readings.scatter)
 
     @cached_property
+    def colour_misfits(self) -> Array | None:
+        """CIEDE2000 (D65, 2 degrees) between every reading and the completion there, (P,); None without colours."""
+        bands = self.readings.bands
+        if bands.count < 3 or ((nm := bands.wavelengths_nm) is not None and not nm[0] < _VISIBLE_NM < nm[-1]):
+            return None
+        read = np.maximum(np.where(self.readings.measured, self.readings.values, self.predicted), 0.0)
+        return colour_differences(read, self.predicted, bands, "D65")[0]
+
+    @cached_property
     def residual_of_readings(self) -> float:
         """Root mean square of the relative errors of readings, or that of gloss if it is larger."""
         return max(float(np.sqrt(np.mean(self.misfits**2))), *self.gloss_misfits.values(), 0.0)
@@ -289,7 +300,7 @@ def complete_at(
     mixed, glossy = combined @ at_readings, combined @ gloss.atoms
     residual = residual_factors(
         np.hstack([read.material, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), all_where,
-        np.append(readings.weights, ones),
+        np.append(readings.weights, ones), readings.repeatability,
     )  # fmt: skip
     differences = gloss.differences(glossy)
     in_library = replace(residual, strength=in_all_bands(residual.strength, readings, atoms.bands))

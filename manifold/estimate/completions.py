@@ -29,7 +29,7 @@ from manifold.formats.readings import Readings, gloss_fault
 from manifold.library.identity import alike
 from manifold.library.store import Library
 from manifold.model import diagnostics
-from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
+from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.progress import Stages
 from manifold.records import Array
 
@@ -46,7 +46,7 @@ class Completed:
     Attributes:
         path: the written file.
         picture: of its ball; None where none was asked for.
-        completion: before it was written.
+        completion: with errors at the readings that are those of the file.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
         expected: expected errors: ball CIEDE2000, cube-root and linear error.
         plausibility: of the written file, read back.
@@ -80,6 +80,8 @@ class Completed:
             "instrument": made.readings.instrument,
             "readings": len(made.readings),
             "misfits": made.misfits.tolist(),
+            "misfits_ciede2000": None if made.colour_misfits is None else made.colour_misfits.tolist(),
+            "repeatability": made.readings.repeatability,
             "residual": self.residual,
             "gloss": {
                 f"{angle:g}": {"read": units, "completed": made.gloss[angle]}
@@ -106,7 +108,7 @@ def complete_readings(
     picture: Path | None = None,
     count: int = 0,
     instrument: str | None = None,
-    options: OutputOptions = DEFAULT_OPTIONS,
+    options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Completed:
     """Complete readings of one sample through the materials of a library, and write the BRDF as an RGL file.
 
@@ -153,9 +155,9 @@ def complete_readings(
         stages.begin("rendering")
         images.write_image(picture, ball.read_material(output).render(RenderSettings()))
     plausibility = written.plausibility
-    if written.file is not None and written.change is not None:
-        made = made.as_written(MeasuredBRDF(written.file))
     expected = calibration.expected(made)
+    if written.file is not None:
+        made = made.as_written(MeasuredBRDF(written.file))
     if written.change is not None:
         changed = written.change._asdict()
         expected = {kind: float(np.hypot(error, changed[kind])) for kind, error in expected.items()}

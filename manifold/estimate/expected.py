@@ -136,6 +136,7 @@ def _cache_key(atoms: LibraryAtoms, readings: Readings, library: Library) -> str
         atoms.bands.wavelengths_nm,
         readings.bands.wavelengths_nm,
         tuple(readings.gloss),
+        readings.repeatability,
     )
     digest = hashlib.sha256(f"completion in lights {__version__} {library.content_hash} {axes}".encode())
     for array in (readings.wi, readings.wo, readings.weights):
@@ -178,7 +179,7 @@ def leave_out(
     read = Readings(
         atoms.names[m], "library", readings.wi, readings.wo,
         None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm)[is_read],
-        at_readings[own].T[:, is_read] ** 3, readings.weights, gloss=gloss,
+        at_readings[own].T[:, is_read] ** 3, readings.weights, gloss=gloss, repeatability=readings.repeatability,
     )  # fmt: skip
     return complete_at(atoms.without(m).in_atom_bands(), read, at_readings[~own], glossy[~own])
 

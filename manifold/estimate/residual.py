@@ -17,7 +17,11 @@ from manifold.directions import half_vector
 from manifold.records import Array, Indices
 
 NOISE = 0.3
-"""Variance of the noise of a reading, as a share of the variance of the residual."""
+"""Variance of what a reading has for itself and no neighbour shares, over that of what neighbours share."""
+
+_OWN = 0.4  # length of what a reading has for itself, over the others
+
+_LEAST_NOISE = 1e-6  # as such a share: what solves well
 
 _LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordinates
 _DARK = 0.1  # of the mean cube root over readings: residuals of darker ones are relative to this
@@ -44,7 +48,7 @@ class ResidualFactors:
         change = np.empty((len(self.strength), len(where)))
         for start in range(0, len(where), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            change[:, rows] = self.strength @ covariance(self.centres, where[rows])
+            change[:, rows] = self.strength @ _with_own(self.centres, where[rows])
         return np.clip(1.0 + change, 0.5, 2.0)
 
 
@@ -80,14 +84,19 @@ def coordinates(wi: Array, wo: Array) -> Array:
     return np.asarray(np.stack([np.sqrt(elevation), difference, lower], axis=-1) / _LENGTHS)
 
 
-def residual_factors(measured: Array, predicted: Array, where: Array, weights: Array) -> ResidualFactors:
+def residual_factors(
+    measured: Array, predicted: Array, where: Array, weights: Array, repeatability: float
+) -> ResidualFactors:
     """Factors by which the cube roots near readings differ from their prediction.
+
+    They meet the readings within the repeatability of these, or what neighbours scatter if that is more.
 
     Args:
         measured: cube roots read, NaN where not measured, shape (B, P).
         predicted: cube roots predicted there, shape (B, P).
         where: coordinates of the readings, shape (P, 3).
         weights: of the readings, shape (P,).
+        repeatability: relative standard deviation of a value that is read again, a third of which is that of its root.
     Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.
     """
     cell = cells(where)
@@ -102,13 +111,34 @@ def residual_factors(measured: Array, predicted: Array, where: Array, weights: A
     shares = weights + np.finfo(float).tiny
     centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T
     centres /= np.bincount(cell, shares, count)[:, None]
-    of_centres = covariance(centres, centres)
+    of_centres = _with_own(centres, centres)
+    noise = _noise(np.where(is_known, residual, 0.0), is_known * weights, sums, totals, repeatability)
     strength = np.zeros((len(measured), count))
     for mask in np.unique(totals, axis=0):
         used, rows = np.flatnonzero(mask > 0.0), np.flatnonzero((totals == mask).all(axis=1))
-        K = of_centres[np.ix_(used, used)] + np.diag(NOISE / mask[used])
+        K = of_centres[np.ix_(used, used)] + np.diag(noise / mask[used])
         strength[np.ix_(rows, used)] = np.linalg.solve(K, (sums[np.ix_(rows, used)] / mask[used]).T).T
     return ResidualFactors(centres, strength)
+
+
+def _with_own(a: Array, b: Array) -> Array:
+    """Covariance of the residuals at coordinates (C, 3) and (M, 3): what neighbours share, and what they do not."""
+    return covariance(a, b) + NOISE * covariance(a / _OWN, b / _OWN)
+
+
+def _noise(residual: Array, weights: Array, sums: Array, totals: Array, repeatability: float) -> float:
+    """Variance of the noise of readings, that of readings within a cell if it is larger, as a share of the residual's.
+
+    Args:
+        residual, weights: of readings, shape (B, P).
+        sums, totals: of both over the cells, shape (B, C).
+        repeatability: relative, of values.
+    """
+    tiny = np.finfo(float).tiny
+    total = max(float(totals.sum()), tiny)
+    between = float(np.sum(sums**2 / np.maximum(totals, tiny))) / total
+    within = max(float(np.sum(weights * residual**2)) / total - between, 0.0)
+    return float(np.clip(max((repeatability / 3.0) ** 2, within) / max(between, tiny), _LEAST_NOISE, 1.0))
 
 
 def covariance(a: Array, b: Array) -> Array:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from manifold.directions import from_rusinkiewicz, from_spherical
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.records import Array, Bands, Indices, Mask
 
 
@@ -76,5 +76,12 @@ class DenseTable:
             above = above[np.linspace(0, above.size - 1, limit).astype(int)]
         rows = self.values.reshape(-1, self.values.shape[-1])[index[above]]
         return Readings(
-            self.name, self.instrument, wi[above], wo[above], self.wavelengths_nm, rows, notes=self.notes
+            self.name,
+            self.instrument,
+            wi[above],
+            wo[above],
+            self.wavelengths_nm,
+            rows,
+            notes=self.notes,
+            repeatability=GONIOMETER,
         )

@@ -26,6 +26,12 @@ _MA_T12 = (
 MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 """The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
 
+REPEATABILITY = 0.0025
+"""Of a spectrophotometer, relative: 0.05 CIEDE2000."""
+
+GONIOMETER = 0.03
+"""The same of a goniometer."""
+
 _CONTRADICTION = 0.1  # scatter of repeated readings that is noted
 
 GLOSS_ANGLES_DEG = (20.0, 60.0, 85.0)
@@ -53,6 +59,7 @@ class Readings:
         notes: what was ambiguous in the file, and how it was taken; one sentence each.
         texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
         gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees: 20, 60 or 85.
+        repeatability: relative standard deviation of a value that is read again.
     """
 
     name: str
@@ -67,6 +74,7 @@ class Readings:
     gloss: Mapping[float, float] = field(default_factory=lambda: MappingProxyType({}))
     scatter: Array = field(default_factory=lambda: np.zeros(0))
     colour_error: float = 0.0
+    repeatability: float = REPEATABILITY
 
     def __post_init__(self) -> None:
         """Check shapes and values, and make arrays read-only.

@@ -31,7 +31,7 @@ from manifold.formats import (
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
 from manifold.formats.light_side import with_light_side_note, without_hidden
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, REPEATABILITY, Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import read_bytes
@@ -45,28 +45,36 @@ _LARGEST_VALUE = 1e9  # in 1/sr; measured mirror directions reach 1e5
 
 
 class Format(NamedTuple):
-    """One format: its name, whether a file's first bytes are of it, and a reader of all samples of a file."""
+    """One format.
+
+    Attributes:
+        name: in words.
+        sniff: whether a file's first bytes are of it.
+        read: all samples of a file.
+        repeatability: of the instruments that write it, see `Readings`.
+    """
 
     name: str
     sniff: Callable[[bytes], bool]
     read: Callable[[Path], Sequence[Record]]
+    repeatability: float = GONIOMETER
 
 
 # In order: what begins with magic numbers first, what only looks plausible last.
 FORMATS = (
-    Format("spectrophotometer workbook (.xlsx)", ma_t12.sniff, ma_t12.read),
+    Format("spectrophotometer workbook (.xlsx)", ma_t12.sniff, ma_t12.read, REPEATABILITY),
     Format("MERL", merl.sniff, merl.read),
     Format("RT-300S workbook (.xls)", rt300s.sniff, rt300s.read),
     Format("Ansys Speos text", speos.sniff, speos.read),
     Format("FRED table", fred.sniff, fred.read),
     Format("OpenMATERIAL 3D (.xompt)", openmaterial.sniff, openmaterial.read),
-    Format("CxF3", cxf.sniff, cxf.read),
+    Format("CxF3", cxf.sniff, cxf.read, REPEATABILITY),
     Format("pab-opto text", pab_opto.sniff, pab_opto.read),
     Format("LightTools BSDF text", lighttools.sniff, lighttools.read),
     Format("Zemax BSDF text", zemax.sniff, zemax.read),
     Format("ASTM table", astm.sniff, astm.read),
     Format("UTIA", utia.sniff, utia.read),
-    Format("CSV table", csv_table.sniff, csv_table.read),
+    Format("CSV table", csv_table.sniff, csv_table.read, REPEATABILITY),
 )
 
 
@@ -132,7 +140,10 @@ def read_all(path: Path | str) -> list[Record]:
                 f"{_LONGEST_NM:g}; give wavelengths in nanometres"
             )
     found = map(without_hidden, records)
-    return [with_light_side_note(r) if isinstance(r, Readings) else r for r in found]
+    return [
+        with_light_side_note(replace(r, repeatability=known.repeatability)) if isinstance(r, Readings) else r
+        for r in found
+    ]
 
 
 def read(path: Path | str, sample: str | None = None, *, is_only: bool = True) -> Record:

@@ -20,7 +20,7 @@ from scipy.spatial import Delaunay
 from scipy.stats import spearmanr
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.encoding import EncodingPairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
@@ -65,11 +65,11 @@ def hold_out(
 
 
 def errors(truth: MeasuredBRDF, predicted: BRDF) -> tuple[float, float]:
-    """Mean CIEDE2000 of the ball, and the error of cube roots."""
-    ball, pairs = ball_colours.ball(), EncodingPairs.default()
-    xyz = (ball.xyz(brdf.eval(ball.wi, ball.wo), truth.bands) for brdf in (truth, predicted))
+    """CIEDE2000 of the ball in the judged lights, and the error of cube roots."""
+    lights, pairs = panel.judged(), EncodingPairs.default()
+    lit, lit_star = (brdf.eval(lights.wi, lights.wo) for brdf in (truth, predicted))
     f, f_star = (brdf.eval(pairs.wi, pairs.wo) for brdf in (truth, predicted))
-    return ball_colours.delta_e(*xyz), cube_root_error(f, f_star, pairs.cosines)
+    return lights.errors(lit, lit_star, truth.bands).ball, cube_root_error(f, f_star, pairs.cosines)
 
 
 def unsupported_share(library: Library, settings: Settings) -> float:

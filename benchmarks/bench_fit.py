@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from neural_fits import read_neural_fits
 
 from manifold.analytic import corpus
-from manifold.analytic.neural import read_neural_fits
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.fit import fit_samples
@@ -32,7 +32,6 @@ from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.comparison import brdf_errors
-from manifold.records import Bands
 from manifold.render import backend, fit_json
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import Layout, principled
@@ -277,7 +276,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         path.stem: MeasuredBRDF(read_bsdf(path)) for path in sorted(options.files.glob("*.bsdf"))
     }
     if options.neural:
-        brdfs = dict(sorted(read_neural_fits(options.neural, Bands(None)).items()))
+        brdfs = dict(sorted(read_neural_fits(options.neural).items()))
     results: dict[str, Any] = {"appearance": appearance(dict(list(brdfs.items())[:: options.every]))}
     if options.appearance_only:
         return results

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from neural_fits import read_neural_fits
 from scipy.spatial import Delaunay
 
 from manifold.analytic import GGX, Plastic, corpus
-from manifold.analytic.neural import read_neural_fits
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility

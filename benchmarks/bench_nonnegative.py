@@ -18,15 +18,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from neural_fits import NeuralBRDF, read_neural_fits, seen_neural
 
-from manifold.analytic.neural import NeuralBRDF, read_neural_fits
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
-from manifold.evaluate.anchors import anchor
 from manifold.evaluate.baselines import fit_nonnegative
 from manifold.evaluate.cross_validation import Method, cross_validate, leave_out
 from manifold.evaluate.errors import BallErrors, MedianAndP90
 from manifold.evaluate.methods import standard_methods
+from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
@@ -71,7 +71,11 @@ def methods(names: Sequence[str], numbers: Sequence[int], anchors: Sequence[str]
         )
         for n in numbers
     ]
-    return [*(known[name] for name in names), *codes, *(anchor(name) for name in anchors)]
+    return [
+        *(known[name] for name in names),
+        *codes,
+        *(seen_principled() if name == "principled" else seen_neural(name) for name in anchors),
+    ]
 
 
 def main() -> None:

@@ -47,10 +47,6 @@ def chart(
             metavar="KEY",
         ),
     ] = None,
-    anchor: Annotated[
-        str | None,
-        typer.Option(help="Also show published neural fits, in a folder or zip file.", metavar="PATH"),
-    ] = None,
     output: Annotated[Path | None, options.output_option("A picture: .png, .pdf or .svg.")] = None,
     readings: Annotated[
         bool,
@@ -83,8 +79,8 @@ def chart(
     if output is not None:
         figures.require_writable(output)
     if readings:
-        if model is not None or anchor is not None:
-            raise UsageError("--readings charts a library by itself; leave --model and --anchor out")
+        if model is not None:
+            raise UsageError("--readings charts a library by itself; leave --model out")
         _chart_readings(results, library or options.DEFAULT_LIBRARY, only or (), output)
         return
     if model is None:
@@ -96,7 +92,7 @@ def chart(
     with progress.shown("Chart"):
         files = [opened.read(name) for name in names]
         made = make_chart(
-            files, only or (), neural=anchor, library=opened,
+            files, only or (), library=opened,
             workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
     _write_chart(made, results, output)

@@ -43,16 +43,6 @@ def corpus(
         bool, typer.Option("--anisotropic", help="Add the 11 anisotropic ones, 110 MB each.")
     ] = False,
     rgb: Annotated[bool, typer.Option("--rgb", help="Write linear sRGB instead of 195 bands.")] = False,
-    neural: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the published neural fits in this folder or zip file of asztr/Neural-BRDF instead, in RGB.",
-            metavar="SOURCE",
-        ),
-    ] = None,
-    spectral: Annotated[
-        bool, typer.Option("--spectral", help="With --neural: up-sample colours to 195 bands.")
-    ] = False,
     instrument: Annotated[
         str | None,
         typer.Option(
@@ -63,44 +53,27 @@ def corpus(
     ] = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer.
-
-    With --neural: published neural fits of about 150 measured materials (Sztrajman et al. 2021), which must be
-    downloaded separately.
-    """
+    """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer."""
     from manifold.analytic import instruments
     from manifold.analytic.corpus import write
-    from manifold.analytic.neural import write_neural
     from manifold.library.identity import require_outside_libraries
 
-    if instrument is not None and (neural is not None or anisotropic or rgb or spectral):
+    if instrument is not None and (anisotropic or rgb):
         raise UsageError(
-            "--instrument with --neural, --anisotropic, --rgb or --spectral: an instrument measures the built-in "
-            "isotropic corpus in its own bands; leave them out"
-        )
-    if neural is not None and (anisotropic or (rgb and spectral)):
-        found = "--anisotropic" if anisotropic else "--rgb and --spectral"
-        raise UsageError(
-            f"--neural with {found}: neural fits are isotropic, in RGB or --spectral; leave it out"
-        )
-    if neural is None and spectral:
-        raise UsageError(
-            "--spectral without --neural: the built-in corpus is spectral unless --rgb; leave it out"
+            "--instrument with --anisotropic or --rgb: an instrument measures the built-in isotropic corpus in its own "
+            "bands; leave them out"
         )
     require_outside_libraries(folder, into=True)
     with progress.shown("Measuring synthetic materials"):
         if instrument is not None:
             paths = instruments.write(folder, instrument, seed=seed)
-        elif neural is not None:
-            paths = write_neural(neural, folder, spectral=spectral)
         else:
             paths = write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb)
     size = sum(path.stat().st_size for path in paths)
     results = terminal.Results(json)
-    what = "Synthetic corpus" if neural is None else "Neural fits"
-    origin = {"seed": seed} if neural is None else {"from": str(neural)}
-    results.rows(f"{what} in {folder}", {"files": len(paths), "size": terminal.megabytes(size), **origin})
-    results.document({**origin, "bytes": size, "files": [str(path) for path in paths]})
+    rows = {"files": len(paths), "size": terminal.megabytes(size), "seed": seed}
+    results.rows(f"Synthetic corpus in {folder}", rows)
+    results.document({"seed": seed, "bytes": size, "files": [str(path) for path in paths]})
 
 
 @app.command(

@@ -40,15 +40,12 @@ def report(
     all_bands: Annotated[
         bool, typer.Option("--all-bands", help="Measure errors in all bands, not in about 20 of them.")
     ] = False,
-    anchor: Annotated[
-        list[str] | None,
+    principled: Annotated[
+        bool,
         typer.Option(
-            "--anchor",
-            help="Also show fits to the evaluated materials themselves: principled, or neural fits in a folder or "
-            "zip file.",
-            metavar="principled|PATH",
+            "--principled", help="Also fit Mitsuba's principled to the evaluated materials themselves."
         ),
-    ] = None,
+    ] = False,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
     ] = None,
@@ -66,7 +63,7 @@ def report(
     results = terminal.Results(json)
     with progress.shown("Evaluating"):
         made = pipeline.report(
-            model, library=library, grid=grid, compare=compare, all_bands=all_bands, anchors=anchor or (),
+            model, library=library, grid=grid, compare=compare, all_bands=all_bands, principled=principled,
             picture=picture, workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
     results.text(format_report(made))

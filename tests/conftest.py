@@ -17,7 +17,7 @@ SLOW_LEFT = pytest.StashKey[int]()
 LONGEST = (
     "stability_catalogue", "explore_visitor", "workflows", "cli", "explore_page", "bsdf_plugin", "budget", "chart",
     "principled", "report", "brdf", "convert", "fit_json", "model", "without_mitsuba", "gplvm", "microfacet", "startup",
-    "selection", "fit_picture", "plot_balls", "many_points", "stages", "store", "heldout", "blending", "anchors",
+    "selection", "fit_picture", "plot_balls", "many_points", "stages", "store", "heldout", "blending", "seen_fits",
 )  # fmt: skip
 """Test files that take longest: first, or one process is left with them when the others are done."""
 

@@ -5,7 +5,6 @@ from .ggx import GGX
 from .ggx_mixture import GGXMixture
 from .layers import Immersed, Layered, MixedBRDF, Retroreflection
 from .microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
-from .neural import NeuralBRDF, read_neural_fits
 
 __all__ = [
     "GGX",
@@ -14,7 +13,6 @@ __all__ = [
     "Lambert",
     "Layered",
     "MixedBRDF",
-    "NeuralBRDF",
     "Plastic",
     "Retroreflection",
     "RoughConductor",
@@ -23,5 +21,4 @@ __all__ = [
     "Sheen",
     "ThinFilm",
     "corpus",
-    "read_neural_fits",
 ]

@@ -15,7 +15,6 @@ import numpy as np
 from manifold import progress
 from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate import chart_fits, stopwatch
-from manifold.evaluate.anchors import neural_fits
 from manifold.evaluate.cross_validation import Method
 from manifold.evaluate.held_out import FOLDS, HeldOut
 from manifold.evaluate.methods import settings
@@ -104,7 +103,6 @@ def make_chart(
     only: Sequence[str] = (),
     grid: RusinkiewiczGrid | None = None,
     fitted: int = 3,
-    neural: str | None = None,
     library: Library | None = None,
     workers: Workers = HERE,
 ) -> Chart:
@@ -115,34 +113,31 @@ def make_chart(
         only: keys of settings; all by default.
         grid: direction pairs of the errors; by default 45 x 23 x 12.
         fitted: how many materials the fits of `fits.METHODS` represent.
-        neural: file, zip file or folder of published neural fits; also show those of these materials.
         library: of the files, where settings that are done are kept until all are, so that an interrupted run is
             continued on the same machine.
         workers: who measure settings; others than this process read the files from the library. Times are relative to
             a reference in the same process.
     Raises:
-        UsageError: a key is unknown, there are fewer than four materials, `neural` holds none of them, or other
-            workers are asked for without a library.
+        UsageError: a key is unknown, there are fewer than four materials, or other workers are asked for
+            without a library.
         ManifoldError: a setting cannot be measured, or a worker was lost.
     """
     if len(files) < 4:
         raise UsageError(
             f"found {counted(len(files), 'material')}, expected at least 4 to leave some out; import more"
         )
-    known = _known_settings(files[0].bands.count, neural)
+    known = _known_settings(files[0].bands.count)
     names = tuple(file.name for file in files)
-    if neural is not None:
-        neural_fits(neural, names, files[0].bands)  # refused before any long work
     unknown = [key for key in only if key not in known]
     if unknown:
         near = names_like(known, unknown[0], "there are")
         raise UsageError(
             f"no setting is called {unknown[0]!r}; {near} (docs/explanation/accuracy.md lists all)"
         )
-    kept = KeptResults(library, f"chart-1 {[*names]} {[*only]} {grid} {fitted} {neural} {platform.node()}")
+    kept = KeptResults(library, f"chart-1 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
     rows = _from_arrays(kept.get())
     skipped: dict[str, str] = {}
-    how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted, neural)
+    how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted)
     todo = [key for key in only or known if key not in rows]
     tasks: list[list[str]]
     if workers == HERE:
@@ -181,7 +176,6 @@ class _How(NamedTuple):
     only: tuple[str, ...]
     grid: RusinkiewiczGrid
     fitted: int
-    neural: str | None
 
 
 class _Measured(NamedTuple):
@@ -197,7 +191,7 @@ class _Measuring:
 
     def __init__(self, files: Sequence[BsdfFile], how: _How) -> None:
         self._files, self._how = files, how
-        self._known = _known_settings(files[0].bands.count, how.neural)
+        self._known = _known_settings(files[0].bands.count)
         chosen = [self._known[key] for key in how.only or self._known]
         with stopwatch.one_core(), progress.listen(None):  # settings are what is counted
             self._held = HeldOut(files, how.grid, [s for s in chosen if isinstance(s, Method)])
@@ -211,8 +205,6 @@ class _Measuring:
     def _row(self, method: Method | str) -> ChartRow:
         if isinstance(method, Method):
             return self._held.measure(method)
-        if method == chart_fits.NEURAL and self._how.neural is not None:
-            return chart_fits.measure_neural(self._how.neural, self._files, self._held)
         return chart_fits.measure(method, self._files, self._how.fitted, self._held)
 
 
@@ -226,11 +218,10 @@ def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
     return _Measuring([opened.read(name) for name in names], how)
 
 
-def _known_settings(n_bands: int, neural: str | None) -> dict[str, Method | str]:
+def _known_settings(n_bands: int) -> dict[str, Method | str]:
     """All settings, by key: held-out ones, and the names of fits."""
     known: dict[str, Method | str] = {s.key: s for s in settings(n_bands)}
-    known |= {f"fit_{method}": method for method in chart_fits.METHODS}
-    return known if neural is None else known | {chart_fits.NEURAL: chart_fits.NEURAL}
+    return known | {f"fit_{method}": method for method in chart_fits.METHODS}
 
 
 def _storage_key(method: Method | str) -> tuple[bool, str]:

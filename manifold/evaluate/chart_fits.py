@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 
 from manifold.brdf.pairs import DirectionPairs
-from manifold.evaluate.anchors import NEURAL_NUMBERS, neural_fits
 from manifold.evaluate.held_out import HeldOut
 from manifold.evaluate.stopwatch import ChartRow, RelativeTime, summary
 from manifold.fit import principled
@@ -19,7 +18,6 @@ from manifold.render.bsdf_evaluation import evaluator
 
 METHODS = ("gauss-newton", "adam", "swarm")
 """Of `principled.METHODS`."""
-NEURAL = "neural"
 
 FAMILY = "fit of the seen material"
 _TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "fit, swarm"}
@@ -47,16 +45,6 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -
         numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
     time = RelativeTime.of(np.array(fits) * len(files))
     return _row(f"fit_{method}", _TITLES[method], measured, time, int(np.median(numbers)) * len(files))
-
-
-def measure_neural(source: str, files: Sequence[BsdfFile], held: HeldOut) -> ChartRow:
-    """Published neural fits of the materials that have one, see `neural_fits`; the time to fit them is not known."""
-    found = neural_fits(source, [file.name for file in files], files[0].bands)
-    measured = [
-        _measured(i, files[i], lambda pairs, fit=fit: partial(fit.eval, pairs.wi, pairs.wo), held)  # type: ignore[misc]
-        for i, fit in found.items()
-    ]
-    return _row(NEURAL, "fit, neural", measured, None, NEURAL_NUMBERS * len(files))
 
 
 def _measured(

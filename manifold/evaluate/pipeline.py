@@ -5,7 +5,7 @@ Reports, figures and choices are imported where they are used: with scikit-learn
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,7 +86,7 @@ def report(
     grid: str = "default",
     compare: bool = False,
     all_bands: bool = False,
-    anchors: Sequence[str] = (),
+    principled: bool = False,
     picture: Path | None = None,
     workers: Workers = HERE,
 ) -> Report:
@@ -107,7 +107,7 @@ def report(
         grid,
         compare=compare,
         all_bands=all_bands,
-        anchors=anchors,
+        principled=principled,
         workers=workers,
         file=model,
     )

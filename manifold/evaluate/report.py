@@ -15,7 +15,6 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.errors import UsageError
 from manifold.evaluate import refits
-from manifold.evaluate.anchors import PRINCIPLED, anchor, neural_fits
 from manifold.evaluate.cross_validation import Encoded, Method, encode_all, wall_clock
 from manifold.evaluate.errors import (
     BallErrors,
@@ -30,6 +29,7 @@ from manifold.evaluate.errors import (
 from manifold.evaluate.methods import baseline_methods, gplvm_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.results import finite
+from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data, block_pairs
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
@@ -150,7 +150,7 @@ def make_report(
     *,
     compare: bool = False,
     all_bands: bool = False,
-    anchors: Sequence[str] = (),
+    principled: bool = False,
     workers: Workers = HERE,
     file: Path | None = None,
 ) -> Report:
@@ -164,11 +164,11 @@ def make_report(
         compare: also run what takes long: models of other settings, and large ones that are fitted once per
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
-        anchors: fits to the evaluated materials, for comparison; see `anchors.anchor`.
+        principled: also fit Mitsuba's principled to the evaluated materials, for comparison.
         workers: who fit models without each material.
         file: of the model, from which others than this process read it.
     Raises:
-        UsageError: the grid is unknown, or an anchor.
+        UsageError: the grid is unknown.
         LibraryError: a material cannot be read.
         ManifoldError: a worker was lost.
     """
@@ -178,13 +178,11 @@ def make_report(
             "out every material; a model's information lists the left-out errors of a sample"
         )
     grid = RusinkiewiczGrid.named(grid_name)
-    for source in {*anchors} - {PRINCIPLED}:
-        neural_fits(source, model.names, model.bands)  # refused before any long work
     replaced = replaced_keys(model)
     own = [*model_methods(model), *(m for m in baseline_methods() if m.key not in replaced)]
     others = [m for m in gplvm_methods() if m.key not in replaced]
     chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
-    chosen += [*(others if compare else []), *(anchor(name) for name in anchors)]
+    chosen += [*(others if compare else []), *([seen_principled()] if principled else [])]
     materials, load = wall_clock(lambda: model.materials.with_negative_values())
     data, tabulate = wall_clock(lambda: refits.tabulate(model, materials))
     refitted: dict[str, Encoded] = {}

@@ -154,23 +154,6 @@ def test_an_empty_folder_gives_one_line_that_says_what_to_do(run, tmp_path, argu
     assert words in one_line(err)
 
 
-@pytest.mark.parametrize("command", [["report"], ["chart", "-L", "library.zarr"]])
-def test_a_mistyped_anchor_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
-    from manifold.evaluate import refits
-    from manifold.evaluate.held_out import HeldOut
-
-    small_model(tmp_path) if command == ["report"] else small_library(tmp_path)
-
-    def work(*_, **__):
-        raise AssertionError("began to work")
-
-    monkeypatch.setattr(HeldOut, "__init__", work)
-    monkeypatch.setattr(refits, "tabulate", work)
-    status, _, err = run(*command, "--anchor", "absent.zip", cwd=tmp_path)
-    assert status == 2
-    assert err.startswith("manifold: absent.zip: no such file or folder")
-
-
 def test_the_main_job_step_by_step(run, tmp_path):
     files = tmp_path / "files"
     files.mkdir()

@@ -268,7 +268,7 @@ def test_the_document_lists_every_key():
         r"`([^`]+)`", text.partition("**Keys** for `--only`:")[2].partition(". Libraries in RGB")[0]
     )
     own = [setting.key for setting in settings(195)]
-    assert listed == [*own, *(f"fit_{method}" for method in chart_fits.METHODS), chart_fits.NEURAL]
+    assert listed == [*own, *(f"fit_{method}" for method in chart_fits.METHODS)]
 
 
 # -- the picture -------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ COMMANDS: dict[str, str] = {
     "corpus": "corpus files --rgb",
     "report": "report -M real.h5 --picture map.png",
     "report spectral": "report -M spectral.h5 --all-bands",
-    "report anchored": "report -M corpus.h5 --anchor principled",
+    "report anchored": "report -M corpus.h5 --principled",
     "chart": "chart -L real.zarr --only nearest --only published --only pca_4_cube-root --only blend_2"
     " --only nonnegative --only few_atoms --only blend_2_compact",
     "chart readings": "chart -L real.zarr --readings --only completion --only nearest",

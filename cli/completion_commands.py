@@ -69,6 +69,7 @@ def complete(
             metavar="ANGLE=UNITS",
         ),
     ] = None,
+    unit: options.UnitOption = None,
     repeatability: Annotated[
         float | None,
         typer.Option(
@@ -142,7 +143,7 @@ def complete(
         from manifold.estimate import photographs
 
         given = completions.parse_gloss(gloss or [])
-        measured = completions.read(readings, sample, correction)[0] if readings else None
+        measured = completions.read(readings, sample, correction, unit=unit)[0] if readings else None
         if lab is not None:
             measured = completions.readings_of_lab(lab, {}, library)
         target = or_default(output, f"{photo[0].stem}.bsdf")
@@ -166,7 +167,7 @@ def complete(
     if instrument is not None and not suggest:
         raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
     units = completions.parse_gloss(gloss or [])
-    if readings and sample is None and not merge:
+    if readings and sample is None and not merge and unit is None:
         with progress.shown("Reading files"):
             samples = find_samples(readings)
         if len(samples) > 1 or len(samples[0].parts) != len(readings) or into or (output and output.is_dir()):
@@ -196,8 +197,8 @@ def complete(
         target = or_default(output, "completed.bsdf")
     else:
         taken, learned = (
-            completions.read(readings or [], sample, correction, units)
-            if merge or sample is not None
+            completions.read(readings or [], sample, correction, units, unit)
+            if merge or sample is not None or unit is not None
             else completions.read_sample(samples[0], correction, units)
         )
         target = or_default(output, completions.file_name(taken))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from manifold import progress
+from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
@@ -49,6 +50,7 @@ def convert(
     ] = None,
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
+    unit: options.UnitOption = None,
     resolution: Annotated[
         int | None,
         typer.Option(
@@ -90,6 +92,8 @@ def convert(
     if sample is None and not merge and (not output.suffix or is_many(sources, output)):
         found = inputs_of(sources, output, lambda path: is_rgl(path) or is_readings(path), samples=True)
     if found is not None:
+        if unit is not None:
+            raise UsageError(f"--unit {unit} goes with one file, found several, or a folder; leave it out")
         from manifold.many import tasks
 
         batch = tasks.conversions_in(folder_or_default(output, "conversions"))
@@ -108,6 +112,7 @@ def convert(
             correction=correction,
             options=Options(resolution, incidences),
             merge=merge,
+            unit=unit,
         )
     error = made.error
     rows: dict[str, object] = {

@@ -77,6 +77,13 @@ IncidencesOption = Annotated[
 SampleOption = Annotated[
     str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
 ]
+UnitOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Of values in a table that says none: brdf (1/sr), factor (1 is the perfect diffuser) or percent.",
+        metavar="UNIT",
+    ),
+]
 
 
 def output_option(help: str, metavar: str = "FILE") -> Any:

@@ -100,6 +100,7 @@ def convert(
     correction: Path | None = None,
     options: Options | None = None,
     merge: bool = False,
+    unit: str | None = None,
 ) -> Conversion:
     """Convert a file of a BRDF or of readings into another format.
 
@@ -111,6 +112,7 @@ def convert(
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
         options: of RGL files.
         merge: whether several files are of one sample although they name it differently.
+        unit: of values in files that say none: `brdf`, `factor` or `percent`.
     Raises:
         UsageError: the format is unknown, the output cannot be written, readings do not make a BRDF, or files are of
             different samples.
@@ -124,7 +126,7 @@ def convert(
     if any(path.exists() and output.exists() and path.samefile(output) for path in files):
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
-    opened: Callable[..., Source] = partial(open_source, files, sample, learned, merge=merge)
+    opened: Callable[..., Source] = partial(open_source, files, sample, learned, merge=merge, unit=unit)
     if isinstance(paths, PlaceSource):
         if sample is not None or learned is not None:
             raise UsageError(

@@ -106,6 +106,7 @@ def open_source(
     *,
     rgb: bool = False,
     merge: bool = False,
+    unit: str | None = None,
 ) -> Source:
     """Read what is to be converted.
 
@@ -115,6 +116,7 @@ def open_source(
         correction: of colours of readings, before anything else.
         rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
         merge: whether several files are of one sample although they name it differently.
+        unit: of values in files that say none, see `registry.read`.
     Raises:
         UsageError: a file cannot be read, has no such sample, or is a whole BRDF, which cannot be corrected; or
             several name different samples.
@@ -124,13 +126,15 @@ def open_source(
     of_rgl = [path for path in paths if begins_with(path, MAGIC)]
     if of_rgl and len(paths) > 1:
         raise UsageError(f"{of_rgl[0]}: an RGL file among {len(paths)} files; convert it alone")
+    if of_rgl and unit is not None:
+        raise UsageError(f"{paths[0]}: an RGL file says its unit, expected none; leave --unit {unit} out")
     if of_rgl and sample is not None:
         raise UsageError(f"{paths[0]}: holds one material, expected no name of a sample")
     record: BsdfFile | registry.Record
     if of_rgl:
         record = read_bsdf(paths[0])
     else:
-        parts = [registry.read(path, sample) for path in paths]
+        parts = [registry.read(path, sample, unit=unit) for path in paths]
         names = list(dict.fromkeys(part.name for part in parts))
         if len(names) > 1 and not merge:
             raise UsageError(

@@ -189,6 +189,7 @@ def read(
     sample: str | None = None,
     correction: Path | None = None,
     gloss: Mapping[float, float] = MappingProxyType({}),
+    unit: str | None = None,
 ) -> tuple[Readings, ColourCorrection | None]:
     """Readings of one sample from its files; those of several instruments are put together.
 
@@ -197,6 +198,7 @@ def read(
         sample: which of a file's samples, of every file that holds several.
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
         gloss: of the sample, in gloss units, by angle in degrees; that of the files, where they have some, otherwise.
+        unit: of values in files that say none, see `registry.read`.
     Returns:
         The readings, and the colour correction that was learned from the files of two instruments, if any.
     Raises:
@@ -205,7 +207,9 @@ def read(
         UsageError: a file cannot be read, or has no such sample.
     """
     is_only = len(paths) == 1
-    readings = [registry.read_readings(path, sample, _MOST_READINGS, is_only=is_only) for path in paths]
+    readings = [
+        registry.read_readings(path, sample, _MOST_READINGS, is_only=is_only, unit=unit) for path in paths
+    ]
     names = list(dict.fromkeys(one.name for one in readings))
     if sample is not None and sample not in names:
         raise UsageError(

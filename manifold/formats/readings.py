@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from manifold.directions import from_spherical, require_directions
-from manifold.errors import ShapeError
+from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Bands, Indices, Mask
 
 # Anchor leg and aspecular angle in degrees, in the instrument's order.
@@ -28,6 +28,9 @@ MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 
 REPEATABILITY = 0.0025
 """Of a spectrophotometer, relative: 0.05 CIEDE2000."""
+
+UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
+"""Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
 
 GONIOMETER = 0.03
 """The same of a goniometer."""
@@ -60,6 +63,7 @@ class Readings:
         texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
         gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees: 20, 60 or 85.
         repeatability: relative standard deviation of a value that is read again.
+        assumed_unit: one of `UNITS`, as which values were taken that a file gives without a unit; else None.
     """
 
     name: str
@@ -75,6 +79,7 @@ class Readings:
     scatter: Array = field(default_factory=lambda: np.zeros(0))
     colour_error: float = 0.0
     repeatability: float = REPEATABILITY
+    assumed_unit: str | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values, and make arrays read-only.
@@ -157,6 +162,22 @@ class Readings:
             weights=self.weights[pairs],
             scatter=self.scatter[pairs],
         )
+
+    def in_unit(self, unit: str) -> Readings:
+        """The same with values taken in another unit than was assumed.
+
+        Raises:
+            UsageError: there is no such unit, or the file says another one.
+        """
+        if unit not in UNITS:
+            raise UsageError(f"no unit is called {unit!r}, expected one of {', '.join(UNITS)}")
+        if self.assumed_unit is None:
+            raise UsageError(
+                f"{self.name}: {self.instrument} says its unit, expected none; leave --unit {unit} out"
+            )
+        values = self.values * (UNITS[unit] / UNITS[self.assumed_unit])
+        notes = tuple(note for note in self.notes if not note.startswith("no unit given"))
+        return replace(self, values=values, notes=notes, assumed_unit=None)
 
     def with_note(self, note: str) -> Readings:
         """The same readings with one more note."""

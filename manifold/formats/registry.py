@@ -146,18 +146,24 @@ def read_all(path: Path | str) -> list[Record]:
     ]
 
 
-def read(path: Path | str, sample: str | None = None, *, is_only: bool = True) -> Record:
+def read(
+    path: Path | str, sample: str | None = None, *, is_only: bool = True, unit: str | None = None
+) -> Record:
     """One sample of an instrument's file.
 
     Args:
         path: of any known format.
         sample: which, by name; may be left out where there is only one.
         is_only: whether the sample is sought in this file alone: then even a single sample must have the name.
+        unit: one of `readings.UNITS`, of a table that says none.
     Raises:
-        UsageError: there are several and none is named, none has this name, or the file cannot be read.
+        UsageError: there are several and none is named, none has this name, the file says its unit, or it cannot be
+            read.
         FileFormatError: the file is of no known format, or damaged.
     """
     found = read_all(path)
+    if unit is not None:
+        found = [_in_unit(record, unit, Path(path)) for record in found]
     names = [record.name for record in found]
     if len(found) == 1 and (sample is None or not is_only):
         return found[0]
@@ -168,16 +174,23 @@ def read(path: Path | str, sample: str | None = None, *, is_only: bool = True) -
     return found[names.index(sample)]
 
 
+def _in_unit(record: Record, unit: str, path: Path) -> Readings:
+    if not isinstance(record, Readings):
+        raise UsageError(f"{path}: a dense table says its unit, expected none; leave --unit {unit} out")
+    return record.in_unit(unit)
+
+
 def read_readings(
-    path: Path | str, sample: str | None = None, limit: int | None = None, *, is_only: bool = True
-) -> Readings:
+    path: Path | str, sample: str | None = None, limit: int | None = None, *, is_only: bool = True,
+    unit: str | None = None,
+) -> Readings:  # fmt: skip
     """One sample as readings; dense tables give their measured nodes, at most `limit` of them.
 
     Raises:
         UsageError: there are several samples and none is named, none has this name, or the file cannot be read.
         FileFormatError: the file is of no known format, or damaged.
     """
-    return _as_readings(read(path, sample, is_only=is_only), limit)
+    return _as_readings(read(path, sample, is_only=is_only, unit=unit), limit)
 
 
 def read_pairs(reference: Path, other: Path, limit: int | None = None) -> list[tuple[Readings, Readings]]:

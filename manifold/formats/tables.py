@@ -26,6 +26,7 @@ from manifold.formats.geometry_names import (
 from manifold.formats.readings import Readings, gloss_fault, mean_of_repeats
 from manifold.formats.text import ErrorContext, number, plain_float
 from manifold.formats.values import (
+    TAKEN_AS_BRDF,
     TAKEN_AS_FACTORS,
     TAKEN_AS_PERCENT,
     as_brdf,
@@ -376,16 +377,21 @@ def read_table(
     kind = column_heads.quantity(columns.band_heads)
     if is_percent or (columns.geometry is None and set(columns.heads) >= _BLACK_LAB):
         kind = "factor"
-    white = 100.0 if is_percent else 1.0
+    white, assumed = 100.0 if is_percent else 1.0, None
     if kind is None and columns.geometry is not None:
         kind = "factor"
         raw = [(wi, wo, np.array(samples[key].values)) for key, (_, wi, wo, _) in pairs.items()]
         white = 100.0 if any(looks_like_percent(*one) for one in raw) else 1.0
         notes.append(TAKEN_AS_FACTORS if white == 1.0 else TAKEN_AS_PERCENT)
+        assumed = "factor" if white == 1.0 else "percent"
     elif kind is None:
-        notes.append("no unit given: taken as BRDF in 1/sr")
+        notes.append(TAKEN_AS_BRDF)
+        assumed = "brdf"
     return [
-        _readings(key, instrument, sample, pairs[key], columns, kind or "f", white, notes, context)
+        replace(
+            _readings(key, instrument, sample, pairs[key], columns, kind or "f", white, notes, context),
+            assumed_unit=assumed,
+        )
         for key, sample in samples.items()
     ]
 
@@ -544,6 +550,7 @@ def in_one_unit(found: Sequence[Readings]) -> list[Readings]:
         replace(
             one,
             values=one.values / 100.0,
+            assumed_unit="percent",
             notes=tuple(TAKEN_AS_PERCENT if note == TAKEN_AS_FACTORS else note for note in one.notes),
         )
         if TAKEN_AS_FACTORS in one.notes

@@ -11,10 +11,10 @@ from manifold.formats.column_heads import Quantity, channel, wavelength
 from manifold.formats.text import ErrorContext, number
 from manifold.records import Array
 
-TAKEN_AS_FACTORS = "no unit given: taken as reflectance factors, 1 being the perfect diffuser"
-TAKEN_AS_PERCENT = (
-    "no unit given: values above 2 away from the mirror direction, or above 30, taken as percent"
-)
+_NO_UNIT = "no unit given (--unit brdf, factor or percent): "
+TAKEN_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
+TAKEN_AS_FACTORS = _NO_UNIT + "taken as reflectance factors, 1 being the perfect diffuser"
+TAKEN_AS_PERCENT = _NO_UNIT + "values above 2 away from the mirror direction, or above 30, taken as percent"
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 

@@ -11,7 +11,7 @@ from helpers.instrument_files import SUFFIXES, dense, lighttools_axes, smooth
 from helpers.paths import REPOSITORY
 
 from manifold.directions import from_spherical
-from manifold.errors import FileFormatError
+from manifold.errors import FileFormatError, UsageError
 from manifold.formats import fred, lighttools, openmaterial, registry, speos, utia
 from manifold.formats.column_heads import RELATIVE, angle_name, value_head, wavelength
 from manifold.records import Array, Bands
@@ -221,7 +221,7 @@ def test_a_real_file_of_the_black_lab_holds_its_directions():
 
 @pytest.mark.parametrize(
     ("head", "expected"),
-    [("BRDF", None), ("value", "no unit given: taken as BRDF in 1/sr"), ("Reflectance", "divided by pi")],
+    [("BRDF", None), ("value", "taken as BRDF in 1/sr"), ("Reflectance", "divided by pi")],
 )
 def test_what_a_column_of_values_is_taken_for_is_said(head, expected, tmp_path):
     path = tmp_path / "one.csv"
@@ -349,3 +349,27 @@ def test_hidden_nodes_of_tables_are_no_readings(name, tmp_path):
     found = registry.read_readings(path)
     assert any("around the light are zero" in note for note in found.notes)
     assert np.min(found.values) > 0.0
+
+
+@pytest.mark.parametrize(("unit", "f"), [("brdf", 0.4), ("factor", 0.4 / np.pi), ("percent", 0.004 / np.pi)])
+def test_a_unit_may_be_given_where_the_file_says_none(tmp_path, unit, f):
+    path = tmp_path / "table.csv"
+    path.write_text(
+        "theta_i,phi_i,theta_o,phi_o,value\n" + "".join(f"{a},180,{a},0,0.4\n" for a in (10, 20, 30, 40))
+    )
+    assert registry.read_readings(path).values.max() == pytest.approx(0.4)
+    found = registry.read_readings(path, unit=unit)
+    np.testing.assert_allclose(found.values, f)
+    assert not any("no unit" in note for note in found.notes)
+
+
+def test_a_unit_is_refused_where_the_file_says_one_or_there_is_none_such(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(
+        "theta_i,phi_i,theta_o,phi_o,BRDF\n" + "".join(f"{a},180,{a},0,0.4\n" for a in (10, 20, 30, 40))
+    )
+    with pytest.raises(UsageError, match="says its unit, expected none; leave --unit percent out"):
+        registry.read_readings(path, unit="percent")
+    path.write_text(path.read_text().replace("BRDF", "value"))
+    with pytest.raises(UsageError, match="no unit is called 'nits', expected one of brdf, factor, percent"):
+        registry.read_readings(path, unit="nits")

@@ -83,10 +83,12 @@ def complete(
     lab: Annotated[
         str | None,
         typer.Option(
-            help="Instead of READINGS: the CIELAB colour (45/0, D65), with --gloss where it is known.",
+            help="Instead of READINGS: the CIELAB colour (45/0), with --gloss where it is known.",
             metavar="L,a,b",
         ),
     ] = None,
+    illuminant: options.IlluminantOption = "D65",
+    observer: options.ObserverOption = 2,
     photo: photo_options.PhotoOption = None,
     light: photo_options.LightOption = None,
     circle: photo_options.CircleOption = None,
@@ -145,7 +147,7 @@ def complete(
         given = completions.parse_gloss(gloss or [])
         measured = completions.read(readings, sample, correction, unit=unit)[0] if readings else None
         if lab is not None:
-            measured = completions.readings_of_lab(lab, {}, library)
+            measured = completions.readings_of_lab(lab, {}, library, illuminant, observer)
         target = or_default(output, f"{photo[0].stem}.bsdf")
         with progress.shown("Completing"):
             seen = photographs.complete_photographs(
@@ -193,7 +195,7 @@ def complete(
     if into is not None:
         raise UsageError("--into goes with the samples of files; leave --sample, --merge and --lab out")
     if lab is not None:
-        taken, learned = completions.readings_of_lab(lab, units, library), None
+        taken, learned = completions.readings_of_lab(lab, units, library, illuminant, observer), None
         target = or_default(output, "completed.bsdf")
     else:
         taken, learned = (

@@ -315,8 +315,10 @@ def _shortened(messages: list[str], what: str) -> str:
 def find(
     lab: Annotated[
         str | None,
-        typer.Option(help="CIELAB colour (45/0, D65): L,a,b with commas between.", metavar="L,a,b"),
+        typer.Option(help="CIELAB colour (45/0): L,a,b with commas between.", metavar="L,a,b"),
     ] = None,
+    illuminant: options.IlluminantOption = "D65",
+    observer: options.ObserverOption = 2,
     gloss: Annotated[
         list[str] | None,
         typer.Option(help="Gloss units at 20, 60 or 85 degrees; may be repeated.", metavar="60=UNITS"),
@@ -327,7 +329,8 @@ def find(
 ) -> None:
     """List the materials of a library nearest to a colour, a gloss, or both.
 
-    Distances are CIEDE2000 in the geometry 45/0, and gloss in steps of a fifth, about as visible as a CIEDE2000 of 1.
+    Colours are printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss
+    counts in steps of a fifth, about as visible as a CIEDE2000 of 1.
     """
     from manifold.estimate.attributes import find as find_materials
     from manifold.estimate.completions import parse_gloss, parse_lab
@@ -336,7 +339,7 @@ def find(
     if lab is None and not gloss:
         raise UsageError("found no --lab and no --gloss, expected at least one of them")
     results = terminal.Results(json)
-    colour, units = None if lab is None else parse_lab(lab), parse_gloss(gloss or [])
+    colour, units = None if lab is None else parse_lab(lab, illuminant, observer), parse_gloss(gloss or [])
     with progress.shown("Reading materials"):
         found = find_materials(Library(library), colour, units)[:count]
     angles = list(found[0].gloss) if found else []

@@ -77,6 +77,10 @@ IncidencesOption = Annotated[
 SampleOption = Annotated[
     str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
 ]
+IlluminantOption = Annotated[str, typer.Option(help="Illuminant of --lab, such as D50 or A.", metavar="NAME")]
+ObserverOption = Annotated[
+    int, typer.Option(help="Observer of --lab, in degrees: 2 (CIE 1931) or 10 (CIE 1964).", metavar="DEGREES")
+]
 UnitOption = Annotated[
     str | None,
     typer.Option(

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from manifold.colour.illuminants import Illuminant
-from manifold.colour.tables import frozen, standard_tables
+from manifold.colour.tables import frozen, standard_tables, wide_observer
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Bands, BsdfFile
 
@@ -130,16 +130,19 @@ def xyz_weights(bands: Bands, illuminant: str = "D65") -> Array:
     return frozen(interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ weights)
 
 
-def sensor_responses(illuminant: Illuminant) -> tuple[Array, Array]:
+def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Array, Array]:
     """Spectral weights of a colorimetric sensor for reflectances: the light times the matching functions.
 
+    Args:
+        illuminant: the light.
+        observer_deg: field of view of CIE's standard observer, 2 (1931) or 10 (1964).
     Returns:
         wavelengths in nm, shape (K,), every 1 nm, and weights, shape (K, 3), whose sums over wavelengths are the XYZ
         of the perfect diffuser, with Y = 1.
     Raises:
         UsageError: the light has no power where the observer sees.
     """
-    nodes, matching = standard_tables().observer
+    nodes, matching = standard_tables().observer if observer_deg == 2 else wide_observer()
     stimulus = illuminant.at(nodes)[:, None] * matching
     total = stimulus[:, 1].sum()
     if total <= 0.0:

@@ -144,6 +144,12 @@ def _standard_values() -> dict[str, Any]:
     }
 
 
+@lru_cache(maxsize=1)
+def wide_observer() -> tuple[Array, Array]:
+    """Wavelengths in nm, shape (K,), and colour-matching functions (K, 3) of the 10 degree observer."""
+    return distribution(colour_science().MSDS_CMFS["CIE 1964 10 Degree Standard Observer"])
+
+
 def _pair(first: list[Any], second: list[Any]) -> tuple[Array, Array]:
     return frozen(np.array(first, dtype=np.float64)), frozen(np.array(second, dtype=np.float64))
 

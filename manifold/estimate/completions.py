@@ -15,6 +15,7 @@ from manifold import __version__, disk
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import ColourCorrection, read_correction, write_correction
+from manifold.colour.difference import lab_under_d65
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
@@ -239,16 +240,19 @@ def _merged(
     return replace(merged, gloss={**merged.gloss, **gloss}), learned
 
 
-def readings_of_lab(text: str, gloss: Mapping[float, float], library: Path) -> Readings:
+def readings_of_lab(
+    text: str, gloss: Mapping[float, float], library: Path, illuminant: str = "D65", observer_deg: int = 2
+) -> Readings:
     """A colour `L,a,b` and gloss as readings in the bands of a library. Raises: as `parse_lab`, and `Library`."""
-    return readings_of_colour(parse_lab(text), gloss, Library(library).bands)
+    return readings_of_colour(parse_lab(text, illuminant, observer_deg), gloss, Library(library).bands)
 
 
-def parse_lab(text: str) -> Array:
-    """A CIELAB colour (3,) of `L,a,b`.
+def parse_lab(text: str, illuminant: str = "D65", observer_deg: int = 2) -> Array:
+    """The CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer.
 
     Raises:
-        UsageError: there are not three finite numbers, or the lightness is not from 0 to 100.
+        UsageError: there are not three finite numbers, the lightness is not from 0 to 100, or there is no such
+            illuminant or observer.
     """
     try:
         lab = np.array([float(part) for part in text.split(",")])
@@ -256,7 +260,9 @@ def parse_lab(text: str) -> Array:
         lab = np.empty(0)
     if lab.shape != (3,) or not np.isfinite(lab).all() or not 0.0 <= lab[0] <= 100.0:
         raise UsageError(f"colour '{text}', expected L,a,b such as 50,20,10, with L from 0 to 100")
-    return lab
+    if (illuminant, observer_deg) == ("D65", 2):
+        return lab
+    return lab_under_d65(lab, illuminant, observer_deg)
 
 
 def parse_gloss(texts: Iterable[str]) -> dict[float, float]:

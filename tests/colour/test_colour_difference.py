@@ -5,18 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.colour.conversion import xyz_weights
+from manifold.colour.conversion import sensor_responses, xyz_weights
 from manifold.colour.difference import (
     ASPECULAR_DEG,
     ILLUMINANTS,
     colour_differences,
     delta_e_2000,
+    delta_e_2000_lab,
     delta_e_itp,
     illuminants_for,
+    lab_under_d65,
     multi_angle_pairs,
+    to_lab,
 )
-from manifold.colour.illuminants import illuminant_power
-from manifold.errors import ShapeError
+from manifold.colour.illuminants import Illuminant, illuminant_power
+from manifold.errors import ShapeError, UsageError
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.records import Bands
 
@@ -141,3 +144,22 @@ def test_delta_e_itp_is_that_of_the_recommendation():
     # Colours are adapted to the very white they have: the matrices differ in the fourth digit.
     np.testing.assert_allclose(delta_e_itp(xyz, other), expected, rtol=2e-2)
     assert not np.any(delta_e_itp(xyz, xyz))
+
+
+@pytest.mark.parametrize(("illuminant", "observer"), [("D65", 2), ("D65", 10), ("A", 2), ("D50", 10)])
+def test_a_colour_under_any_light_is_that_of_its_reflectance_under_d65(illuminant, observer):
+    nm, weights = sensor_responses(Illuminant.named(illuminant), observer)
+    reflectance = 0.2 + 0.5 / (1.0 + np.exp((560.0 - nm) / 40.0))  # an orange
+    of_d65 = sensor_responses(Illuminant.named("D65"))[1]
+    lab, expected = (to_lab(reflectance @ w, w.sum(axis=0)) for w in (weights, of_d65))
+    assert delta_e_2000_lab(lab_under_d65(lab, illuminant, observer), expected) < 1.0
+    if (illuminant, observer) != ("D65", 2):
+        assert delta_e_2000_lab(lab, expected) > 1.0
+    np.testing.assert_allclose(
+        lab_under_d65(np.array([100.0, 0.0, 0.0]), illuminant, observer), [100.0, 0.0, 0.0], atol=0.05
+    )
+
+
+def test_an_observer_that_is_none_is_refused():
+    with pytest.raises(UsageError, match="an observer of 5 degrees, expected 2"):
+        lab_under_d65(np.array([50.0, 0.0, 0.0]), "D65", 5)

@@ -152,12 +152,10 @@ def test_a_colour_under_any_light_is_that_of_its_reflectance_under_d65(illuminan
     reflectance = 0.2 + 0.5 / (1.0 + np.exp((560.0 - nm) / 40.0))  # an orange
     of_d65 = sensor_responses(Illuminant.named("D65"))[1]
     lab, expected = (to_lab(reflectance @ w, w.sum(axis=0)) for w in (weights, of_d65))
-    assert delta_e_2000_lab(lab_under_d65(lab, illuminant, observer), expected) < 1.0
-    if (illuminant, observer) != ("D65", 2):
-        assert delta_e_2000_lab(lab, expected) > 1.0
-    np.testing.assert_allclose(
-        lab_under_d65(np.array([100.0, 0.0, 0.0]), illuminant, observer), [100.0, 0.0, 0.0], atol=0.05
-    )
+    found = delta_e_2000_lab(lab_under_d65(lab, illuminant, observer), expected)
+    assert found < max(0.1, 0.5 * delta_e_2000_lab(lab, expected))  # what is left is metamerism
+    white = np.array([100.0, 0.0, 0.0])
+    np.testing.assert_allclose(lab_under_d65(white, illuminant, observer), white, atol=0.05)
 
 
 def test_an_observer_that_is_none_is_refused():

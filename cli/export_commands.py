@@ -67,12 +67,20 @@ def export(
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw the material beside the target's model, into NAME.png.")
     ] = False,
+    pack: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write a whole library, or folder, here, with index.html: balls measured and exported, and their "
+            "differences.",
+            metavar="FOLDER",
+        ),
+    ] = None,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
     The target's own model is fitted to the material, which takes seconds. The error is the mean CIEDE2000 on
-    the ball between the two, in a light that the fit did not see, beside that of Mitsuba's principled, where
+    the ball between the two, in lights that the fit did not see, beside that of Mitsuba's principled, where
     the fit starts.
     """
     from manifold.estimate.sources import FileSource
@@ -82,6 +90,12 @@ def export(
     from manifold.progress import Stages
 
     results = terminal.Results(json)
+    if pack is not None and output is not None:
+        raise UsageError(
+            f"found --pack {pack} and -o {output}, expected one of them: both are where to write"
+        )
+    if pack is not None and source is None and latent is None:
+        source = str(library or options.DEFAULT_LIBRARY)
     material = options.one_material(
         source, latent, model, library, like=like, reflectance=reflectance, srgb=srgb
     )
@@ -89,13 +103,15 @@ def export(
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         many = TARGETS[target or "gltf"]
-        folder = or_default(output, "exports")
+        folder = or_default(pack or output, "exports")
         with progress.shown("Exporting"):
             outcomes = exporting.export_all(
-                material.path, many, folder, is_mapped=mapped, with_pictures=picture
+                material.path, many, folder, is_mapped=mapped, with_pictures=picture, is_pack=pack is not None
             )
         _show_all(results, outcomes, folder)
         return
+    if pack is not None:
+        raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
     name = material_name(Path(material.name.removesuffix(".fit.json")))
     path = or_default(output, name + TARGETS[target or "gltf"].suffix)
     chosen = target_of(target, path)

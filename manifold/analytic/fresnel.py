@@ -21,7 +21,26 @@ def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
         cos_theta: cosines (n,) in [0, 1].
         eta: index of refraction relative to air, shape (B,).
     """
-    return fresnel_conductor(cos_theta, eta, np.zeros(1))
+    parallel, perpendicular = _dielectric(cos_theta, eta)
+    return 0.5 * (perpendicular + parallel)
+
+
+def _dielectric(cos_theta: Array, eta: Array) -> tuple[Array, Array]:
+    """`fresnel_polarised` of a real index, in NumPy: fits call it for few cosines, many times.
+
+    Source: Born & Wolf, section 1.5.2.
+    """
+    c = np.clip(np.asarray(cos_theta, float), 0.0, 1.0)[:, None]
+    square = np.atleast_1d(np.asarray(eta, float)) ** 2
+    inside = (
+        square - 1.0 + c * c
+    )  # squared, times the index, of the cosine inside; negative where all is reflected
+    g, tiny = np.sqrt(np.maximum(inside, 0.0)), np.finfo(float).tiny
+    is_all = (inside < 0.0) | (c + g == 0.0)  # the latter: index 1 at grazing
+    parallel, perpendicular = (
+        np.where(is_all, 1.0, ((x - g) / np.maximum(x + g, tiny)) ** 2) for x in (square * c, c)
+    )
+    return parallel, perpendicular
 
 
 def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
@@ -42,6 +61,8 @@ def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Ar
 
     Args, source: as `fresnel_conductor`.
     """
+    if not np.any(k):
+        return _dielectric(cos_theta, eta)
     eta, k = _same_shape(eta, k)
     parallel, perpendicular = _polarised(np.ascontiguousarray(cos_theta, float), eta, k)
     return parallel, perpendicular

@@ -36,9 +36,19 @@ def ball_png(brdf: BRDF) -> bytes:
     return memory.getvalue()
 
 
-def ball_image(brdf: EvaluableBRDF, size: int) -> tuple[Array, Mask]:
+def ball_image(
+    brdf: EvaluableBRDF, size: int, rings: int = _RINGS, spokes: int = _SPOKES
+) -> tuple[Array, Mask]:
     """A ball of a BRDF: display values (size, size, 3), and which pixels show it."""
-    ball = ball_colours.ball(size, _RINGS, _SPOKES)
+    return _picture(brdf, ball_colours.ball(size, rings, spokes), size)
+
+
+def sun_image(brdf: EvaluableBRDF, size: int, degrees: float) -> tuple[Array, Mask]:
+    """The same under a sun so many degrees beside the view; of the ball, the lit pixels."""
+    return _picture(brdf, ball_colours.sun_ball(degrees, size), size)
+
+
+def _picture(brdf: EvaluableBRDF, ball: ball_colours.Ball, size: int) -> tuple[Array, Mask]:
     ends = np.append(ball.starts, len(ball.wi))
     image, inside = np.zeros((size, size, 3)), np.zeros((size, size), bool)
     column, row = ((0.5 + 0.5 * ball.places * [1.0, -1.0]) * size).astype(int).T

@@ -16,7 +16,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.orientation import aligned
 from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
-from manifold.fit import fit_samples, pictures
+from manifold.fit import fit_samples, pack, pictures
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
@@ -135,7 +135,7 @@ def subject_in_library(library: Library, name: str) -> Subject:
 
 def export(
     subject: Subject, target: Target, path: Path, *, is_mapped: bool = False, picture: Path | None = None,
-    textures: Callable[[Sequence[float]], TextureFiles] | None = None,
+    balls: Path | None = None, textures: Callable[[Sequence[float]], TextureFiles] | None = None,
 ) -> Outcome[Subject]:  # fmt: skip
     """Write a material for a target.
 
@@ -146,6 +146,7 @@ def export(
         is_mapped: compute the target's parameters from those of `principled`, instead of fitting its own model to the
             material from there on.
         picture: of the material beside the target's model, drawn there; none if None.
+        balls: of both in two lights, drawn there; none if None.
         textures: writes textures for the base colour that was found, linear sRGB; None for one material everywhere.
     Raises:
         UsageError: the fit has no counterpart in engines, or a file cannot be written.
@@ -179,6 +180,8 @@ def export(
     if picture is not None:
         sources = [Source(subject.against, material), Source(f"exported: {target.name}", model)]
         pictures.picture_of_brdfs(subject.name, sources, picture)
+    if balls is not None:
+        pack.write_balls(balls, material, model)
     notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
     if made.ball.unseen_light > NOTICEABLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
@@ -212,6 +215,7 @@ def export_all(
     *,
     is_mapped: bool = False,
     with_pictures: bool = False,
+    is_pack: bool = False,
 ) -> list[Outcome[_Source]]:
     """Write every material of a library, or every `.bsdf` file and fit of a folder; what is done is left.
 
@@ -221,6 +225,7 @@ def export_all(
         folder: where to; made if missing. Its `exports.jsonl` names what is done.
         is_mapped: as in `exports.export`.
         with_pictures: whether to draw each material beside the target's model, into NAME.png.
+        is_pack: whether to write a page of balls, too, see `pack`.
     Returns:
         One outcome per material; one that cannot be exported does not stop the others.
     Raises:
@@ -235,18 +240,25 @@ def export_all(
         raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
 
     def made_of(source: _Source) -> dict[str, Any]:
-        return {"material": source.identity, "target": target.name, "mapped": is_mapped}
+        own = {"material": source.identity, "target": target.name, "mapped": is_mapped}
+        return own | ({"pack": True} if is_pack else {})
 
-    make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures)
+    make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures, is_pack=is_pack)
     todo = [Task(s.name, folder / f"{s.name}{target.suffix}", s) for s in subjects]
-    return Batch(folder, "exports").run(todo, make, made_of)
+    outcomes = Batch(folder, "exports").run(todo, make, made_of)
+    if is_pack:
+        made = [(one.name, one.path, one.content) for one in outcomes if one.content is not None]
+        pack.write_index(folder, f"{len(made)} measured materials for {target.title}", made)
+    return outcomes
 
 
 def _export(
-    source: _Source, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool
+    source: _Source, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool, is_pack: bool
 ) -> dict[str, Any]:
     picture = path.with_suffix(".png") if with_pictures else None
-    return export(source.read(), target, path, is_mapped=is_mapped, picture=picture).content or {}
+    balls = path.parent / pack.BALLS / f"{source.name}.png" if is_pack else None
+    made = export(source.read(), target, path, is_mapped=is_mapped, picture=picture, balls=balls)
+    return made.content or {}
 
 
 def _subjects(source: Path) -> Iterator[_Source]:

@@ -156,6 +156,28 @@ def test_a_library_is_exported(tmp_path, monkeypatch, folder):
     assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
 
 
+def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, folder):
+    library = small_library(tmp_path, names=NAMES[:2])
+    content = fit_json.read(folder / "copper_rgb.fit.json")
+    monkeypatch.setattr(exporting, "fit_bsdf", lambda samples: None)
+    monkeypatch.setattr(exporting.fit_json, "document", lambda result, source: content)
+    out = tmp_path / "pack"
+    result = run("export", library, "--pack", out, "--mapped", "--json", tmp_path / "r.json")
+    assert result.exit_code == 0, result.output
+    page = (out / "index.html").read_text()
+    for made in json.loads((tmp_path / "r.json").read_text())["exports"]:
+        name, ball = made["material"], made["ball"]
+        assert f'<a href="{name}.glb">{name}</a>' in page
+        assert f"{ball['unseen_light']:.1f}, in {ball['worst_light']} {ball['worst']:.1f}" in page
+        assert imread(out / "balls" / f"{name}.png").shape[:2] == (64, 256)
+
+
+def test_a_pack_of_one_material_is_refused(folder, tmp_path):
+    result = run("export", folder / "copper_rgb.bsdf", "--pack", tmp_path / "pack")
+    assert isinstance(result.exception, UsageError)
+    assert "--pack goes with a library or a folder" in str(result.exception)
+
+
 def test_a_name_that_is_no_file_s_on_every_system_fails_alone(folder, tmp_path):
     source, out = tmp_path / "source", tmp_path / "out"
     source.mkdir()

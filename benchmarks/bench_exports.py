@@ -8,7 +8,7 @@ before is kept.
 
 --in-lights compares fitted parameters that were exported before, also by other versions, into folders of --work,
 evaluated in the formulas of their engines, which tests hold to renders, against the measured files, on the ball in the
-studio and under a sun 45 and 80 degrees beside the view, beside the number that was printed.
+judged lights, beside the number that was printed.
 """
 
 from __future__ import annotations
@@ -22,16 +22,13 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.colour import ball_colours
-from manifold.colour.ball_colours import VIEW, Ball
-from manifold.directions import normalize
+from manifold.colour import panel
 from manifold.fit.exporting import export_all
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.io_rgl import material_name, read_bsdf
 
 TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity")
-SUN_PIXELS = 48  # across the ball: a sharp highlight is wider than one
 SUMMARIES = {"median": statistics.median, "mean": statistics.mean, "largest": max}
 
 
@@ -45,40 +42,17 @@ def losses(files: Path, target: str, work: Path, *, is_mapped: bool) -> dict[str
     }
 
 
-def sun(degrees: float) -> Ball:
-    """The lit pixels of a ball under a distant lamp to the right of the view; a white diffuser that faces it is 1."""
-    right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
-    lamp = np.cos(np.deg2rad(degrees)) * VIEW + np.sin(np.deg2rad(degrees)) * right
-    across = 2.0 * (np.arange(SUN_PIXELS) + 0.5) / SUN_PIXELS - 1.0
-    places = np.stack(np.meshgrid(across, -across), axis=-1).reshape(-1, 2)
-    places = places[np.sum(places**2, axis=1) < 1.0]
-    up = np.cross(VIEW, right)
-    depth = np.sqrt(1.0 - np.sum(places**2, axis=1))
-    normals = places @ [right, up] + depth[:, None] * VIEW
-    lit = normals @ lamp > 0.0
-    tangents = normalize(np.cross(up, normals[lit]))
-    frames = np.stack([tangents, np.cross(normals[lit], tangents), normals[lit]], axis=1)
-    wi, wo = frames @ VIEW, frames @ lamp
-    return Ball(wi, wo, np.pi * wo[:, 2], np.arange(len(wi)), places[lit])
-
-
-LIGHTS = {"studio": ball_colours.ball(), "sun 45": sun(45.0), "sun 80": sun(80.0)}
-
-
 def in_lights(files: Path, target: str, exported: Path) -> dict[str, dict[str, float]]:
     """CIEDE2000 that was printed, and in every light, by material, of fits in a folder of `losses`."""
-    made = {}
+    made, lights = {}, panel.judged()
     for line in (exported / f"{target}_False" / "exports.jsonl").read_text(encoding="utf-8").splitlines():
         export = json.loads(line)["result"]
         model = TargetBRDF(TARGETS[target], TARGETS[target].defaults | export["parameters"])
         path = next(p for p in files.rglob("*.bsdf") if material_name(p) == export["material"])
         material = MeasuredBRDF(read_bsdf(path))
-        made[export["material"]] = {"printed": export["ball"]["unseen_light"]} | {
-            light: ball.difference(
-                *(brdf.eval(ball.wi, ball.wo) for brdf in (model, material)), material.bands
-            )
-            for light, ball in LIGHTS.items()
-        }
+        own, truth = (np.maximum(brdf.eval(lights.wi, lights.wo), 0.0) for brdf in (model, material))
+        printed = export["ball"]["unseen_light"] if "ball" in export else export["ciede2000"]  # of 0.2.0
+        made[export["material"]] = {"printed": printed} | lights.errors(own, truth, material.bands).lights
     return made
 
 
@@ -87,7 +61,7 @@ def print_in_lights(files: Path, targets: list[str], folders: list[Path], docume
     found = {
         folder.name: {target: in_lights(files, target, folder) for target in targets} for folder in folders
     }
-    columns = ("printed", *LIGHTS)
+    columns = ("printed", *panel.JUDGED)
     print("| target | exported |", " | ".join(columns), "|")
     print("|---" * (2 + len(columns)) + "|")
     for target in targets:

@@ -18,7 +18,7 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.ggx_mixture import GGXMixture
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.colour import ball_colours
+from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.directions import from_spherical
@@ -64,9 +64,10 @@ def pairs(angles_deg: dict[int, tuple[int, ...]]) -> tuple[Array, Array]:
 
 def errors(truth: BRDF, made: BRDF, atoms: LibraryAtoms) -> tuple[float, float, float]:
     """Cube-root, linear and ball error."""
-    grid, ball = atoms.grid, ball_colours.ball()
+    grid, lights = atoms.grid, panel.judged()
     f, made_f = truth.eval(grid.wi, grid.wo), made.eval(grid.wi, grid.wo)
-    on_ball = ball.difference(truth.eval(ball.wi, ball.wo), made.eval(ball.wi, ball.wo), Bands(None))
+    lit, made_lit = (brdf.eval(lights.wi, lights.wo) for brdf in (truth, made))
+    on_ball = lights.errors(lit, made_lit, Bands(None)).ball
     return cube_root_error(f, made_f, grid.cosines), relative_error(f, made_f, grid.cosines), on_ball
 
 

@@ -111,7 +111,7 @@ def show_photographs(results: terminal.Results, title: str, found: FromPhotograp
     rows: dict[str, object] = {
         "photographs": [f"{ball.photograph.path.name}, ball at {ball.circle}" for ball in found.balls],
         **first,
-        "expected error": f"ball in another light CIEDE2000 {expected['ball']:.1f}, cube root "
+        "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root "
         f"{100 * expected['cube_root']:.0f} %, linear {100 * expected['linear']:.0f} %",
         "residual of pixels": f"{100 * material.residual:.1f} % in cube roots",
         "exposure": f"{material.exposure:.3g}",

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from manifold.colour import difference, lights
+from manifold.colour import lights
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
 from manifold.directions import from_spherical, normalize, rotate_z
@@ -80,13 +80,8 @@ def delta_e(xyz: Array, xyz_star: Array) -> float:
     return float(np.mean(delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))))
 
 
-def delta_e_itp(xyz: Array, xyz_star: Array) -> float:
-    """Mean Delta E_ITP between two balls, XYZ (K, 3) each."""
-    return float(np.mean(difference.delta_e_itp(xyz, xyz_star)))
-
-
 @dataclass(frozen=True, eq=False)
-class _Lit:
+class LitPairs:
     """The direction pairs that light the pixels of a ball, whatever the light.
 
     Attributes:
@@ -122,7 +117,7 @@ def ball(
 
 
 @lru_cache(maxsize=8)
-def lit_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> _Lit:
+def lit_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> LitPairs:
     """The direction pairs of `ball`; cached: do not write to them."""
     x, y, frame = frames(pixels)
     u = (np.arange(rings) + 0.5) / rings
@@ -138,7 +133,7 @@ def lit_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) 
     pixel = np.nonzero(lit)[0]
     starts = np.searchsorted(pixel, np.arange(len(wi)))
     weight = wo[lit][:, 2] * (4.0 * cosine * area)[lit]
-    return _Lit(wi[pixel], normalize(wo[lit]), world, weight, starts, np.column_stack([x, y]))
+    return LitPairs(wi[pixel], normalize(wo[lit]), world, weight, starts, np.column_stack([x, y]))
 
 
 def frames(pixels: int) -> tuple[Array, Array, Array]:

@@ -131,10 +131,10 @@ def _rows(made: Chart) -> list[list[str]]:
     return [
         [
             row.title,
-            f"{row.delta_e:.2f}", letters("delta_e", row.key),
+            f"{row.ball:.2f}", letters("ball", row.key),
             f"{row.cube_root_error:.3f}", letters("cube_root_error", row.key),
             f"{row.relative_error:.3f}", letters("relative_error", row.key),
-            f"{row.delta_e_itp:.2f}", f"{row.rmse:.3g}", f"{row.predict.median:.3g}", f"{row.bytes / 1e6:.3g}",
+            f"{row.ball_itp:.2f}", f"{row.rmse:.3g}", f"{row.predict.median:.3g}", f"{row.bytes / 1e6:.3g}",
             "" if row.fit is None else f"{row.fit.median:.3g}",
         ]
         for row in made.rows

@@ -27,8 +27,8 @@ from manifold.records import Array, BsdfFile
 from manifold.work import HERE, Workers
 
 ERRORS = {
-    "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
-    "delta_e_itp": "Delta E_ITP of the ball", "rmse": "RMSE of eq. 22",
+    "ball": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
+    "ball_itp": "Delta E_ITP of the ball", "rmse": "RMSE of eq. 22",
 }  # fmt: skip
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 
@@ -83,17 +83,17 @@ def conclusion(made: Chart) -> str:
     held_out = [row for row in made.rows if row.is_held_out]
     if not held_out:
         return ""
-    best = min(held_out, key=lambda row: row.delta_e)
-    near = [row for row in held_out if row.delta_e <= _NEAR_BEST * best.delta_e]
+    best = min(held_out, key=lambda row: row.ball)
+    near = [row for row in held_out if row.ball <= _NEAR_BEST * best.ball]
     fast = min(near, key=lambda row: row.predict.median)
     most_accurate = (
-        f"Most accurate for left-out materials: {best.title}, {best.delta_e:.2f} CIEDE2000 of the ball."
+        f"Most accurate for left-out materials: {best.title}, {best.ball:.2f} CIEDE2000 of the ball."
     )
     if fast is best:
         return f"{most_accurate} Choose it: nothing faster comes within {_NEAR_BEST - 1:.0%} of it."
     times = best.predict.median / fast.predict.median
     return (
-        f"{most_accurate} Where speed counts, choose {fast.title}: {fast.delta_e:.2f}, and {times:.2g} times as fast "
+        f"{most_accurate} Where speed counts, choose {fast.title}: {fast.ball:.2f}, and {times:.2g} times as fast "
         "to predict."
     )
 
@@ -134,7 +134,7 @@ def make_chart(
         raise UsageError(
             f"no setting is called {unknown[0]!r}; {near} (docs/explanation/accuracy.md lists all)"
         )
-    kept = KeptResults(library, f"chart-1 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
+    kept = KeptResults(library, f"chart-2 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
     rows = _from_arrays(kept.get())
     skipped: dict[str, str] = {}
     how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted)

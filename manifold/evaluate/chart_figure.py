@@ -21,7 +21,7 @@ from manifold.evaluate.stopwatch import ChartRow
 from manifold.plots.figures import new_figure, place_names
 from manifold.records import Array
 
-_ERRORS = ("delta_e", "cube_root_error", "relative_error")
+_ERRORS = ("ball", "cube_root_error", "relative_error")
 _COSTS = {
     "predict": "time to predict a material (reference times)",
     "bytes": "bytes kept",

@@ -55,7 +55,7 @@ class ChartRow:
         relative_error: linear, cosine-weighted, over a grid, in some of the bands.
         cube_root_error: the same of cube roots; see `metrics.cube_root_error`.
         rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
-        delta_e, delta_e_itp: CIEDE2000 and Delta E_ITP of the ball, means over the judged lights; see `panel`.
+        ball, ball_itp: CIEDE2000 and Delta E_ITP of the ball, means over the judged lights; see `panel`.
         p90: 90th percentiles of these five over materials, by their names.
         fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
             it was not measured.
@@ -71,8 +71,8 @@ class ChartRow:
     relative_error: float
     cube_root_error: float
     rmse: float
-    delta_e: float
-    delta_e_itp: float
+    ball: float
+    ball_itp: float
     p90: dict[str, float] = field(default_factory=dict)
     fit: RelativeTime | None
     predict: RelativeTime
@@ -82,7 +82,7 @@ class ChartRow:
 
 def summary(errors: Sequence[Sequence[float]] | Array) -> dict[str, Any]:
     """Errors (N, 5) as `HeldOut.errors` gives them, over materials: what a row holds of them."""
-    names = ("relative_error", "cube_root_error", "rmse", "delta_e", "delta_e_itp")
+    names = ("relative_error", "cube_root_error", "rmse", "ball", "ball_itp")
     medians, p90 = np.percentile(errors, [50, 90], axis=0).tolist()
     return {**dict(zip(names, medians, strict=True)), "p90": dict(zip(names, p90, strict=True))}
 

@@ -108,7 +108,7 @@ def test_an_interrupted_chart_is_continued_and_a_finished_one_measured_again(two
     again = chart()
     assert done == [1, 2, 3]
     for row, other in zip(whole.rows, again.rows, strict=True):
-        for name in ("title", "family", "delta_e", "rmse", "p90", "bytes", "warnings", "is_held_out"):
+        for name in ("title", "family", "ball", "rmse", "p90", "bytes", "warnings", "is_held_out"):
             assert getattr(row, name) == getattr(other, name)
         assert isinstance(row.predict, RelativeTime)
 
@@ -132,14 +132,14 @@ def test_halves_take_half_the_bytes_at_nearly_the_same_errors(rows):
     whole, half = rows["gplvm_6_cube-root"], rows["gplvm_6_cube-root_half"]
     assert 0.49 < half.bytes / whole.bytes < 0.51
     assert half.relative_error == pytest.approx(whole.relative_error, rel=0.01)  # float16 keeps 11 bits
-    assert half.delta_e == pytest.approx(whole.delta_e, rel=0.05)
+    assert half.ball == pytest.approx(whole.ball, rel=0.05)
 
 
 def test_compact_storage_takes_few_bytes_at_nearly_the_same_errors(rows):
     whole, compact = rows["blend_2"], rows["blend_2_compact"]
     assert compact.bytes < 0.1 * whole.bytes
     assert compact.relative_error == pytest.approx(whole.relative_error, rel=0.1)
-    assert compact.delta_e == pytest.approx(whole.delta_e, abs=0.2)  # the tolerance
+    assert compact.ball == pytest.approx(whole.ball, abs=0.2)  # the tolerance
 
 
 def test_one_slow_tabulation_does_not_change_the_time_of_fits(monkeypatch):
@@ -200,7 +200,7 @@ def _row(key, error, cost, spread=0.0, *, held_out=True):
     time = RelativeTime(cost, spread)
     return ChartRow(
         key=key, title=key, family="PCA", is_held_out=held_out, relative_error=error,
-        cube_root_error=error, rmse=error, delta_e=error, delta_e_itp=error,
+        cube_root_error=error, rmse=error, ball=error, ball_itp=error,
         fit=time, predict=time, bytes=round(100 * cost),
     )  # fmt: skip
 
@@ -285,7 +285,7 @@ def _texts(axes):
 
 def test_every_panel_shows_every_setting_and_names_the_published_setting_and_the_front(figure, made):
     for k, axes in enumerate(figure.axes):
-        error, cost = ("delta_e", "cube_root_error", "relative_error")[k % 3], list(COSTS)[k // 3]
+        error, cost = ("ball", "cube_root_error", "relative_error")[k % 3], list(COSTS)[k // 3]
         drawn = {line.get_gid(): line for line in axes.lines if line.get_gid()}
         assert set(drawn) == {row.key for row in made.rows}
         names = _texts(axes)

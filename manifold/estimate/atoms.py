@@ -189,10 +189,10 @@ class LibraryAtoms:
             roots[:, k] = np.cbrt(meter.mean(self.at(meter.wi, meter.wo).T ** 3))
         return roots
 
-    def predicted(self, weights: Array) -> PredictedBRDF:
-        """The BRDF of weights (B, n + 1) of atoms in the bands of the library."""
+    def predicted(self, weights: Array, bands: Bands | None = None) -> PredictedBRDF:
+        """The BRDF of weights (B, n + 1) of atoms in some bands, those of the library by default."""
         combination = Combination(CubeRoot(), weights, self.atom_bands, dictionary=LAMBERTIAN)
-        return PredictedBRDF(self.materials, combination, self.bands)
+        return PredictedBRDF(self.materials, combination, bands or self.bands)
 
 
 def dielectric_coats(bands: Bands) -> dict[str, Plastic]:

@@ -15,13 +15,13 @@ from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordin
 from manifold.estimate.band_mixtures import Hypotheses, band_mixtures
 from manifold.estimate.gloss import GlossReadings, gloss_differences, gloss_units
 from manifold.estimate.mixtures import ReadingRoots, posterior
-from manifold.estimate.reading_bands import beyond, for_library, in_all_bands
+from manifold.estimate.reading_bands import bands_of, beyond, for_library, in_all_bands
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
 from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight
 from manifold.model.estimator import explain
 from manifold.model.observation import Observation
-from manifold.records import Array, Mask
+from manifold.records import Array, Bands, Mask
 
 _SHOWN_ALTERNATIVES = 5
 _NEAR_MIRROR_DEG = 5.0  # from a mirror direction: readings this near measure all but the sharpest highlights
@@ -63,8 +63,8 @@ class Completion:
         readings: in the bands that were compared.
         at_readings: cube roots of atoms there, shape (n + 1, P).
         hypotheses: mixtures of materials, and their probabilities.
-        weights: of atoms in the bands of the library, shape (B, n + 1).
-        residual: factors near the readings, in the bands of the library.
+        weights: of atoms in the bands of the completion, see `reading_bands.bands_of`, shape (B, n + 1).
+        residual: factors near the readings, in these bands.
         predicted: f at the readings, in 1/sr, shape (P, B_r).
         gloss_misfits: relative error of cube roots at the readings of gloss, by angle in degrees.
         written: the file's BRDF, of which these errors are; None where they are of the completion itself.
@@ -99,10 +99,15 @@ class Completion:
         like = ", ".join(f"{weight:.2f} {name}" for name, weight in self.made_of)
         return f"<Completion: {self.readings.name} from {len(self.readings)} readings, {like}>"
 
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis of the completion."""
+        return bands_of(self.readings, self.atoms.bands)
+
     @cached_property
     def brdf(self) -> AdjustedBRDF:
         """The completed BRDF, never negative."""
-        return AdjustedBRDF(self.atoms.predicted(self.weights), self.residual)
+        return AdjustedBRDF(self.atoms.predicted(self.weights, self.bands), self.residual)
 
     @cached_property
     def on_grid(self) -> Array:

@@ -29,7 +29,7 @@ from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
 from manifold.estimate.pixels import Camera
-from manifold.estimate.reading_bands import for_library
+from manifold.estimate.reading_bands import for_library, in_srgb
 from manifold.estimate.spectra import band_matrix, read_responses, srgb_responses
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -277,7 +277,7 @@ def _found(
                 f"photographs and readings together, and a library of {library.bands}, expected one in RGB; give the "
                 "readings or the photographs alone, or convert the library"
             )
-        readings = for_library(readings, library.bands)
+        readings = in_srgb(for_library(readings, library.bands))
     stages.begin("reading materials")
     atoms = PhotoAtoms(LibraryAtoms.of_library(library))
     stages.begin("comparing pixels")

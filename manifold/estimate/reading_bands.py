@@ -16,35 +16,44 @@ _FEW = 3  # bands, other than blue, green and red, that are no colour
 
 
 def for_library(readings: Readings, bands: Bands) -> Readings:
-    """Readings as a library of some bands needs them: linear sRGB for an RGB library, spectra for a spectral one.
+    """Readings that a library of some bands can complete: linear sRGB for an RGB library, spectra for any.
 
     Three narrow bands become spectra, see `colour.narrow_bands`.
 
     Raises:
-        BandMismatchError: linear sRGB cannot become a spectrum; or bands are no colour.
+        BandMismatchError: linear sRGB cannot become a spectrum; or bands are no colour, for an RGB library.
     """
     readings = with_spectra(readings)
-    if not bands.is_rgb:
-        if readings.wavelengths_nm is None:
-            raise BandMismatchError(
-                f"{readings.name}: readings in linear sRGB, expected wavelengths for a library of {bands}; complete "
-                "them with an RGB library"
-            )
-        return readings
     nm = readings.wavelengths_nm
-    if nm is None:
-        return readings
-    if len(nm) <= _FEW:
+    if not bands.is_rgb and nm is None:
+        raise BandMismatchError(
+            f"{readings.name}: readings in linear sRGB, expected wavelengths for a library of {bands}; complete "
+            "them with an RGB library"
+        )
+    if bands.is_rgb and nm is not None and len(nm) <= _FEW:
         raise BandMismatchError(
             f"{readings.name}: {readings.bands}, expected blue, green and red, or a spectrum, for an RGB library; "
             "complete them with a spectral one"
         )
+    return readings
+
+
+def bands_of(readings: Readings, bands: Bands) -> Bands:
+    """Those of what is completed from readings: of a library, or of spectra that its colours are less than."""
+    return readings.bands if bands.is_rgb else bands
+
+
+def in_srgb(readings: Readings) -> Readings:
+    """Readings whose spectra, if they are such, are converted to linear sRGB under D65."""
+    nm = readings.wavelengths_nm
+    if nm is None:
+        return readings
     rgb = np.full((len(readings), 3), np.nan)
     values = _without_gaps(readings.values, nm)
     whole = np.isfinite(values).all(axis=1)
     rgb[whole] = to_srgb(values[whole], readings.bands)
     converted = replace(readings, wavelengths_nm=None, values=rgb)
-    return converted.with_note("spectra are converted to linear sRGB under D65, as the library is RGB")
+    return converted.with_note("spectra are converted to linear sRGB under D65, as photographs have three channels")
 
 
 def _without_gaps(values: Array, nm: Array) -> Array:

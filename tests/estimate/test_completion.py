@@ -35,7 +35,7 @@ from manifold.estimate.mixtures import (
     material_prior,
     posterior,
 )
-from manifold.estimate.reading_bands import for_library, in_all_bands
+from manifold.estimate.reading_bands import for_library, in_all_bands, in_srgb
 from manifold.estimate.residual import coordinates, covariance, residual_factors
 from manifold.estimate.suggest import DIRECTIONS as INSTRUMENTS
 from manifold.estimate.suggest import Deviations, _residual, next_readings
@@ -606,26 +606,34 @@ def test_libraries_of_thousands_are_refused(library, monkeypatch):
 # -- bands ------------------------------------------------------------------------------------------------------
 
 
-def test_spectra_become_rgb_for_an_rgb_library_and_rgb_no_spectrum():
+def test_spectra_become_rgb_for_photographs_and_rgb_no_spectrum():
     nm = np.arange(400.0, 701.0, 10.0)
     white = readings(np.full((12, 31), 1.0 / np.pi), nm=nm)
-    taken = for_library(white, Bands(None))
+    taken = in_srgb(white)
     np.testing.assert_allclose(taken.values, 1.0 / np.pi, rtol=0.02)  # the light beyond 400 to 700 nm
     gaps = np.array(white.values)
     gaps[3, 5:7], gaps[4, -1] = np.nan, np.nan
-    found = for_library(readings(gaps, nm=nm), Bands(None)).values
+    found = in_srgb(readings(gaps, nm=nm)).values
     np.testing.assert_allclose(found[3], taken.values[3])
     assert np.isnan(found[4]).all()
     narrow = readings(np.tile([0.1, 0.2, 0.3], (12, 1)), nm=np.array([465.0, 525.0, 630.0]))
-    estimated = for_library(narrow, Bands((400.0, 500.0, 600.0, 700.0)))
-    np.testing.assert_allclose(
-        for_library(narrow, Bands(None)).values, for_library(estimated, Bands(None)).values
-    )
-    assert estimated.bands == SPECTRUM
+    assert for_library(narrow, Bands((400.0, 500.0, 600.0, 700.0))).bands == SPECTRUM
     with pytest.raises(BandMismatchError, match="expected blue, green and red"):
         for_library(readings(np.ones((12, 3)), nm=np.array([800.0, 900.0, 1000.0])), Bands(None))
     with pytest.raises(BandMismatchError, match="linear sRGB"):
         for_library(readings(np.ones((12, 3))), Bands((400.0, 500.0)))
+
+
+def test_spectra_survive_an_rgb_library(atoms):
+    assert atoms.bands.is_rgb
+    nm = np.arange(400.0, 701.0, 10.0)
+    dyed = 0.2 + 0.15 * np.sin(nm / 25.0)  # which no three numbers are
+    read = readings(np.tile(dyed / np.pi, (12, 1)), nm=nm)
+    made = complete(atoms, read)
+    assert made.brdf.bands == read.bands
+    np.testing.assert_allclose(made.brdf.eval(read.wi, read.wo), read.values, rtol=0.02)
+    assert made.on_ball.shape[1] == 31
+    assert not any("extrapolated" in note for note in made.notes)
 
 
 def test_the_error_of_estimated_colours_is_part_of_the_expected_one(atoms, calibration):

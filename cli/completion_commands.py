@@ -274,19 +274,20 @@ def calibrate(
     output: Annotated[Path, options.output_option("The correction to write, as JSON.")] = Path(
         "correction.json"
     ),
+    json: options.JsonOption = None,
 ) -> None:
     """Fit the colour correction of a camera-based instrument to a spectrophotometer, over several samples.
 
     Compares linear, root-polynomial and Cheung's polynomial forms, and selects the one with the least
-    leave-one-out error, sample by sample. Give six or more samples of different colours: one sample determines the
-    correction of its own colour only.
+    leave-one-out error, sample by sample, of those that make at most a quarter of the samples worse. Give six or more
+    samples of different colours: one sample determines the correction of its own colour only.
     """
     from manifold.estimate import completions
 
-    learned, n_samples = completions.calibrate_instrument(pairs, output)
-    results = terminal.Results(None)
-    results.rows(f"Colour correction {output}", {"samples": n_samples, "form": learned.form})
-    left_out = "reading by reading of the one sample" if n_samples == 1 else "sample by sample"
+    learned, samples = completions.calibrate_instrument(pairs, output)
+    results = terminal.Results(json)
+    results.rows(f"Colour correction {output}", {"samples": len(samples), "form": learned.form})
+    left_out = "reading by reading of the one sample" if len(samples) == 1 else "sample by sample"
     results.text(f"\nLeave-one-out relative error, {left_out}:\n")
     results.table(
         ("form", "error", "chosen"),
@@ -295,8 +296,29 @@ def calibrate(
             for form, error in {**learned.errors, "none: estimated spectra": learned.uncorrected}.items()
         ],
     )
-    for note in completions.calibration_notes(learned, n_samples):
+    colours = learned.colours if len(samples) > 1 else learned.colours.mean(axis=0, keepdims=True)
+    results.text("\nCIEDE2000 (D65, 2 degrees) to the reference, left out, mean over readings:\n")
+    results.table(
+        ("sample", "uncorrected", "corrected"),
+        [
+            (name, *("unknown" if off != off else f"{off:.2f}" for off in row))
+            for name, row in zip(samples, colours, strict=False)
+        ],
+    )
+    notes = completions.calibration_notes(learned, samples)
+    for note in notes:
         results.sentence(f"note: {note}")
+    results.document(
+        {
+            "path": str(output),
+            **learned.to_json(),
+            "ciede2000": {
+                name: [None if off != off else off for off in row.tolist()]
+                for name, row in zip(samples, colours, strict=False)
+            },
+            "notes": list(notes),
+        }
+    )
 
 
 def _colours_at(found: Completion) -> dict[str, str]:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from manifold import __version__, disk
-from manifold.colour.conversion import interpolation_matrix, to_srgb
+from manifold.colour.conversion import interpolation_matrix, to_srgb, to_xyz, xyz_weights
+from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow
 from manifold.colour.tables import colour_science
 from manifold.disk import read_json
@@ -24,6 +25,7 @@ from manifold.records import Array, Bands, Indices, Mask
 
 _DARK = 1e-3  # of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"
+_MOST_WORSE = 0.25  # share of samples that a correction may make worse
 FORMAT_VERSION = 1
 _CHEUNG = {f"Cheung 2004, {terms} terms": terms for terms in (5, 7, 8, 10, 11, 14, 20)}
 FORMS = ("linear", "root polynomial of degree 2", *_CHEUNG)
@@ -54,6 +56,8 @@ class ColourCorrection:
         errors: relative, left out one by one, of every form that was tried; NaN where there are too few values.
         uncorrected: the relative error of spectra that are estimated without it, see `narrow_bands`; NaN where the
             bands are not blue, green and red.
+        colours: CIEDE2000 of each of S samples, mean over its readings, of colours estimated without a correction (NaN
+            as above) and left out of it, shape (S, 2); not part of the file.
 
     Source: Cheung, Westland, Connah & Ripamonti 2004; Finlayson, Mackiewicz & Hurlbert 2015.
     """
@@ -66,6 +70,12 @@ class ColourCorrection:
     largest: float
     errors: dict[str, float]
     uncorrected: float = float("nan")
+    colours: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    @property
+    def is_worse(self) -> Mask:
+        """Which samples' colours are worse with the correction than without, bool (S,)."""
+        return np.asarray(self.colours[:, 1] > self.colours[:, 0])
 
     def apply(self, x: Array) -> Array:
         """Corrected values (n, B) of values x (n, 3), never negative."""
@@ -98,6 +108,9 @@ def learn_correction(
 ) -> ColourCorrection:
     """The correction that is best on values left out; only forms with fewer terms than values are tried.
 
+    Of forms some do not make more than a quarter of the samples worse than no correction does: the best of these, or
+    where there are none, of those that make the fewest worse.
+
     Args:
         x: of the instrument to correct, at least 0, shape (n, 3).
         y: of the reference at the same places, shape (n, B).
@@ -119,25 +132,56 @@ def learn_correction(
     weight = 1.0 / (np.linalg.norm(wanted, axis=1) + _DARK)[:, None]
     groups = np.arange(len(x), dtype=np.intp) if groups is None else groups
     most_left_out = int(np.unique(groups, return_counts=True)[1].max())
+    estimated, seen_bands = _estimated(unit, source), source if source.is_rgb else SPECTRUM
+    before = (
+        np.full(groups.max() + 1, np.nan)
+        if estimated is None
+        else _sample_colours(scale * estimated, seen_bands, y, reference, groups)
+    )
     errors: dict[str, float] = {}
+    colours: dict[str, Array] = {}
     for form in forms:
         terms = _terms(form, unit)
         if terms.shape[1] < len(x) - most_left_out:
-            errors[form] = _left_out_error(terms * weight, wanted * weight, groups)
+            wrong = _left_out(terms * weight, wanted * weight, groups)
+            errors[form] = float(np.sqrt(np.mean(np.sum(wrong**2, axis=1))))
+            made = scale * np.maximum(wanted - wrong / weight, 0.0)
+            colours[form] = np.column_stack([before, _sample_colours(made, reference, y, reference, groups)])
     if not errors:
         errors["linear"] = float("nan")
-    best = min(errors, key=lambda form: (errors[form], len(form)))
+        colours["linear"] = np.column_stack([before, np.full(len(before), np.nan)])
+    share = {form: float(np.mean(of[:, 1] > of[:, 0])) for form, of in colours.items()}
+    least = max(min(share.values()), _MOST_WORSE)
+    best = min((form for form in errors if share[form] <= least), key=lambda form: (errors[form], len(form)))
     matrix = np.linalg.lstsq(_terms(best, unit) * weight, wanted * weight, rcond=None)[0]
     largest = float(np.linalg.norm(unit, axis=1).max())
-    uncorrected = _uncorrected_error(unit, wanted, weight, source, reference)
-    return ColourCorrection(source, reference, best, matrix, scale, largest, errors, uncorrected)
+    uncorrected = float("nan") if source.is_rgb else _uncorrected_error(estimated, wanted, weight, reference)
+    return ColourCorrection(
+        source, reference, best, matrix, scale, largest, errors, uncorrected, colours[best]
+    )  # fmt: skip
 
 
-def _uncorrected_error(x: Array, wanted: Array, weight: Array, source: Bands, reference: Bands) -> float:
-    """Root mean square relative error of spectra estimated from x (n, 3), at the bands of the reference."""
-    if not is_narrow(source):
+def _estimated(x: Array, source: Bands) -> Array | None:
+    """Colours of x (n, 3) without a correction: linear sRGB as it is, or spectra; None where neither is known."""
+    if source.is_rgb:
+        return x
+    return estimate_spectra(x, source) if is_narrow(source) else None
+
+
+def _sample_colours(f: Array, bands: Bands, wanted: Array, reference: Bands, samples: Indices) -> Array:
+    """Mean CIEDE2000 (D65) of every sample between f (n, B) and that of the reference (n, B_r), shape (S,)."""
+    labs = [
+        to_lab(to_xyz(np.pi * values, axis), xyz_weights(axis).sum(axis=0))
+        for values, axis in ((f, bands), (wanted, reference))
+    ]
+    off = delta_e_2000_lab(*labs)
+    return np.asarray(np.bincount(samples, off) / np.bincount(samples))
+
+
+def _uncorrected_error(spectra: Array | None, wanted: Array, weight: Array, reference: Bands) -> float:
+    """Root mean square relative error of estimated spectra (n, B_s), at the bands of the reference."""
+    if spectra is None:
         return float("nan")
-    spectra = estimate_spectra(x, source)
     if reference.wavelengths_nm is None:
         made = to_srgb(spectra, SPECTRUM)
     else:
@@ -146,16 +190,15 @@ def _uncorrected_error(x: Array, wanted: Array, weight: Array, source: Bands, re
     return float(np.sqrt(np.mean(np.sum(((made - wanted) * weight) ** 2, axis=1))))
 
 
-def _left_out_error(terms: Array, wanted: Array, groups: Indices) -> float:
-    """Root mean square residual of least squares, each group predicted by a fit to the others."""
+def _left_out(terms: Array, wanted: Array, groups: Indices) -> Array:
+    """Residuals of least squares, each group predicted by a fit to the others; shape of wanted."""
     inverse = np.linalg.pinv(terms)
     residual = wanted - terms @ (inverse @ wanted)
-    total = 0.0
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
         kept = np.eye(len(rows)) * (1.0 + 1e-9) - terms[rows] @ inverse[:, rows]
-        total += float(np.sum(np.linalg.solve(kept, residual[rows]) ** 2))
-    return float(np.sqrt(total / len(wanted)))
+        residual[rows] = np.linalg.solve(kept, residual[rows])
+    return np.asarray(residual)
 
 
 def write_correction(path: Path, correction: ColourCorrection) -> None:

@@ -31,11 +31,13 @@ from manifold.library.identity import alike
 from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
+from manifold.names import counted
 from manifold.progress import Stages
 from manifold.records import Array
 
 _MOST_READINGS = 2000
 _ENOUGH_SAMPLES = 6  # of a colour correction; see docs/explanation/completion.md
+_SHOWN_WORSE = 5
 _PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
 
@@ -288,7 +290,7 @@ def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
     return found
 
 
-def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, int]:
+def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, list[str]]:
     """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
 
     Args:
@@ -296,7 +298,7 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCor
             each instrument's, in which samples of the same names are used.
         output: a JSON file.
     Returns:
-        The correction, and from how many samples it was learned.
+        The correction, and the names of the samples it was learned from.
     Raises:
         UsageError: the number of files is odd, no names are the same, or too few directions are shared.
         BandMismatchError: bands differ between samples, or the other instrument has not three.
@@ -319,7 +321,7 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCor
     )
     learned = learn_across(pairs)
     write_correction(output, learned)
-    return learned, len(pairs)
+    return learned, [reference.name for reference, _ in pairs]
 
 
 def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Readings]]:
@@ -331,9 +333,18 @@ def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Read
     return [(read_sample(one)[0], read_sample(two)[0]) for one, two in shared]
 
 
-def calibration_notes(learned: ColourCorrection, n_samples: int) -> tuple[str, ...]:
-    """What a colour correction is good for, by its errors and the number of its samples, in sentences."""
-    notes = []
+def calibration_notes(learned: ColourCorrection, samples: Sequence[str]) -> tuple[str, ...]:
+    """What a colour correction is good for, by its errors and the names of its samples, in sentences."""
+    notes, n_samples = [], len(samples)
+    if n_samples > 1 and (worse := np.flatnonzero(learned.is_worse)).size:
+        shown = [
+            f"{samples[k]} (CIEDE2000 {learned.colours[k, 0]:.1f} before, {learned.colours[k, 1]:.1f} after)"
+            for k in worse[np.argsort(np.diff(learned.colours[worse])[:, 0])[::-1][:_SHOWN_WORSE]]
+        ]
+        notes.append(
+            f"{counted(len(worse), 'sample')} of {n_samples} become worse: {', '.join(shown)}"
+            + (" and others" if len(worse) > _SHOWN_WORSE else "")
+        )
     error = learned.errors[learned.form]
     if error >= learned.uncorrected:
         notes.append(

@@ -53,7 +53,9 @@ def in_srgb(readings: Readings) -> Readings:
     whole = np.isfinite(values).all(axis=1)
     rgb[whole] = to_srgb(values[whole], readings.bands)
     converted = replace(readings, wavelengths_nm=None, values=rgb)
-    return converted.with_note("spectra are converted to linear sRGB under D65, as photographs have three channels")
+    return converted.with_note(
+        "spectra are converted to linear sRGB under D65, as photographs have three channels"
+    )
 
 
 def _without_gaps(values: Array, nm: Array) -> Array:

@@ -226,8 +226,16 @@ def test_a_correction_says_whether_it_is_better_than_none(rng):
     read = (spectra @ interpolation_matrix(nm, np.array(narrow.wavelengths_nm)).T) ** 1.2
     good = learn_correction(read, spectra, narrow, Bands(tuple(nm)))
     assert good.errors[good.form] < 0.8 * good.uncorrected
-    assert calibration_notes(good, len(read)) == ()
+    assert good.colours.shape == (len(read), 2)
+    assert np.median(good.colours[:, 1]) < 0.5 * np.median(good.colours[:, 0])
+    assert good.is_worse.mean() <= 0.25
+    names = [f"sample {k}" for k in range(len(read))]
+    worst = np.argmax(good.colours[:, 1] - good.colours[:, 0])
+    assert f"become worse: {names[worst]} (CIEDE2000" in calibration_notes(good, names)[0]
     wrong = learn_correction(read, spectra[rng.permutation(len(spectra))], narrow, Bands(tuple(nm)))
     assert wrong.errors[wrong.form] > 5.0 * good.errors[good.form]
     estimated = replace(wrong, uncorrected=0.9 * wrong.errors[wrong.form])
-    assert "spectra estimated without a correction have a smaller error" in calibration_notes(estimated, 9)[0]
+    assert (
+        "spectra estimated without a correction have a smaller error"
+        in calibration_notes(estimated, names)[1]
+    )

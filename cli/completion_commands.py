@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,8 +21,10 @@ from .outputs import checked, or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
+    from manifold.estimate.coat import Coated
     from manifold.estimate.complete import Completion
     from manifold.estimate.suggest import Suggested
+    from manifold.records import Array
 
 _SHOWN_PROBABILITY = 0.005  # of a mixture, which is printed with two decimals
 
@@ -83,10 +86,19 @@ def complete(
     lab: Annotated[
         str | None,
         typer.Option(
-            help="Instead of READINGS: the CIELAB colour (45/0), with --gloss where it is known.",
-            metavar="L,a,b",
+            help="Instead of READINGS: the CIELAB colour (45/0), with --gloss where it is known; or a file of such, "
+            "a line each: name, L, a, b; a head may name columns gloss_20, gloss_60, gloss_85.",
+            metavar="L,a,b|FILE",
         ),
     ] = None,
+    mixture: Annotated[
+        bool,
+        typer.Option(
+            "--mixture",
+            help="Of --lab and --gloss: mix the library's materials, metals included, where a dielectric coat over a "
+            "diffuse base is made otherwise, which reaches both.",
+        ),
+    ] = False,
     illuminant: options.IlluminantOption = "D65",
     observer: options.ObserverOption = 2,
     photo: photo_options.PhotoOption = None,
@@ -127,7 +139,9 @@ def complete(
     samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept.
     """
     from manifold.estimate import completions, inputs
+    from manifold.estimate.attributes import readings_of_colour
     from manifold.estimate.samples import find_samples
+    from manifold.library.store import Library
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
@@ -136,6 +150,12 @@ def complete(
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
         )
+    if mixture and lab is None:
+        raise UsageError("--mixture goes with --lab; leave it out")
+
+    def parsed(text: str) -> Array:
+        return completions.parse_lab(text, illuminant, observer)
+
     if photo:
         if suggest:
             raise UsageError("found --photo with --suggest, which suggests readings; leave one of them out")
@@ -147,7 +167,7 @@ def complete(
         given = completions.parse_gloss(gloss or [])
         measured = completions.read(readings, sample, correction, unit=unit)[0] if readings else None
         if lab is not None:
-            measured = completions.readings_of_lab(lab, {}, library, illuminant, observer)
+            measured = readings_of_colour(parsed(lab), {}, Library(library).bands)
         target = or_default(output, f"{photo[0].stem}.bsdf")
         with progress.shown("Completing"):
             seen = photographs.complete_photographs(
@@ -169,6 +189,38 @@ def complete(
     if instrument is not None and not suggest:
         raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
     units = completions.parse_gloss(gloss or [])
+    if lab is not None:
+        from manifold.estimate import coat
+
+        if Path(lab).is_file():
+            from manifold.many import tasks
+
+            colours = coat.read_colours(Path(lab), units, illuminant, observer)
+            batch = tasks.coats_in(folder_or_default(output, "completions", f"{len(colours)} colours"))
+            made_of = tasks.complete_colours(
+                colours, library, batch, is_mixture=mixture, options=written,
+                workers=workers_of(processes, scheduler),
+            )  # fmt: skip
+            if into is not None:
+                tasks.import_all(made_of, into)
+            show_batch(results, batch, made_of)
+            return
+        if units and not mixture and not suggest:
+            L, a, b = parsed(lab).tolist()
+            one = coat.ColourSample(f"L {L:.4g}, a {a:.4g}, b {b:.4g}", (L, a, b), units)
+            target = or_default(output, "completed.bsdf")
+            with progress.shown("Completing"):
+                coated = coat.complete_colour(one, library, target, options=written)
+                if picture:
+                    from manifold.estimate.sources import FileSource
+                    from manifold.pictures import renders
+                    from manifold.render.render import RenderSettings
+
+                    renders.render(
+                        FileSource(target), checked(target.with_suffix(".png"), "picture"), RenderSettings()
+                    )
+            _show_coated(results, coated)
+            return
     if readings and sample is None and not merge and unit is None:
         with progress.shown("Reading files"):
             samples = find_samples(readings)
@@ -195,7 +247,7 @@ def complete(
     if into is not None:
         raise UsageError("--into goes with the samples of files; leave --sample, --merge and --lab out")
     if lab is not None:
-        taken, learned = completions.readings_of_lab(lab, units, library, illuminant, observer), None
+        taken, learned = readings_of_colour(parsed(lab), units, Library(library).bands), None
         target = or_default(output, "completed.bsdf")
     else:
         taken, learned = (
@@ -212,14 +264,13 @@ def complete(
             taken, library, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
             options=written,
         )  # fmt: skip
-    found, expected = made.completion, made.expected
+    found = made.completion
     results.rows(
         f"Completed {made.path}",
         {
             "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
             f"{found.readings.bands}",
-            "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
-            f"linear {100 * expected['linear']:.0f} %",
+            "expected error": _expected_words(made.expected),
             "residual of readings": f"{100 * made.residual:.1f} % in cube roots, "
             f"at most {100 * max(found.misfits.max(), made.residual):.1f} %",
             **_colours_at(found),
@@ -318,6 +369,32 @@ def calibrate(
             },
             "notes": list(notes),
         }
+    )
+
+
+def _show_coated(results: terminal.Results, made: Coated) -> None:
+    results.rows(
+        f"Completed {made.path}",
+        {
+            "made": f"a dielectric coat (alpha {made.alpha:.3g}, index {made.index:.3g}) over a diffuse base",
+            "colour": "L,a,b {:.1f}, {:.1f}, {:.1f} (D65, 2 degrees, 45/0), ".format(*made.lab)
+            + f"CIEDE2000 {made.difference:.1f} from what was asked",
+            "gloss": [
+                f"{made.gloss[a]:.3g} at {a:g} degrees, {u:g} asked" for a, u in made.sample.gloss.items()
+            ],
+            "expected error": _expected_words(made.expected),
+            "albedo": f"at most {made.plausibility.max_albedo:.2f}",
+            "time": f"{made.seconds:.1f} s",
+            **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
+        },
+    )
+    results.document(made.to_json())
+
+
+def _expected_words(expected: Mapping[str, float]) -> str:
+    return (
+        f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
+        f"linear {100 * expected['linear']:.0f} %"
     )
 
 

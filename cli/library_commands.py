@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,6 +16,11 @@ from manifold.errors import LibraryError, UsageError
 from . import options, terminal
 from .application import app
 from .worker_options import SchedulerOption, workers_of, workers_option
+
+if TYPE_CHECKING:
+    from manifold.brdf.measured import BRDF
+    from manifold.estimate.find import Found
+    from manifold.formats.readings import Readings
 
 ToleranceOption = Annotated[
     float | None,
@@ -309,13 +315,25 @@ def _shortened(messages: list[str], what: str) -> str:
 
 @app.command(
     "find",
-    short_help="Find the materials of a library nearest to a colour and gloss.",
-    epilog="Example: manifold find --lab 50,20,10 --gloss 60=30",
+    short_help="Find the materials of a library nearest to a material, or to a colour and gloss.",
+    epilog="Example: manifold find --lab 50,20,10 --gloss 60=30, or manifold find readings.xlsx",
 )
 def find(
+    material: Annotated[
+        str | None,
+        typer.Argument(
+            help="A file of a BRDF or of readings, a material of the library, or a place on the map, to find what "
+            "looks most like it.",
+            metavar="MATERIAL",
+            show_default=False,
+        ),
+    ] = None,
     lab: Annotated[
         str | None,
-        typer.Option(help="CIELAB colour (45/0): L,a,b with commas between.", metavar="L,a,b"),
+        typer.Option(
+            help="CIELAB colour (45/0): L,a,b with commas between; or a file of such, a line each: name, L, a, b.",
+            metavar="L,a,b|FILE",
+        ),
     ] = None,
     illuminant: options.IlluminantOption = "D65",
     observer: options.ObserverOption = 2,
@@ -323,28 +341,69 @@ def find(
         list[str] | None,
         typer.Option(help="Gloss units at 20, 60 or 85 degrees; may be repeated.", metavar="60=UNITS"),
     ] = None,
+    sample: options.SampleOption = None,
     count: Annotated[int, typer.Option(help="How many to list.", metavar="N", min=1)] = 10,
+    model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     json: options.JsonOption = None,
 ) -> None:
-    """List the materials of a library nearest to a colour, a gloss, or both.
+    """List the materials of a library nearest to a material, or to a colour, a gloss, or both.
 
-    Colours are printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss
-    counts in steps of a fifth, about as visible as a CIEDE2000 of 1.
+    Materials are compared as balls in five lights, readings at their geometries, both by CIEDE2000. Colours are
+    printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss counts in steps of
+    a fifth, about as visible as a CIEDE2000 of 1.
     """
-    from manifold.estimate.attributes import find as find_materials
-    from manifold.estimate.completions import parse_gloss, parse_lab
+    from manifold.estimate import coat, completions
+    from manifold.estimate import find as finding
     from manifold.library.store import Library
 
-    if lab is None and not gloss:
-        raise UsageError("found no --lab and no --gloss, expected at least one of them")
+    if (material is None) == (lab is None and not gloss):
+        raise UsageError(
+            "expected a MATERIAL, or --lab or --gloss or both, found "
+            + ("nothing" if material is None else "both kinds")
+        )
     results = terminal.Results(json)
-    colour, units = None if lab is None else parse_lab(lab, illuminant, observer), parse_gloss(gloss or [])
+    units = completions.parse_gloss(gloss or [])
+    opened = Library(library)
+    if lab is not None and Path(lab).is_file():
+        document = {}
+        with progress.shown("Reading materials"):
+            colours = coat.read_colours(Path(lab), units, illuminant, observer)
+            nearest = {one.name: finding.find(opened, one.lab, one.gloss)[:count] for one in colours}
+        for name, some in nearest.items():
+            results.text(f"{name}:\n")
+            _show_found(results, some)
+            document[name] = [one.to_json() for one in some]
+        results.document({"found": document})
+        return
     with progress.shown("Reading materials"):
-        found = find_materials(Library(library), colour, units)[:count]
+        if material is not None:
+            found = finding.find_like(opened, _sought(material, sample, model, library))
+        else:
+            colour = None if lab is None else completions.parse_lab(lab, illuminant, observer)
+            found = finding.find(opened, colour, units)
+    _show_found(results, found[:count])
+    results.document({"found": [one.to_json() for one in found[:count]]})
+
+
+def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:
+    """The material of a file, name or place; readings where a file has such."""
+    from manifold.brdf.measured import MeasuredBRDF
+    from manifold.estimate.samples import is_readings
+    from manifold.estimate.sources import FileSource, parse_source, read_source
+    from manifold.formats import registry
+
+    source = parse_source(text, model, library)
+    if isinstance(source, FileSource) and is_readings(source.path):
+        return registry.read_readings(source.path, sample)
+    return MeasuredBRDF(read_source(source))
+
+
+def _show_found(results: terminal.Results, found: Sequence[Found]) -> None:
     angles = list(found[0].gloss) if found else []
+    has_colour = bool(found) and found[0].ciede2000 is not None
     results.table(
-        ["material", "L", "a", "b", *([] if lab is None else ["CIEDE2000"]), *(f"gloss {a:g}" for a in angles)],
+        ["material", "L", "a", "b", *(["CIEDE2000"] if has_colour else []), *(f"gloss {a:g}" for a in angles)],
         [
             (
                 one.name, *(f"{v:.1f}" for v in one.lab),
@@ -354,4 +413,3 @@ def find(
             for one in found
         ],
     )  # fmt: skip
-    results.document({"found": [one.to_json() for one in found]})

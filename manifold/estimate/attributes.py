@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
-from manifold import progress
-from manifold.brdf.measured import EvaluableBRDF, MeasuredBRDF
+from manifold.brdf.measured import EvaluableBRDF
 from manifold.colour.conversion import luminance, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.reflectances import srgb_spectra
@@ -26,7 +25,6 @@ from manifold.encoding import Decoder, EncodingPairs
 from manifold.errors import UsageError
 from manifold.estimate.gloss import GlossMeter, gloss_meter, gloss_units
 from manifold.formats.readings import Readings, gloss_fault
-from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.decoding import decoder_at
@@ -38,11 +36,10 @@ _GLOSS_WEIGHT = 1e3  # of a squared error of log gloss, against squared distance
 _COLOUR_WEIGHT = 1.0  # of a squared difference in CIELAB, likewise
 _ALONG = np.linspace(0.0, 1.0, 11)[:, None]  # places tried, on the way from the given one to every material
 _REFINED, _EVALUATIONS = 6, 100
-_LEAST_GLOSS = 0.01  # gloss units
+LEAST_GLOSS = 0.01  # gloss units
 _GREY = 0.2
 _LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
 _LIGHT, _NORMAL = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
-_JUST_VISIBLE = np.log(1.2)  # of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
 GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
 
 
@@ -195,7 +192,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     present = model.predict(place, chosen.colours).turned(place.rotation_rad)
     search = _Search(model, tuple(attributes.gloss), place.rotation_rad)
     wanted = attributes.lch(_to_lch(lab_of(present)))
-    factor = _factor(present)
+    factor = factor_of(present)
     if attributes.lightness or attributes.chroma or attributes.hue:
         factor = tinted(factor, _lab(wanted), model.bands)
     units = {
@@ -205,9 +202,9 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     for angle, asked in units.items():
         if (fault := gloss_fault(angle, asked)) is not None:
             raise UsageError(fault)
-        if asked < _LEAST_GLOSS:
+        if asked < LEAST_GLOSS:
             raise UsageError(
-                f"gloss of {asked:.4g} units at {angle:g} degrees, expected at least {_LEAST_GLOSS}"
+                f"gloss of {asked:.4g} units at {angle:g} degrees, expected at least {LEAST_GLOSS}"
             )
     latent = search.nearest(place.latent, factor, units)
     colours = search.colours(latent, factor)
@@ -235,64 +232,7 @@ def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -
 
 def lab_of(brdf: EvaluableBRDF) -> Array:
     """CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
-    return _lab_of_factor(_factor(brdf), brdf.bands)
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A measured material beside what was looked for.
-
-    Attributes:
-        name: of the material.
-        lab: its CIELAB colour in the geometry 45/0, shape (3,).
-        gloss: its gloss units by angle in degrees.
-        ciede2000: to the colour looked for; None where none was given.
-        distance: root of the summed squares of CIEDE2000 and of gloss in just visible steps.
-    """
-
-    name: str
-    lab: Array
-    gloss: Mapping[float, float]
-    ciede2000: float | None
-    distance: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return vars(self) | {
-            "lab": self.lab.tolist(),
-            "gloss": {f"{a:g}": units for a, units in self.gloss.items()},
-        }
-
-
-def find(
-    library: Library,
-    lab: Array | None,
-    gloss: Mapping[float, float],
-) -> list[Found]:
-    """The materials of a library, those nearest to a colour and gloss first.
-
-    Args:
-        library: of measured materials.
-        lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any.
-        gloss: gloss units by angle in degrees, 20, 60 or 85.
-    Raises:
-        UsageError: gloss meters have no such angle.
-        LibraryError: a material cannot be read.
-    """
-    found = []
-    for k, name in enumerate(library.names):
-        brdf = MeasuredBRDF(library.read(name))
-        own, units = lab_of(brdf), gloss_units(brdf, gloss or (60.0,))
-        difference = None if lab is None else float(delta_e_2000_lab(lab, own))
-        steps = [
-            np.log(max(units[a], _LEAST_GLOSS) / max(asked, _LEAST_GLOSS)) / _JUST_VISIBLE
-            for a, asked in gloss.items()
-        ]
-        found.append(
-            Found(name, own, units, difference, float(np.hypot(difference or 0.0, np.linalg.norm(steps))))
-        )
-        progress.report(k + 1, len(library.names), "materials")
-    return sorted(found, key=lambda one: one.distance)
+    return _lab_of_factor(factor_of(brdf), brdf.bands)
 
 
 class _Search:
@@ -337,7 +277,7 @@ class _Search:
                 meter, decoder = self._meters[angle]
                 collected = self._space.reflectance_of(x, colours, decoder, meter.weights)
                 gloss = 100.0 * float(luminance(collected, self._model.bands)) / meter.full_scale
-                penalty += _GLOSS_WEIGHT * np.log(max(gloss, _LEAST_GLOSS) / asked) ** 2
+                penalty += _GLOSS_WEIGHT * np.log(max(gloss, LEAST_GLOSS) / asked) ** 2
             return float(np.sum((x - start) ** 2)) + penalty
 
         ways = [min(start + _ALONG * (end - start), key=cost) for end in self._model.X]
@@ -365,7 +305,7 @@ def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
     return gained(least_squares(off, np.zeros(3), bounds=(-7.0, 7.0)).x)
 
 
-def _factor(brdf: EvaluableBRDF) -> Array:
+def factor_of(brdf: EvaluableBRDF) -> Array:
     """Reflectance factor (B,) of the geometry 45/0."""
     return np.pi * brdf.eval(_LIGHT, _NORMAL)
 

@@ -19,7 +19,6 @@ from manifold.colour.difference import lab_under_d65
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.complete import Completion, complete
 from manifold.estimate.expected import calibrate
 from manifold.estimate.instruments import correct_colours, learn_across, merge
@@ -136,7 +135,7 @@ def complete_readings(
     stages = Stages(shares)
     opened = Library(library)
     stages.begin("reading materials")
-    atoms = _atoms_of(opened)
+    atoms = atoms_of(opened)
     stages.begin("completing")
     made = complete(atoms, readings)
     stages.begin("expected error")
@@ -179,7 +178,8 @@ def complete_readings(
 _kept: dict[tuple[Path, str], LibraryAtoms] = {}  # of the library that was used last, for the next sample
 
 
-def _atoms_of(library: Library) -> LibraryAtoms:
+def atoms_of(library: Library) -> LibraryAtoms:
+    """The atoms of a library, kept for the next sample."""
     key = library.path, library.content_hash
     if key not in _kept:
         _kept.clear()
@@ -240,13 +240,6 @@ def _merged(
     for other in readings[1:]:
         merged, learned = merge(merged, other)
     return replace(merged, gloss={**merged.gloss, **gloss}), learned
-
-
-def readings_of_lab(
-    text: str, gloss: Mapping[float, float], library: Path, illuminant: str = "D65", observer_deg: int = 2
-) -> Readings:
-    """A colour `L,a,b` and gloss as readings in the bands of a library. Raises: as `parse_lab`, and `Library`."""
-    return readings_of_colour(parse_lab(text, illuminant, observer_deg), gloss, Library(library).bands)
 
 
 def parse_lab(text: str, illuminant: str = "D65", observer_deg: int = 2) -> Array:

@@ -8,13 +8,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from manifold.batch import APPEARANCE, Batch, Outcome, Task, appearance
 from manifold.colour.correction import read_correction
 from manifold.convert import conversion
 from manifold.convert.source import open_source
 from manifold.convert.targets import TARGETS, Options
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate import completions, reconstructions
+from manifold.estimate import coat, completions, reconstructions
+from manifold.estimate.attributes import readings_of_colour
+from manifold.estimate.coat import ColourSample
 from manifold.estimate.inputs import Input
 from manifold.estimate.samples import Sample
 from manifold.library.identity import file_sha256
@@ -94,6 +98,52 @@ def _complete(
     made = completions.complete_readings(
         readings, library, path, correction=learned, count=count, instrument=instrument, options=options
     )
+    return made.to_json() | appearance(path)
+
+
+def coats_in(folder: Path) -> Batch:
+    """Colours and gloss made materials."""
+    columns: dict[str, Callable[[dict[str, Any]], Any]] = {
+        **APPEARANCE,
+        "expected CIEDE2000": lambda content: content["expected"]["ball"],
+    }
+    return Batch(folder, "completions", columns, "expected CIEDE2000", has_balls=True)
+
+
+def complete_colours(
+    samples: Sequence[ColourSample], library: Path, batch: Batch, *, is_mixture: bool = False,
+    options: OutputOptions, workers: Workers = HERE,
+) -> list[Outcome[ColourSample]]:  # fmt: skip
+    """Make materials of colours and gloss, each into a `.bsdf` file; see `coat.complete_colour`.
+
+    Args:
+        samples: see `coat.read_colours`.
+        library: of measured materials.
+        batch: see `coats_in`.
+        is_mixture: of the library's materials, as those without gloss always are.
+        options: of the files.
+        workers: who makes them.
+    Raises: as `Batch.run`; `UsageError` also where the library cannot be used.
+    """
+    how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
+    make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
+    todo = [Task(one.name, batch.folder / f"{one.name}.bsdf", one) for one in samples]
+    return batch.run(todo, make, lambda one: how | _plain(one), workers=workers)
+
+
+def _plain(sample: ColourSample) -> dict[str, Any]:
+    return {"lab": list(sample.lab), "gloss": {f"{angle:g}": units for angle, units in sample.gloss.items()}}
+
+
+def _complete_colour(
+    sample: ColourSample, path: Path, *, library: Path, is_mixture: bool, options: OutputOptions
+) -> dict[str, Any]:
+    made: coat.Coated | completions.Completed
+    if is_mixture or not sample.gloss:
+        readings = readings_of_colour(np.array(sample.lab), sample.gloss, Library(library).bands)
+        made = completions.complete_readings(readings, library, path, options=options)
+    else:
+        made = coat.complete_colour(sample, library, path, options=options)
     return made.to_json() | appearance(path)
 
 

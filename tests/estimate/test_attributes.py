@@ -10,7 +10,7 @@ from helpers.small_library import small_library
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.attributes import (
     COLOUR_TOLERANCE,
     GLOSS_TOLERANCE,
@@ -18,10 +18,12 @@ from manifold.estimate.attributes import (
     Attributes,
     Wanted,
     adjust,
-    find,
     lab_of,
 )
+from manifold.estimate.coat import read_colours
+from manifold.estimate.find import find, find_like
 from manifold.estimate.gloss import gloss_units
+from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.places import Place
@@ -136,15 +138,82 @@ def test_materials_are_found_by_colour_and_gloss(run, model, tmp_path):
         assert "expected" in err
 
 
-def test_a_colour_and_gloss_without_a_file_are_completed(run, model, tmp_path):
+def test_a_colour_and_gloss_are_reached_by_a_coat(run, model, tmp_path):
     path = tmp_path / "asked_rgb.bsdf"
     arguments = ["complete", "--lab", "45,30,15", "--gloss", "60=12", "-L", model.library.path, "-o", path]
     code, out, _ = run(*arguments, "--json", "-", cwd=tmp_path)
     assert code == 0
-    brdf = MeasuredBRDF(read_bsdf(path))
-    np.testing.assert_allclose(lab_of(brdf), (45.0, 30.0, 15.0), atol=3.0)
-    assert gloss_units(brdf, [60.0])[60.0] == pytest.approx(12.0, rel=0.5)
-    assert json.loads(out)["expected"]["ball"] > 0.0
-    code, _, err = run(*arguments, tmp_path / "r.csv", cwd=tmp_path)
-    assert code == 2
-    assert "expected one of them; a colour has commas" in err
+    made, brdf = json.loads(out), MeasuredBRDF(read_bsdf(path))
+    np.testing.assert_allclose(made["lab"]["written"], lab_of(brdf))
+    np.testing.assert_allclose(lab_of(brdf), [45.0, 30.0, 15.0], atol=0.2)
+    assert gloss_units(brdf, [60.0])[60.0] == pytest.approx(12.0, rel=0.05)
+    assert made["gloss"]["60"]["written"] == pytest.approx(gloss_units(brdf, [60.0])[60.0])
+    assert made["expected"]["ball"] > 0.0
+    assert made["diagnostics"] == []
+    code, out, _ = run(*arguments, "--mixture", "--json", "-", cwd=tmp_path)
+    assert code == 0
+    assert "made_of" in json.loads(out)
+
+
+def test_gloss_that_no_dielectric_has_is_said(run, model, tmp_path):
+    arguments = [
+        "complete",
+        "--lab",
+        "30,0,0",
+        "--gloss",
+        "20=900",
+        "-L",
+        model.library.path,
+        "-o",
+        "mirror.bsdf",
+    ]
+    code, out, _ = run(*arguments, "--json", "-", cwd=tmp_path)
+    assert code == 0
+    (note,) = json.loads(out)["diagnostics"]
+    assert note.startswith("gloss at 20 degrees")
+    assert "900 asked" in note
+
+
+def test_a_list_of_colours_makes_a_folder(run, model, tmp_path):
+    (tmp_path / "colours.csv").write_text("name;L*;a*;b*;gloss_60\nred;45;30;15;20\ngrey;50;0;0;5\n")
+    arguments = ["complete", "--lab", "colours.csv", "-L", model.library.path, "-o", "made"]
+    code, out, _ = run(*arguments, "--json", "-", cwd=tmp_path)
+    assert code == 0
+    for name, lab, units in (("red", [45, 30, 15], 20.0), ("grey", [50, 0, 0], 5.0)):
+        brdf = MeasuredBRDF(read_bsdf(tmp_path / "made" / f"{name}.bsdf"))
+        np.testing.assert_allclose(lab_of(brdf), lab, atol=0.2)
+        assert gloss_units(brdf, [60.0])[60.0] == pytest.approx(units, rel=0.05)
+    code, out, _ = run("find", "--lab", "colours.csv", "-L", model.library.path, "--json", "-", cwd=tmp_path)
+    assert set(json.loads(out)["found"]) == {"red", "grey"}
+
+
+def test_lists_of_colours_are_read_with_and_without_names(tmp_path):
+    path = tmp_path / "colours.txt"
+    path.write_text("# three\n50 20 -10\n\n60 0 0\n")
+    assert [(one.name, one.lab) for one in read_colours(path, {})] == [
+        ("colour_2", (50.0, 20.0, -10.0)), ("colour_4", (60.0, 0.0, 0.0)),
+    ]  # fmt: skip
+    path.write_text("red\t50\t60\t40\n")
+    (one,) = read_colours(path, {60.0: 7.0})
+    assert (one.name, one.lab, one.gloss) == ("red", (50.0, 60.0, 40.0), {60.0: 7.0})
+    for wrong, said in (
+        ("", "no colours"), ("red,50,60\n", "3 values"), ("red,50,x,40\nb,1,2,3\n", "expected a number"),
+        ("a,50,1,1\na,60,1,1\n", "twice"), ("a,150,1,1\n", "L from 0 to 100"),
+    ):  # fmt: skip
+        path.write_text(wrong)
+        with pytest.raises(ManifoldError, match=said):
+            read_colours(path, {})
+
+
+def test_what_looks_most_like_a_material_is_found(run, model, tmp_path):
+    name = model.names[1]
+    (first, second, *_) = find_like(model.library, model.material(name))
+    assert (first.name, first.distance) == (name, pytest.approx(0.0, abs=1e-6))
+    assert second.distance > 0.5
+    library = model.library.path
+    code, out, _ = run("find", name, "-L", library, "--count", "1", "--json", "-", cwd=tmp_path)
+    assert (code, json.loads(out)["found"][0]["name"]) == (0, name)
+    wi, wo = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
+    seen = Readings("seen", "table", wi, wo, None, model.material(name).eval(wi, wo))
+    assert find_like(model.library, seen)[0].name == name
+    assert run("find", name, "--lab", "50,0,0", "-L", library, cwd=tmp_path)[0] == 2

@@ -18,6 +18,7 @@ from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import MissingFileError, UnknownNameError
 from manifold.estimate import completions, predictions, reconstructions
+from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.sources import (
     FileSource,
@@ -205,7 +206,7 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     measured = MeasuredBRDF(fill_unmeasured(read_bsdf(folder / FILE)))
     assert made.errors == brdf_errors(measured, MeasuredBRDF(read_bsdf(path)))
     assert made.errors != brdf_errors(measured, made.brdf)
-    readings = completions.readings_of_lab("50,20,10", {60.0: 40.0}, library)
+    readings = readings_of_colour(np.array([50.0, 20.0, 10.0]), {60.0: 40.0}, Library(library).bands)
     completed = completions.complete_readings(readings, library, path, options=options)
     written, found = MeasuredBRDF(read_bsdf(path)), completed.completion
     np.testing.assert_array_equal(found.predicted, written.eval(found.readings.wi, found.readings.wo))

@@ -1,0 +1,287 @@
+"""A colour and its gloss as a material: a rough dielectric coat over a Lambertian base, which reaches both.
+
+A colour and gloss alone leave everything else open; most of what has both measured are paints, plastics and prints.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from manifold import __version__, disk
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
+from manifold.colour import panel
+from manifold.colour.difference import delta_e_2000_lab
+from manifold.errors import FileFormatError, UsageError
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.attributes import COLOUR_TOLERANCE, GLOSS_TOLERANCE, factor_of, lab_of, tinted
+from manifold.estimate.completions import atoms_of, parse_lab
+from manifold.estimate.expected import KINDS, Calibration, cached, errors_of
+from manifold.estimate.gloss import gloss_units
+from manifold.estimate.samples import safe_name
+from manifold.formats.readings import gloss_fault
+from manifold.library.store import Library
+from manifold.model import diagnostics
+from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
+from manifold.progress import Stages
+from manifold.records import Array, Bands
+
+_INDEX, _INDEX_SPREAD = (
+    1.5,
+    0.3,
+)  # of refraction: most varnishes and plastics; lets gloss of several angles decide
+_INDICES, _ALPHAS = (1.05, 1.8), (0.01, 1.0)
+_STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # of alpha
+_EVALUATIONS = 15
+_LEAST_GLOSS = 0.01
+_ROUNDING, _COLOUR_ROUNDING = 0.02, 1.0  # of log gloss, in CIELAB: what differs less is reached
+
+
+@dataclass(frozen=True)
+class ColourSample:
+    """A colour and gloss that somebody read.
+
+    Attributes:
+        name: of the sample.
+        lab: CIELAB in the geometry 45/0, under D65 and to the 2 degree observer.
+        gloss: gloss units by angle in degrees.
+    """
+
+    name: str
+    lab: tuple[float, float, float]
+    gloss: Mapping[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Coated:
+    """A coat over a Lambertian, as written.
+
+    Attributes:
+        path: the written file.
+        sample: what was asked for.
+        alpha, index: roughness and refractive index of the coat.
+        lab: of the written file, (3,).
+        gloss: of the written file, gloss units by angle in degrees.
+        expected: expected errors of what the colour and gloss leave open, by kind.
+        plausibility: of the written file, read back.
+        diagnostics: what a user should know, in sentences.
+        seconds: in all.
+    """
+
+    path: Path
+    sample: ColourSample
+    alpha: float
+    index: float
+    lab: Array
+    gloss: Mapping[float, float]
+    expected: Mapping[str, float]
+    plausibility: Plausibility
+    diagnostics: tuple[str, ...]
+    seconds: float
+
+    @property
+    def difference(self) -> float:
+        """CIEDE2000 between the colours asked for and written."""
+        return float(delta_e_2000_lab(np.array(self.sample.lab), self.lab))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "path": str(self.path),
+            "sample": self.sample.name,
+            "lab": {"asked": list(self.sample.lab), "written": self.lab.tolist()},
+            "ciede2000": self.difference,
+            "gloss": {
+                f"{angle:g}": {"asked": units, "written": self.gloss[angle]}
+                for angle, units in self.sample.gloss.items()
+            },
+            "alpha": self.alpha,
+            "index": self.index,
+            "expected": dict(self.expected),
+            "plausibility": vars(self.plausibility),
+            "diagnostics": list(self.diagnostics),
+            "seconds": self.seconds,
+        }
+
+
+def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Plastic, float]:
+    """The coat over a Lambertian whose colour and gloss are nearest to some, and its alpha.
+
+    Its index stays near 1.5 unless the gloss asks for another.
+
+    Args:
+        lab: CIELAB in the geometry 45/0 under D65, shape (3,).
+        gloss: gloss units by angle in degrees, one at least.
+        bands: of the result.
+    """
+    wanted = np.log(np.maximum(list(gloss.values()), _LEAST_GLOSS))
+    target = tinted(np.full(bands.count, 0.2), np.asarray(lab, float), bands)
+
+    def coat(x: Array) -> Plastic:
+        bare = Plastic(GGX.isotropic(float(np.exp(x[0]))), np.array(x[1]), np.zeros(bands.count), bands)
+        white = Plastic(bare.ggx, bare.eta, np.ones(bands.count), bands)
+        of_coat, of_base = factor_of(bare), factor_of(white)
+        return Plastic(bare.ggx, bare.eta, np.clip((target - of_coat) / (of_base - of_coat), 0.0, 1.0), bands)
+
+    def off(x: Array) -> Array:
+        made = coat(x)
+        reached = np.log(np.maximum(list(gloss_units(made, gloss).values()), _LEAST_GLOSS))
+        colour = (lab_of(made) - lab) / _COLOUR_ROUNDING
+        return np.concatenate([(reached - wanted) / _ROUNDING, colour, [(x[1] - _INDEX) / _INDEX_SPREAD]])
+
+    low, high = np.array([np.log(_ALPHAS[0]), _INDICES[0]]), np.array([np.log(_ALPHAS[1]), _INDICES[1]])
+    starts = [np.array([np.log(alpha), _INDEX]) for alpha in _STARTS]
+    start = min(starts, key=lambda x: float(np.sum(off(x) ** 2)))
+    best = least_squares(off, start, bounds=(low, high), x_scale=[0.3, 0.1], max_nfev=_EVALUATIONS).x
+    return coat(best), float(np.exp(best[0]))
+
+
+def complete_colour(
+    sample: ColourSample, library: Path, output: Path, *, options: OutputOptions = COMPLETION_OPTIONS
+) -> Coated:
+    """Write a coat over a Lambertian of a colour and gloss as an RGL file.
+
+    Args:
+        sample: the colour and gloss.
+        library: whose bands the file has, and on whose materials the expected error is measured.
+        output: the file to write; its name becomes the material's.
+        options: of the file.
+    Raises:
+        UsageError: the output does not end in `.bsdf`, or there is no such gloss.
+        LibraryError: a material cannot be read.
+    """
+    start = time.perf_counter()
+    require_bsdf_output(output)
+    for angle, units in sample.gloss.items():
+        if (fault := gloss_fault(angle, units)) is not None:
+            raise UsageError(fault)
+    stages = Stages({"reading materials": 4, "expected error": 2, "writing": 1})
+    opened = Library(library)
+    stages.begin("reading materials")
+    atoms = atoms_of(opened)
+    made, alpha = coat_of(np.array(sample.lab), sample.gloss, atoms.bands)
+    stages.begin("expected error")
+    expected = expected_errors(atoms, tuple(sample.gloss), opened)
+    stages.begin("writing")
+    index = float(np.mean(made.eta))
+    written = write_checked(
+        output, made, options,
+        description=f"A dielectric coat (alpha {alpha:.3g}, index {index:.3g}) over a Lambertian, of the "
+        f"colour and gloss of {sample.name}, by manifold {__version__}",
+        remedy="ask for a darker colour or less gloss", keeps_hue=True,
+    )  # fmt: skip
+    brdf = made if written.file is None else MeasuredBRDF(written.file)
+    lab, gloss = lab_of(brdf), gloss_units(brdf, sample.gloss)
+    return Coated(
+        output, sample, alpha, index, lab, gloss, expected, written.plausibility,
+        (*_missed(sample, lab, gloss), *diagnostics.of_prediction(False, written.plausibility), *written.projection),
+        time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> list[str]:
+    """What was not reached, in sentences."""
+    notes = [
+        f"gloss at {angle:g} degrees: {gloss[angle]:.3g} reached, {asked:.3g} asked; no dielectric coat of this colour "
+        "has it: metals have more, and --mixture looks among the library's materials"
+        for angle, asked in sample.gloss.items()
+        if abs(gloss[angle] - asked) > GLOSS_TOLERANCE * asked
+    ]
+    difference = float(delta_e_2000_lab(np.array(sample.lab), lab))
+    if difference > COLOUR_TOLERANCE:
+        reached = ", ".join(f"{v:.1f}" for v in lab)
+        notes.append(
+            f"colour: L,a,b {reached} reached, CIEDE2000 {difference:.1f} from what was asked; the coat's own light or "
+            "the base's largest reflectance, 1, does not allow it"
+        )
+    return notes
+
+
+def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library: Library) -> dict[str, float]:
+    """Errors of coats that have the colour and gloss of a library's materials, by kind; in the library's cache."""
+    axes = (__version__, library.content_hash, atoms.names, angles_deg)
+    key = hashlib.sha256(f"coats {axes}".encode()).hexdigest()
+    calibration = cached(library, key, lambda: _calibrated(atoms, angles_deg))
+    return dict(zip(KINDS, calibration.at(np.ones(2)).tolist(), strict=True))
+
+
+def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibration:
+    bands, grid, lights = atoms.band_axis, atoms.grid, panel.judged()
+    errors = []
+    for m in range(len(atoms.names)):
+        material = atoms.materials[m]
+        made, _ = coat_of(lab_of(material), gloss_units(material, angles_deg), bands)
+        on_grid, on_ball = (made.eval(pairs.wi, pairs.wo) for pairs in (grid, lights))
+        errors.append(errors_of(atoms, m, on_grid, on_ball))
+    return Calibration(np.array(errors), np.ones((len(errors), 2)))
+
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_SEPARATORS = re.compile(r"\s*[,;\t]\s*|\s+")
+_GLOSS_HEAD = re.compile(r"gloss[ _]?(\d+)", re.IGNORECASE)
+
+
+def read_colours(
+    path: Path, gloss: Mapping[float, float], illuminant: str = "D65", observer_deg: int = 2
+) -> list[ColourSample]:
+    """The colours of a text or CSV file, of which a line is `[name] L a b`.
+
+    A first line of names may order the columns (`name`, `L`, `a`, `b`) and add gloss (`gloss_60`).
+
+    Args:
+        path: of the file.
+        gloss: of all samples, gloss units by angle in degrees; columns of gloss go before it.
+        illuminant, observer_deg: of the colours.
+    Raises:
+        UsageError: the file cannot be read, a colour is none, or there is no such illuminant or observer.
+        FileFormatError: a line is no colour, or a name comes twice.
+    """
+    text = disk.read_text(path, advice="name a text of lines of name, L, a, b")
+    lines = [
+        (n, _SEPARATORS.split(line.strip()))
+        for n, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    head: list[str] | None = None
+    if lines and not any(_NUMBER.fullmatch(cell) for cell in lines[0][1]):
+        head = [cell.strip().rstrip("*").casefold() for cell in lines.pop(0)[1]]
+    found: dict[str, ColourSample] = {}
+    for n, cells in lines:
+        columns = head or (["name", "l", "a", "b"] if len(cells) == 4 else ["l", "a", "b"])
+        if len(cells) != len(columns) or not {"l", "a", "b"} <= set(columns):
+            raise FileFormatError(
+                f"{path}, line {n}: {len(cells)} values, expected name, L, a, b, such as red,50,60,40"
+            )
+        row = dict(zip(columns, cells, strict=True))
+        values = {
+            column: cell
+            for column, cell in row.items()
+            if column in ("l", "a", "b") or _GLOSS_HEAD.fullmatch(column)
+        }
+        for column, cell in values.items():
+            if not _NUMBER.fullmatch(cell):
+                raise FileFormatError(f"{path}, line {n}: {column} is '{cell}', expected a number")
+        name = safe_name(row.get("name", f"colour_{n}"))
+        if name in found:
+            raise FileFormatError(f"{path}, line {n}: the name '{name}' comes twice, expected each once")
+        own = {
+            float(match[1]): float(cell)
+            for column, cell in values.items()
+            if (match := _GLOSS_HEAD.fullmatch(column))
+        }
+        lab = parse_lab(",".join(values[column] for column in ("l", "a", "b")), illuminant, observer_deg)
+        found[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
+    if not found:
+        raise FileFormatError(f"{path}: no colours, expected lines of name, L, a, b, such as red,50,60,40")
+    return list(found.values())

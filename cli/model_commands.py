@@ -273,8 +273,8 @@ def predict(
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
-    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. With --gloss, --lightness,
-    --chroma or --hue, the nearest place and colour that have them.
+    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. With --lightness,
+    --chroma or --hue it is changed to these; with --gloss the material gets another coat, and what is below stays.
     """
     from manifold.estimate import predictions
     from manifold.estimate.attributes import Attributes

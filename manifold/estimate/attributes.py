@@ -98,6 +98,22 @@ class Attributes:
             )
         return np.array([lightness, chroma, hue % 360.0])
 
+    def units(self, present: Mapping[float, float]) -> dict[float, float]:
+        """Gloss units asked for by angle in degrees, where those of a material are some.
+
+        Raises:
+            UsageError: gloss meters have no such angle, or there is no such gloss.
+        """
+        units = {angle: self.gloss[angle].of(now) for angle, now in present.items()}
+        for angle, asked in units.items():
+            if (fault := gloss_fault(angle, asked)) is not None:
+                raise UsageError(fault)
+            if asked < LEAST_GLOSS:
+                raise UsageError(
+                    f"gloss of {asked:.4g} units at {angle:g} degrees, expected at least {LEAST_GLOSS}"
+                )
+        return units
+
     @classmethod
     def parse(
         cls,
@@ -148,12 +164,19 @@ class Adjusted:
             words + [f"gloss {found:.3g} at {angle:g} degrees" for angle, (_, found) in self.gloss.items()]
         )
 
+    def reached_by(self, brdf: EvaluableBRDF, units: Mapping[float, float]) -> Adjusted:
+        """The same with what a BRDF has, of which gloss units by angle in degrees were asked."""
+        wanted, found = self.lch[0], lab_of(brdf)
+        gloss = {angle: (units[angle], reached) for angle, reached in gloss_units(brdf, units).items()}
+        difference = float(delta_e_2000_lab(_lab(wanted), found))
+        return replace(self, gloss=gloss, lch=(wanted, _to_lch(found)), difference=difference)
+
     @property
     def shortfalls(self) -> tuple[str, ...]:
         """What could not be reached, in sentences."""
         shortfalls = [
-            f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} asked; no material of this map near it in "
-            "this colour has that gloss"
+            f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} asked; nothing near it in this colour "
+            "has that gloss"
             for angle, (asked, reached) in self.gloss.items()
             if abs(reached - asked) > GLOSS_TOLERANCE * asked
         ]
@@ -192,31 +215,15 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     present = model.predict(place, chosen.colours).turned(place.rotation_rad)
     search = _Search(model, tuple(attributes.gloss), place.rotation_rad)
     wanted = attributes.lch(_to_lch(lab_of(present)))
-    factor = factor_of(present)
-    if attributes.lightness or attributes.chroma or attributes.hue:
+    factor, is_tinted = factor_of(present), bool(attributes.lightness or attributes.chroma or attributes.hue)
+    if is_tinted:
         factor = tinted(factor, _lab(wanted), model.bands)
-    units = {
-        angle: attributes.gloss[angle].of(now)
-        for angle, now in gloss_units(present, attributes.gloss).items()
-    }
-    for angle, asked in units.items():
-        if (fault := gloss_fault(angle, asked)) is not None:
-            raise UsageError(fault)
-        if asked < LEAST_GLOSS:
-            raise UsageError(
-                f"gloss of {asked:.4g} units at {angle:g} degrees, expected at least {LEAST_GLOSS}"
-            )
+    units = attributes.units(gloss_units(present, attributes.gloss))
     latent = search.nearest(place.latent, factor, units)
-    colours = search.colours(latent, factor)
+    colours = search.colours(latent, factor) if units or is_tinted else chosen.colours
     reached = model.predict(latent, colours).turned(place.rotation_rad)
-    found = lab_of(reached)
-    return Adjusted(
-        replace(place, latent=latent, path=None),
-        colours,
-        {angle: (units[angle], found) for angle, found in gloss_units(reached, units).items()},
-        (wanted, _to_lch(found)),
-        float(delta_e_2000_lab(_lab(wanted), found)),
-    )
+    moved = replace(place, latent=latent, path=None) if units else place
+    return Adjusted(moved, colours, {}, (wanted, wanted), 0.0).reached_by(reached, units)
 
 
 def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -> Readings:
@@ -232,7 +239,7 @@ def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -
 
 def lab_of(brdf: EvaluableBRDF) -> Array:
     """CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
-    return _lab_of_factor(factor_of(brdf), brdf.bands)
+    return lab_of_factor(factor_of(brdf), brdf.bands)
 
 
 class _Search:
@@ -267,11 +274,11 @@ class _Search:
             return start
 
         bands, spot = self._model.bands, np.array([np.pi])
-        lab = _lab_of_factor(factor, bands)
+        lab = lab_of_factor(factor, bands)
 
         def cost(x: Array) -> float:
             colours, reached = self._space.colours_of(x, factor, self._reflectometer, spot)
-            off = _lab_of_factor(reached, bands) - lab
+            off = lab_of_factor(reached, bands) - lab
             penalty = _COLOUR_WEIGHT * float(off @ off)
             for angle, asked in units.items():
                 meter, decoder = self._meters[angle]
@@ -300,7 +307,7 @@ def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
         return base * np.exp(a @ primaries)
 
     def off(a: Array) -> Array:
-        return _lab_of_factor(gained(a), bands) - lab
+        return lab_of_factor(gained(a), bands) - lab
 
     return gained(least_squares(off, np.zeros(3), bounds=(-7.0, 7.0)).x)
 
@@ -310,7 +317,8 @@ def factor_of(brdf: EvaluableBRDF) -> Array:
     return np.pi * brdf.eval(_LIGHT, _NORMAL)
 
 
-def _lab_of_factor(factor: Array, bands: Bands) -> Array:
+def lab_of_factor(factor: Array, bands: Bands) -> Array:
+    """CIELAB (3,) under D65 of a reflectance factor (B,)."""
     return to_lab(to_xyz(factor, bands), xyz_weights(bands).sum(axis=0))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ _INDICES, _ALPHAS = (1.05, 1.8), (0.01, 1.0)
 _STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # of alpha
 _EVALUATIONS = 15
 _LEAST_GLOSS = 0.01
-_ROUNDING, _COLOUR_ROUNDING = 0.02, 1.0  # of log gloss, in CIELAB: what differs less is reached
+_ROUNDING, COLOUR_ROUNDING = 0.02, 1.0  # of log gloss, in CIELAB: what differs less is reached
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,32 @@ def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Pla
         gloss: gloss units by angle in degrees, one at least.
         bands: of the result.
     """
-    wanted = np.log(np.maximum(list(gloss.values()), _LEAST_GLOSS))
     target = tinted(np.full(bands.count, 0.2), np.asarray(lab, float), bands)
+
+    def off(made: Plastic) -> Array:
+        reached = np.array(list(gloss_units(made, gloss).values()))
+        return np.append(gloss_misfits(reached, gloss), (lab_of(made) - lab) / COLOUR_ROUNDING)
+
+    return nearest_coat(target, bands, off)
+
+
+def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
+    """Differences of logarithms from gloss units (G,) by angle, in steps of what counts as reached."""
+    logs = [np.log(np.maximum(some, _LEAST_GLOSS)) for some in (units, list(wanted.values()))]
+    return np.asarray((logs[0] - logs[1]) / _ROUNDING)
+
+
+def nearest_coat(
+    target: Array, bands: Bands, off: Callable[[Plastic], Array], index: float = _INDEX
+) -> tuple[Plastic, float]:
+    """The coat over a Lambertian of a reflectance factor (B,) at 45/0 with the least sum of squares, and its alpha.
+
+    Args:
+        target: the factor; nearest to it where a base from 0 to 1 does not allow it.
+        bands: of the coat.
+        off: residuals (n,) of a coat.
+        index: near which its refractive index stays.
+    """
 
     def coat(x: Array) -> Plastic:
         bare = Plastic(GGX.isotropic(float(np.exp(x[0]))), np.array(x[1]), np.zeros(bands.count), bands)
@@ -134,16 +158,13 @@ def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Pla
         of_coat, of_base = factor_of(bare), factor_of(white)
         return Plastic(bare.ggx, bare.eta, np.clip((target - of_coat) / (of_base - of_coat), 0.0, 1.0), bands)
 
-    def off(x: Array) -> Array:
-        made = coat(x)
-        reached = np.log(np.maximum(list(gloss_units(made, gloss).values()), _LEAST_GLOSS))
-        colour = (lab_of(made) - lab) / _COLOUR_ROUNDING
-        return np.concatenate([(reached - wanted) / _ROUNDING, colour, [(x[1] - _INDEX) / _INDEX_SPREAD]])
+    def residuals(x: Array) -> Array:
+        return np.append(off(coat(x)), (x[1] - index) / _INDEX_SPREAD)
 
     low, high = np.array([np.log(_ALPHAS[0]), _INDICES[0]]), np.array([np.log(_ALPHAS[1]), _INDICES[1]])
-    starts = [np.array([np.log(alpha), _INDEX]) for alpha in _STARTS]
-    start = min(starts, key=lambda x: float(np.sum(off(x) ** 2)))
-    best = least_squares(off, start, bounds=(low, high), x_scale=[0.3, 0.1], max_nfev=_EVALUATIONS).x
+    starts = [np.array([np.log(alpha), index]) for alpha in _STARTS]
+    start = np.clip(min(starts, key=lambda x: float(np.sum(residuals(x) ** 2))), low + 1e-6, high - 1e-6)
+    best = least_squares(residuals, start, bounds=(low, high), x_scale=[0.3, 0.1], max_nfev=_EVALUATIONS).x
     return coat(best), float(np.exp(best[0]))
 
 

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from manifold import __version__
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
 from manifold.estimate.attributes import Attributes, adjust
+from manifold.estimate.gloss import gloss_units
+from manifold.estimate.gloss_change import with_gloss
 from manifold.estimate.sources import MaterialSource, place_of
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.model.diagnostics import Prediction, diagnose
@@ -20,6 +22,10 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_b
 from manifold.model.places import PlaceLike
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array
+
+_RECOATED = (
+    "its coat was changed to have the gloss; the expected error is that of the material with its own coat"
+)
 
 
 def predict(
@@ -57,9 +63,15 @@ def predict(
     if attributes is None:
         adjusted, chosen = None, choose_colour(model, place, colour)
     else:
-        adjusted = adjust(model, place, attributes, colour)
-        place, chosen = adjusted.place, ChosenColour(adjusted.colours, str(adjusted), 0.0)
-    brdf = model.predict(place, chosen.colours).turned(place.rotation_rad)
+        adjusted = adjust(model, place, replace(attributes, gloss={}), colour)
+        chosen = ChosenColour(adjusted.colours, str(adjusted), 0.0)
+    brdf: BRDF = model.predict(place, chosen.colours).turned(place.rotation_rad)
+    if attributes is not None and attributes.gloss:
+        assert adjusted is not None
+        units = attributes.units(gloss_units(brdf, attributes.gloss))
+        brdf = with_gloss(brdf, units)
+        adjusted = adjusted.reached_by(brdf, units)
+        chosen = replace(chosen, words=str(adjusted))
     start = time.perf_counter()
     clipped = ClippedBRDF(brdf)
     description = _describe(model, place.latent, chosen.words, options.physical)
@@ -79,7 +91,9 @@ def predict(
     )
     if adjusted is not None:
         made = replace(
-            made, diagnostics=made.diagnostics + adjusted.shortfalls, attributes=adjusted.to_json()
+            made,
+            diagnostics=made.diagnostics + adjusted.shortfalls + (_RECOATED,) * bool(adjusted.gloss),
+            attributes=adjusted.to_json(),
         )
     return replace(
         made,

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from helpers.small_library import small_library
 
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
@@ -23,10 +25,12 @@ from manifold.estimate.attributes import (
 from manifold.estimate.coat import read_colours
 from manifold.estimate.find import find, find_like
 from manifold.estimate.gloss import gloss_units
+from manifold.estimate.gloss_change import with_gloss
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.places import Place
+from manifold.records import Bands
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +159,18 @@ def test_a_colour_and_gloss_are_reached_by_a_coat(run, model, tmp_path):
     assert "made_of" in json.loads(out)
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.08, 0.3), (0.3, 0.08)])
+def test_another_gloss_is_another_coat_over_the_same_base(before, after, rng):
+    def paint(alpha):
+        return Plastic(GGX.isotropic(alpha), np.array(1.5), np.array([0.1, 0.3, 0.6]), Bands(None))
+
+    made, wanted = with_gloss(paint(before), gloss_units(paint(after), [60.0])), paint(after)
+    wi, wo = (from_spherical(rng.uniform(0.0, 1.2, 200), rng.uniform(0.0, 6.28, 200)) for _ in range(2))
+    np.testing.assert_allclose(np.cbrt(made.eval(wi, wo)), np.cbrt(wanted.eval(wi, wo)), rtol=0.02)
+    np.testing.assert_allclose(made.eval(wo, wi), made.eval(wi, wo), rtol=1e-9)
+    np.testing.assert_allclose(lab_of(made), lab_of(paint(before)), atol=0.5)
+
+
 def test_gloss_that_no_dielectric_has_is_said(run, model, tmp_path):
     arguments = [
         "complete",
@@ -197,7 +213,7 @@ def test_lists_of_colours_are_read_with_and_without_names(tmp_path):
     (one,) = read_colours(path, {60.0: 7.0})
     assert (one.name, one.lab, one.gloss) == ("red", (50.0, 60.0, 40.0), {60.0: 7.0})
     for wrong, said in (
-        ("", "no colours"), ("red,50,60\n", "3 values"), ("red,50,x,40\nb,1,2,3\n", "expected a number"),
+        ("", "no colours"), ("red,50\n", "2 values"), ("red,50,x,40\nb,1,2,3\n", "expected a number"),
         ("a,50,1,1\na,60,1,1\n", "twice"), ("a,150,1,1\n", "L from 0 to 100"),
     ):  # fmt: skip
         path.write_text(wrong)

@@ -4,8 +4,8 @@
 
 A target is a material of the library, a gloss drawn evenly in logarithms between the least and the largest of the
 library, and the colour of another material. Where a target is missed, `adjust` says so. Then the gloss of every
-material is changed alone, by another place of the map and by another coat: how near it comes, and how much of the look off the
-highlight stays (CIEDE2000 at 45, 75 and 110 degrees from the mirror direction).
+material is changed alone, by another place of the map and by another coat: how near it comes, and how much of the
+look off the highlight stays (CIEDE2000 at 45, 75 and 110 degrees from the mirror direction).
 """
 
 from __future__ import annotations

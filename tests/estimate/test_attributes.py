@@ -164,7 +164,7 @@ def test_another_gloss_is_another_coat_over_the_same_base(before, after, rng):
     def paint(alpha):
         return Plastic(GGX.isotropic(alpha), np.array(1.5), np.array([0.1, 0.3, 0.6]), Bands(None))
 
-    made, wanted = with_gloss(paint(before), gloss_units(paint(after), [60.0])), paint(after)
+    made, wanted = with_gloss(paint(before), gloss_units(paint(after))), paint(after)
     wi, wo = (from_spherical(rng.uniform(0.0, 1.2, 200), rng.uniform(0.0, 6.28, 200)) for _ in range(2))
     np.testing.assert_allclose(np.cbrt(made.eval(wi, wo)), np.cbrt(wanted.eval(wi, wo)), rtol=0.02)
     np.testing.assert_allclose(made.eval(wo, wi), made.eval(wi, wo), rtol=1e-9)

@@ -162,7 +162,7 @@ def test_a_colour_and_gloss_are_reached_by_a_coat(run, model, tmp_path):
 @pytest.mark.parametrize(("before", "after"), [(0.08, 0.3), (0.3, 0.08)])
 def test_another_gloss_is_another_coat_over_the_same_base(before, after, rng):
     def paint(alpha):
-        return Plastic(GGX.isotropic(alpha), np.array(1.5), np.array([0.1, 0.3, 0.6]), Bands(None))
+        return Plastic(GGX.isotropic(alpha), np.array(1.5), np.array([0.4, 0.5, 0.6]), Bands(None))
 
     made, wanted = with_gloss(paint(before), gloss_units(paint(after))), paint(after)
     wi, wo = (from_spherical(rng.uniform(0.0, 1.2, 200), rng.uniform(0.0, 6.28, 200)) for _ in range(2))

@@ -34,7 +34,7 @@ def convert(
         Path,
         options.output_option(
             "What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .brdf or .anisotropicbsdf (Speos), .xompt "
-            "(OpenMATERIAL 3D), .astm, or .csv; or a folder.",
+            "(OpenMATERIAL 3D), .json (BiRD), .astm, or .csv; or a folder.",
             "OUT",
         ),
     ],
@@ -44,8 +44,8 @@ def convert(
             "--format",
             "-f",
             metavar="FORMAT",
-            help="rgl, merl, utia, lighttools, zemax, fred, speos, speos-anisotropic, openmaterial, astm or csv, where "
-            "the suffix of OUT is ambiguous. [default for folders: rgl]",
+            help="rgl, merl, utia, lighttools, zemax, fred, speos, speos-anisotropic, openmaterial, bird, astm or csv, "
+            "where the suffix of OUT is ambiguous. [default for folders: rgl]",
         ),
     ] = None,
     sample: options.SampleOption = None,
@@ -77,9 +77,10 @@ def convert(
 ) -> None:
     """Convert a BRDF or readings into another format, and report the conversion error.
 
-    Reads RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, ASTM tables (Mini-Diff),
-    pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3, recognised by their content. The result is read back
-    and compared at the file's own nodes. Several are written into a folder, with a table and a sheet of balls.
+    Reads RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, BiRD, ASTM tables
+    (Mini-Diff), pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3, recognised by their content. The result
+    is read back and compared at the file's own nodes. Several are written into a folder, with a table and a sheet of
+    balls.
     """
     from manifold.convert import conversion
     from manifold.convert.targets import Options

@@ -286,7 +286,7 @@ def info(
 ) -> None:
     """Show what a file, a library, a model, or a fit contains.
 
-    Files may be RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, ASTM tables
+    Files may be RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, BiRD, ASTM tables
     (Mini-Diff), pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3; they are recognised by their content.
     """
     from manifold import info

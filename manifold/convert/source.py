@@ -23,6 +23,7 @@ from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
+from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.prediction import ClippedBRDF
 from manifold.names import first_few
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
@@ -51,6 +52,14 @@ class Source:
     theta_i_rad: Array
     is_readings: bool
     file: BsdfFile | None = None
+
+    @property
+    def expected_error(self) -> float | None:
+        """Of cube roots, relative, of a completed or predicted material; None of a measured one."""
+        kept = None if self.file is None else self.file.extra.get(EXPECTED_ERROR)
+        return (
+            float(kept[0]) if kept is not None and kept.shape == (1,) and kept.dtype == np.float32 else None
+        )
 
     @property
     def brdf(self) -> BRDF:

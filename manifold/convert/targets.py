@@ -14,7 +14,7 @@ from manifold.brdf.pairs import LEVEL
 from manifold.convert.source import LEAST_COSINE, Source
 from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
-from manifold.formats import astm, csv_table, fred, lighttools, merl, openmaterial, speos, utia, zemax
+from manifold.formats import astm, bird, csv_table, fred, lighttools, merl, openmaterial, speos, utia, zemax
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
@@ -206,6 +206,20 @@ def _write_csv(path: Path, source: Source, options: Options) -> list[str]:
     return []
 
 
+def _write_bird(path: Path, source: Source, options: Options) -> list[str]:
+    rows = _rows(source)
+    bird.write(path, rows, "measurement" if source.expected_error is None else "simulation")
+    notes = [
+        "organisation, contact, place, instrument and time are to be filled in: 'not stated' or 'NA' stands there"
+    ]
+    if np.any(rows.scatter > 0.0):
+        of = "as the file says" if source.expected_error is None else "those expected of cube roots"
+        notes.append(
+            f"relative uncertainties are {of}: {300.0 * float(np.median(rows.scatter)):.2g} % in the median"
+        )
+    return notes
+
+
 def _rows(source: Source) -> Readings:
     """The readings themselves, or the BRDF at the directions of a goniometer."""
     if source.is_readings:
@@ -221,7 +235,7 @@ def _rows(source: Source) -> Readings:
     nodes = source.nodes
     return Readings(
         nodes.name, nodes.instrument, np.repeat(wi, len(wo), axis=0), np.tile(wo, (len(wi), 1)), nodes.wavelengths_nm,
-        values,
+        values, scatter=np.full(len(values), source.expected_error or 0.0),
     )  # fmt: skip
 
 
@@ -271,6 +285,7 @@ TARGETS: Mapping[str, Target] = {
         "Ansys Speos anisotropic BSDF", (".anisotropicbsdf",), "one", _write_speos_anisotropic
     ),
     "openmaterial": Target("OpenMATERIAL 3D", (".xompt",), "wavelengths", _write_openmaterial),
+    "bird": Target("BiRD JSON", (".json",), "wavelengths", _write_bird),
     "astm": Target("ASTM table", (".astm",), "any", _write_astm),
     "csv": Target("CSV table", (".csv",), "any", _write_csv),
 }

@@ -141,6 +141,7 @@ def complete_readings(
     stages.begin("expected error")
     calibration = calibrate(atoms, made.readings, opened)
     suggested = suggest(atoms, count, made, instrument) if count else None
+    expected = calibration.expected(made)
     stages.begin("writing")
     written = write_checked(
         output,
@@ -148,6 +149,7 @@ def complete_readings(
         options,
         description=_describe(made),
         remedy="make it physical, measure more directions near the highlight",
+        expected_error=expected["cube_root"],
         keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
     )
     if picture is not None:
@@ -157,7 +159,6 @@ def complete_readings(
         stages.begin("rendering")
         images.write_image(picture, ball.read_material(output).render(RenderSettings()))
     plausibility = written.plausibility
-    expected = calibration.expected(made)
     if written.file is not None:
         made = made.as_written(MeasuredBRDF(written.file))
     if written.change is not None:

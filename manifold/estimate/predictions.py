@@ -76,7 +76,11 @@ def predict(
     clipped = ClippedBRDF(brdf)
     description = _describe(model, place.latent, chosen.words, options.physical)
     remedy = "make it physical, write more incidences"
-    written = write_checked(output, clipped, options, description=description, remedy=remedy)
+    of_place = model.expected_error(place, chosen.colours)
+    written = write_checked(
+        output, clipped, options, description=description, remedy=remedy,
+        expected_error=None if of_place is None else of_place.cube_root,
+    )  # fmt: skip
     assert written.file is not None  # a refusal is an error
     difference = mirror_difference(brdf, MeasuredBRDF(written.file))
     seconds = time.perf_counter() - start

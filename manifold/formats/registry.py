@@ -15,6 +15,7 @@ import numpy as np
 from manifold.errors import FileFormatError, UnknownNameError, UsageError
 from manifold.formats import (
     astm,
+    bird,
     csv_table,
     cxf,
     fred,
@@ -51,13 +52,13 @@ class Format(NamedTuple):
         name: in words.
         sniff: whether a file's first bytes are of it.
         read: all samples of a file.
-        repeatability: of the instruments that write it, see `Readings`.
+        repeatability: of the instruments that write it, see `Readings`; None where a file says it.
     """
 
     name: str
     sniff: Callable[[bytes], bool]
     read: Callable[[Path], Sequence[Record]]
-    repeatability: float = GONIOMETER
+    repeatability: float | None = GONIOMETER
 
 
 # In order: what begins with magic numbers first, what only looks plausible last.
@@ -68,6 +69,7 @@ FORMATS = (
     Format("Ansys Speos text", speos.sniff, speos.read),
     Format("FRED table", fred.sniff, fred.read),
     Format("OpenMATERIAL 3D (.xompt)", openmaterial.sniff, openmaterial.read),
+    Format("BiRD (.brdf, JSON)", bird.sniff, bird.read, None),
     Format("CxF3", cxf.sniff, cxf.read, REPEATABILITY),
     Format("pab-opto text", pab_opto.sniff, pab_opto.read),
     Format("LightTools BSDF text", lighttools.sniff, lighttools.read),
@@ -141,9 +143,13 @@ def read_all(path: Path | str) -> list[Record]:
             )
     found = map(without_hidden, records)
     return [
-        with_light_side_note(replace(r, repeatability=known.repeatability)) if isinstance(r, Readings) else r
+        with_light_side_note(_repeated(r, known.repeatability)) if isinstance(r, Readings) else r
         for r in found
     ]
+
+
+def _repeated(readings: Readings, repeatability: float | None) -> Readings:
+    return readings if repeatability is None else replace(readings, repeatability=repeatability)
 
 
 def read(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from manifold import disk
 from manifold.brdf import goniometer
@@ -18,6 +20,9 @@ from manifold.io_rgl import material_name, write_bsdf
 from manifold.model import diagnostics
 from manifold.model.comparison import BRDFErrors, brdf_errors
 from manifold.records import BsdfFile
+
+EXPECTED_ERROR = "expected_cube_root_error"
+"""Field of files of completions and predictions: expected relative error of cube roots, float32, shape (1,)."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +162,7 @@ def write_output(
     description: str = "",
     remedy: str = "make it physical",
     keeps_hue: bool = False,
+    expected_error: float | None = None,
 ) -> WrittenFile:
     """Measure a BRDF with the virtual goniometer, and write the file; a strict one only if its albedo is at most 1.05.
 
@@ -165,6 +171,7 @@ def write_output(
         brdf: what is measured, without negative values.
         options, description, keeps_hue: see `output_file`.
         remedy: what to do about a file whose albedo exceeds 1.05, besides taking it as it is.
+        expected_error: of cube roots, relative; kept as the file's field `EXPECTED_ERROR`.
     """
     name = material_name(output)
     file, found, projection, change = output_file(
@@ -177,6 +184,8 @@ def write_output(
             f"{found.albedo_incidence_deg:.0f} degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or write "
             "it with a warning: options physical, strict",
         )
+    if expected_error is not None:
+        file = replace(file, extra={EXPECTED_ERROR: np.array([expected_error], np.float32)})
     write_bsdf(output, file)
     return WrittenFile(found, file, projection, change)
 

@@ -216,10 +216,18 @@ def read_utia(path):
     return Written("sRGB", wi, wo, planes.reshape(3, -1).T[::5])
 
 
+def read_bird(path):
+    data = json.loads(path.read_text())["data"]
+    rows = {key: np.array(one["values"]) for key, one in data.items()}
+    count = len(np.unique(rows["wavelength_i"]))
+    wi, wo = (spherical(rows[f"theta_{w}"], rows[f"phi_{w}"])[::count] for w in "ir")
+    return Written("spectral", wi, wo, rows["BRDF"].reshape(-1, count))
+
+
 READERS = {
     "zemax": read_zemax, "lighttools": read_lighttools, "fred": read_fred, "speos": read_speos,
-    "speos-anisotropic": read_speos_anisotropic, "openmaterial": read_openmaterial, "astm": read_astm,
-    "csv": read_csv, "merl": read_merl, "utia": read_utia,
+    "speos-anisotropic": read_speos_anisotropic, "openmaterial": read_openmaterial, "bird": read_bird,
+    "astm": read_astm, "csv": read_csv, "merl": read_merl, "utia": read_utia,
 }  # fmt: skip
 
 
@@ -276,7 +284,7 @@ def test_what_is_written_is_the_brdf_node_by_node_and_in_sum(name, source, brdf,
     for theta, said, band in found.sums:
         albedo = as_written(found.kind, brdf.albedo(spherical(theta, 180.0)))[band]
         assert said == pytest.approx(albedo, rel=0.02), (theta, band)  # steps of 1 x 5 degrees
-    if name in {"fred", "openmaterial", "astm", "csv"}:
+    if name in {"fred", "openmaterial", "bird", "astm", "csv"}:
         rings_reflect_the_albedo(found, brdf)
 
 

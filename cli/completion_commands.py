@@ -107,8 +107,12 @@ def complete(
     turn: photo_options.TurnOption = None,
     elevation: photo_options.ElevationOption = 0.0,
     distance: photo_options.DistanceOption = None,
-    exposure: photo_options.ExposureOption = "1",
+    exposure: photo_options.ExposureOption = None,
     camera: photo_options.CameraOption = None,
+    lamp: photo_options.LampOption = None,
+    grey: photo_options.GreyOption = None,
+    linear: photo_options.LinearOption = False,
+    dark: photo_options.DarkOption = None,
     picture: Annotated[
         bool,
         typer.Option(
@@ -160,7 +164,7 @@ def complete(
         if suggest:
             raise UsageError("found --photo with --suggest, which suggests readings; leave one of them out")
         request = photo_options.photo_request(
-            photo, light, circle, turn, elevation, distance, exposure, camera
+            photo, light, circle, turn, elevation, distance, exposure, camera, lamp, grey, linear, dark
         )
         from manifold.estimate import photographs
 

@@ -363,8 +363,12 @@ def locate(
     turn: photo_options.TurnOption = None,
     elevation: photo_options.ElevationOption = 0.0,
     distance: photo_options.DistanceOption = None,
-    exposure: photo_options.ExposureOption = "1",
+    exposure: photo_options.ExposureOption = None,
     camera: photo_options.CameraOption = None,
+    lamp: photo_options.LampOption = None,
+    grey: photo_options.GreyOption = None,
+    linear: photo_options.LinearOption = False,
+    dark: photo_options.DarkOption = None,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -392,7 +396,7 @@ def locate(
         if materials:
             raise UsageError(f"found {materials[0]} and --photo, expected one of them")
         request = photo_options.photo_request(
-            photo, light, circle, turn, elevation, distance, exposure, camera
+            photo, light, circle, turn, elevation, distance, exposure, camera, lamp, grey, linear, dark
         )
         from manifold.estimate import photographs
 

@@ -31,6 +31,32 @@ LightOption = Annotated[
         metavar="PICTURE|NAME",
     ),
 ]
+LampOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--lamp",
+        help="Instead of --light: where its one lamp is, to the right, up and towards the camera, with its distance in "
+        "radii of the ball where it is near; flash, at the camera; a file, a line per picture; or found, in the "
+        "pictures. One, or one per picture.",
+        metavar="X,Y,Z[,D]|flash|FILE|found",
+    ),
+]
+GreyOption = Annotated[
+    str | None,
+    typer.Option(
+        "--grey",
+        help="With --lamp: a grey card in the pictures, facing the camera: corner and size in pixels, reflectance; it "
+        "fixes exposure and the lamp's colour.",
+        metavar="X,Y,W,H,R",
+    ),
+]
+LinearOption = Annotated[
+    bool, typer.Option("--linear", help="The pictures' values are linear, whatever their kind.")
+]
+DarkOption = Annotated[
+    Path | None,
+    typer.Option("--dark", help="A picture without light, subtracted from the others.", metavar="PICTURE"),
+]
 CircleOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -58,11 +84,12 @@ DistanceOption = Annotated[
     ),
 ]
 ExposureOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--exposure",
-        help="Of the picture relative to the light, or free where it is not known.",
-        metavar="E|free",
+        help="Of the pictures relative to the light, or to a white diffuser that faces the lamp; free where it is not "
+        "known; each where every picture has its own.  [default: 1, free of a lamp without a grey card]",
+        metavar="E|free|each",
     ),
 ]
 CameraOption = Annotated[
@@ -82,8 +109,12 @@ def photo_request(
     turn: list[float] | None,
     elevation: float,
     distance: float | None,
-    exposure: str,
+    exposure: str | None,
     camera: Path | None,
+    lamp: list[str] | None,
+    grey: str | None,
+    linear: bool,
+    dark: Path | None,
 ) -> PhotoRequest:
     """What the options ask for.
 
@@ -92,16 +123,25 @@ def photo_request(
     """
     from manifold.estimate.photographs import PhotoRequest
 
-    if not light:
+    if bool(light) == bool(lamp):
+        from manifold.colour.lights import ENVIRONMENTS
+
         raise UsageError(
-            "found --photo without its light; give --light ENV.exr, or the name of one made here"
+            f"found --photo {'without its light' if not light else 'with --light and --lamp'}; give one of --light "
+            f"ENV.exr, or a name ({', '.join(ENVIRONMENTS)}), and --lamp X,Y,Z, flash or found"
         )
+    exposure = exposure or ("free" if lamp and grey is None else "1")
     try:
-        known = None if exposure == "free" else float(exposure)
+        known = None if exposure == "free" or (exposure == "each" and grey is None) else 1.0
+        if exposure not in ("free", "each"):
+            known = float(exposure)
     except ValueError:
-        raise UsageError(f"--exposure '{exposure}', expected a number above 0, or free") from None
+        raise UsageError(f"--exposure '{exposure}', expected a number above 0, free or each") from None
     far = float("inf") if distance is None else distance
-    return PhotoRequest(photo, light, circle or (), turn or (0.0,), elevation, far, known, camera)
+    return PhotoRequest(
+        photo, light or (), circle or (), turn or (0.0,), elevation, far, known, camera, lamp or (), exposure == "each",
+        grey, linear, dark,
+    )  # fmt: skip
 
 
 def show_photographs(results: terminal.Results, title: str, found: FromPhotographs, **first: object) -> None:
@@ -109,7 +149,11 @@ def show_photographs(results: terminal.Results, title: str, found: FromPhotograp
     material = found.material
     expected = material.expected
     rows: dict[str, object] = {
-        "photographs": [f"{ball.photograph.path.name}, ball at {ball.circle}" for ball in found.balls],
+        "photographs": [
+            f"{ball.photograph.path.name}, ball at {ball.circle}"
+            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
+            for ball in found.balls
+        ],
         **first,
         "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root "
         f"{100 * expected['cube_root']:.0f} %, linear {100 * expected['linear']:.0f} %",

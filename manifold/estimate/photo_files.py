@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.colour.conversion import encode_srgb
 from manifold.colour.pictures import read_picture
 from manifold.errors import FileFormatError
 from manifold.records import Array, Mask
@@ -31,9 +32,12 @@ class Photograph:
     notes: tuple[str, ...] = ()
 
 
-def read_photograph(path: Path) -> Photograph:
+def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
     """A photograph, see `colour.pictures.read_picture`.
 
+    Args:
+        path: of the picture.
+        is_linear: its values are linear, whatever kind of file it is.
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: it is no picture, too small or too large, or of a kind that is not supported.
@@ -46,5 +50,11 @@ def read_photograph(path: Path) -> Photograph:
         )
     seen: Mask = np.isfinite(picture.values).all(axis=2) & picture.is_opaque
     values = np.where(seen[..., None], picture.values, np.float32(np.nan))
+    notes = picture.notes
+    if is_linear and picture.is_encoded:
+        values, notes = (
+            encode_srgb(values).astype(np.float32),
+            (f"{path.name}: its values are taken as linear",),
+        )
     grey = (f"{path.name}: grey; the colour is not in it",) * picture.is_grey
-    return Photograph(path, values, picture.is_clipped & seen, picture.notes + grey)
+    return Photograph(path, values, picture.is_clipped & seen, notes + grey)

@@ -19,6 +19,7 @@ from manifold.estimate.atoms import shown_shares
 from manifold.estimate.blocks import Blocks
 from manifold.estimate.expected import KINDS, Calibration, cached
 from manifold.estimate.gloss import gloss_meter
+from manifold.estimate.lamps import Lamp, lamp_pairs
 from manifold.estimate.light import Environment
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_estimate import Prior, estimate, prior_of
@@ -36,8 +37,14 @@ _CHANNELS_NM = (
     550.0,
     465.0,
 )  # bands of a spectral library that stand for the channels of left-out materials
-_EXPOSURES = np.geomspace(1.0 / 16.0, 16.0, 33)  # that are tried, relative to that of a grey ball
+_EXPOSURES = np.geomspace(1.0 / 16.0, 16.0, 17)  # that are tried, relative to that of a grey ball
 _GREY = 0.3  # its albedo
+_DARKEST = 0.01  # albedo: what is darker is as probable
+_WHITE = 0.1  # standard deviation of the logarithm of what is brighter than white
+_TEMPERED = (
+    0.05  # weight of the evidence of pixels against the prior: the exposure is off by the least with it
+)
+_ROUNDS = 3  # of gains and weights in turn
 _HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
 _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
@@ -51,17 +58,19 @@ class Sighting:
     Attributes:
         blocks: of its picture.
         camera: where it stood.
-        environment: in its channels.
+        light: an environment in its channels, or lamps.
     """
 
     blocks: Blocks
     camera: Camera
-    environment: Environment
+    light: Environment | Sequence[Lamp]
 
     @cached_property
     def pairs(self) -> tuple[Array, Array, Array]:
         """See `pixels.direction_pairs`."""
-        return direction_pairs(self.blocks, self.camera, self.environment, SAMPLES)
+        if not isinstance(self.light, Environment):
+            return lamp_pairs(self.blocks, self.camera, self.light)
+        return direction_pairs(self.blocks, self.camera, self.light, SAMPLES)
 
     def rows(self, atoms: PhotoAtoms) -> list[Observation]:
         """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small."""
@@ -86,6 +95,7 @@ class PhotoMaterial:
         spread: of the mixtures that explain the pixels, relative, over all directions.
         unlit: what the light cannot tell, in sentences.
         library: in whose cache the calibration is kept, if any.
+        is_exposure_free: whether the exposure was estimated: then that of left-out materials is, too.
     """
 
     atoms: PhotoAtoms
@@ -98,6 +108,7 @@ class PhotoMaterial:
     spread: float
     unlit: tuple[str, ...]
     library: Library | None = None
+    is_exposure_free: bool = False
 
     def __repr__(self) -> str:
         like = ", ".join(f"{share:.2f} {name}" for name, share in self.made_of[:3])
@@ -112,11 +123,11 @@ class PhotoMaterial:
     def calibration(self) -> Calibration:
         """Errors of the library's materials, left out, in the same pixels."""
         if self.library is None:
-            return calibrated(self.atoms, self.channels)
+            return calibrated(self.atoms, self.channels, self.is_exposure_free)
         return cached(
             self.library,
-            _cache_key(self.atoms, self.channels, self.library),
-            lambda: calibrated(self.atoms, self.channels),
+            _cache_key(self.atoms, self.channels, self.library, self.is_exposure_free),
+            lambda: calibrated(self.atoms, self.channels, self.is_exposure_free),
         )
 
     @property
@@ -167,43 +178,83 @@ def find_material(
     to_bands: Array,
     *,
     exposure: float | None = 1.0,
+    each: bool = False,
     library: Library | None = None,
 ) -> PhotoMaterial:
     """The material that explains photographs, and readings in linear sRGB and gloss, if there are any, together.
 
     Args:
         atoms: of the library.
-        seen: of one material; at least one photograph, all by one camera in one exposure.
+        seen: of one material; at least one photograph, all by one camera.
         bands: B, of the library.
         to_bands: see `spectra.band_matrix`.
         exposure: of the photographs relative to the light; None finds the one that the library's materials, and what
             else was seen, make most probable.
+        each: whether every photograph has an exposure of its own, about this one.
         library: that of the atoms, in whose cache errors of left-out materials are kept.
     """
     sightings = [one for one in seen if isinstance(one, Sighting)]
     per_picture = [sighting.rows(atoms) for sighting in sightings]
-    pictures = [Observation.joined([rows[c] for rows in per_picture]) for c in range(len(per_picture[0]))]
     readings = [one for one in seen if isinstance(one, Readings)]
     gloss = {angle: units for one in seen if isinstance(one, Mapping) for angle, units in one.items()}
     gloss = {angle: units for one in readings for angle, units in one.gloss.items()} | gloss
-    beside = [
-        Observation.joined([_of_readings(atoms, one, c, rows) for one in readings]) if readings else None
-        for c, rows in enumerate(pictures)
-    ]
-    if exposure is None:
-        exposure = probable_exposure(atoms, pictures, beside)
-    channels = _together(pictures, exposure, beside)
-    if gloss:
-        made, _ = estimate(atoms, channels)  # photographs say what colour highlights have
-        channels = [
-            rows.beside(of_gloss)
-            for rows, of_gloss in zip(channels, _of_gloss(atoms, gloss, made, pictures[0]), strict=True)
+    gains: Array = np.ones(len(sightings))
+    for last in range(_ROUNDS if each and len(sightings) > 1 else 1):
+        pictures = _joined(per_picture, gains)
+        beside = [
+            Observation.joined([_of_readings(atoms, one, c, rows) for one in readings]) if readings else None
+            for c, rows in enumerate(pictures)
         ]
-    weights, priors = estimate(atoms, channels)
+        t = probable_exposure(atoms, pictures, beside) if exposure is None else exposure
+        channels = _together(pictures, t, beside)
+        if gloss:
+            made, _ = estimate(atoms, channels)  # photographs say what colour highlights have
+            channels = [
+                rows.beside(of_gloss)
+                for rows, of_gloss in zip(channels, _of_gloss(atoms, gloss, made, pictures[0]), strict=True)
+            ]
+        weights, priors = estimate(atoms, channels)
+        if each and last < _ROUNDS - 1:
+            gains = _gains(per_picture, weights * t)
     residual, spread = indicators(channels, weights, priors)
     return PhotoMaterial(
-        atoms, weights, to_bands, bands, exposure, channels, residual, spread, unlit(sightings), library
+        atoms,
+        weights,
+        to_bands,
+        bands,
+        t,
+        channels,
+        residual,
+        spread,
+        unlit(sightings),
+        library,
+        exposure is None,
     )
+
+
+def _joined(per_picture: Sequence[Sequence[Observation]], gains: Array) -> list[Observation]:
+    """Rows of all pictures, divided by their gains (P,), channel by channel."""
+    return [
+        Observation.joined(
+            [rows[c].scaled(float(gain)) for rows, gain in zip(per_picture, gains, strict=True)]
+        )
+        for c in range(len(per_picture[0]))
+    ]
+
+
+def _gains(per_picture: Sequence[Sequence[Observation]], weights: Array) -> Array:
+    """By how much pictures are brighter than weights (C, n) say, their geometric mean being 1: (P,)."""
+    gains = []
+    for rows in per_picture:
+        products = squares = 0.0
+        for one, w in zip(rows, weights, strict=True):
+            used = ~one.is_bound
+            made, seen = np.cbrt(np.maximum([w @ one.atoms, one.seen], 0.0))
+            products += float(np.sum(one.weights[used] * made[used] * seen[used]))
+            squares += float(np.sum(one.weights[used] * made[used] ** 2))
+        gains.append((products / max(squares, np.finfo(float).tiny)) ** 3)
+    logs = np.log(np.maximum(gains, np.finfo(float).tiny))
+    return np.asarray(np.exp(logs - logs.mean()))
 
 
 def _together(
@@ -250,17 +301,35 @@ def _of_gloss(
 
 
 def probable_exposure(
-    atoms: PhotoAtoms, pictures: Sequence[Observation], beside: Sequence[Observation | None]
+    atoms: PhotoAtoms,
+    pictures: Sequence[Observation],
+    beside: Sequence[Observation | None],
+    usable: Mask | None = None,
 ) -> float:
-    """The exposure at which the library's materials explain what was seen best: mean of its logarithm, posterior."""
-    every = np.ones(len(atoms), bool)
-    grey = atoms.mixed[-1]
+    """The exposure at which the library's materials explain what was seen best: mean of its logarithm, posterior.
+
+    The prior is that of how bright they are in these pixels, none brighter than white. The ratio of highlights to what
+    is beside them says the rest, and counts little: many mixtures have it.
+
+    Args:
+        atoms: of the library.
+        pictures, beside: what was seen in every channel, of photographs and of others.
+        usable: which atoms may be used, shape (n,); by default all.
+    """
+    every = np.ones(len(atoms), bool) if usable is None else usable
+    grey, n = atoms.mixed[-1], atoms.library.n_measured
     seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in pictures)
-    lit = sum(float(rows.weights @ rows.atoms[grey]) for rows in pictures)
+    of_atoms = np.sum([rows.atoms @ rows.weights for rows in pictures], axis=0)
+    lit = float(of_atoms[grey])
+    brightness = np.log(np.maximum(of_atoms[:n][every[:n]] / lit, _DARKEST))
     tried = _EXPOSURES * seen / (_GREY * lit)
+    log_albedo = np.log(seen / lit / tried)
+    prior = -0.5 * ((log_albedo - brightness.mean()) / max(brightness.std(), 0.1)) ** 2
+    prior -= 0.5 * (np.maximum(log_albedo, 0.0) / _WHITE) ** 2
     log = np.array(
         [sum(prior_of(atoms, rows, every).evidence for rows in _together(pictures, t, beside)) for t in tried]
     )
+    log = prior + (log if any(other is not None for other in beside) else _TEMPERED * log)
     return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
 
 
@@ -270,8 +339,13 @@ def indicators(channels: Sequence[Observation], weights: Array, priors: Sequence
     return np.sqrt(np.mean(np.square([residuals, [prior.spread for prior in priors]]), axis=1))
 
 
-def calibrated(atoms: PhotoAtoms, channels: Sequence[Observation]) -> Calibration:
-    """Errors of the library's materials, each found by the others in the same pixels under the same light."""
+def calibrated(
+    atoms: PhotoAtoms, channels: Sequence[Observation], is_exposure_free: bool = False
+) -> Calibration:
+    """Errors of the library's materials, each found by the others in the same pixels under the same light.
+
+    Where the exposure is free, pixels alone say theirs, as they say that of the photographs.
+    """
     library, axis = atoms.library, atoms.library.band_axis
     nm = axis.wavelengths_nm
     three = (
@@ -283,16 +357,21 @@ def calibrated(atoms: PhotoAtoms, channels: Sequence[Observation]) -> Calibratio
     for m in evenly_spaced(len(library.names), _LEFT_OUT):
         own = m * axis.count + three
         rows = [seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
+        if is_exposure_free and not any(one.n_beside for one in rows):
+            t = probable_exposure(atoms, rows, [None] * len(rows), atoms.without(m))
+            rows = [one.scaled(t) for one in rows]
         weights, priors = estimate(atoms, rows, atoms.without(m))
         errors.append(errors_of(atoms, own, weights))
         found.append(indicators(rows, weights, priors))
     return Calibration(np.array(errors), np.array(found))
 
 
-def _cache_key(atoms: PhotoAtoms, channels: Sequence[Observation], library: Library) -> str:
+def _cache_key(
+    atoms: PhotoAtoms, channels: Sequence[Observation], library: Library, is_exposure_free: bool
+) -> str:
     """A hash of all that a calibration depends on: the library, what pixels see of it, this program."""
     digest = hashlib.sha256(
-        f"photo in lights {__version__} {library.content_hash} {atoms.library.coats}".encode()
+        f"photo in lights {__version__} {library.content_hash} {atoms.library.coats} {is_exposure_free}".encode()
     )
     for rows in channels:
         for array in (rows.atoms, rows.weights, np.array(_clipping(rows))):

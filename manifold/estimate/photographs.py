@@ -15,7 +15,7 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
-from manifold.colour.conversion import encode_srgb
+from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.pictures import read_picture
 from manifold.errors import UsageError
@@ -24,7 +24,9 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.blocks import blocks_of, reduced
 from manifold.estimate.circle import Circle, find_circle
 from manifold.estimate.gloss import gloss_units
+from manifold.estimate.lamps import Lamp, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
+from manifold.estimate.light_probe import circle_in, find_light
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
@@ -32,6 +34,7 @@ from manifold.estimate.pixels import Camera
 from manifold.estimate.reading_bands import for_library, in_srgb
 from manifold.estimate.spectra import band_matrix, read_responses, srgb_responses
 from manifold.formats.readings import Readings
+from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics, located
 from manifold.model.comparison import brdf_errors
@@ -48,6 +51,7 @@ from manifold.render.render import render_floating_ball
 _MARGIN = 0.05  # around the ball in pictures of residuals
 _SIZE, _SAMPLES = 256, 32  # of predicted pictures
 _BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip
+_LEAST_COSINE = 0.05  # of a grey card's angle to its lamp
 _SEARCHED = 800  # pixels of the longer side in which a ball is found, at least, where the picture has more
 
 
@@ -57,22 +61,32 @@ class PhotoRequest:
 
     Attributes:
         photographs: files.
-        lights: environments, files or names of `environments.ENVIRONMENTS`.
+        lights: environments, files or names of `environments.ENVIRONMENTS`; none where there are lamps.
         circles: of the balls, as `Circle.parse` reads them; none where they are to be found.
         turns_deg: azimuths of what lies straight ahead in the environments.
         elevation_deg, distance: of the camera.
         exposure: of the photographs relative to the light; None where it is not known.
         responses: file of the camera's sensitivities; None for sRGB.
+        lamps: of the photographs, as `lamps.parse_lamp` reads them; `found` finds them in the photographs.
+        each: whether every photograph has an exposure of its own.
+        grey: a card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None for none.
+        is_linear: photographs are linear, whatever kind of files they are.
+        dark: a photograph without light, that is subtracted from all; None for none.
     """
 
     photographs: Sequence[Path]
-    lights: Sequence[str]
+    lights: Sequence[str] = ()
     circles: Sequence[str] = ()
     turns_deg: Sequence[float] = (0.0,)
     elevation_deg: float = 0.0
     distance: float = np.inf
     exposure: float | None = 1.0
     responses: Path | None = None
+    lamps: Sequence[str] = ()
+    each: bool = False
+    grey: str | None = None
+    is_linear: bool = False
+    dark: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +96,21 @@ class SeenBall:
     Attributes:
         photograph: as read.
         circle: of the ball.
-        light: linear radiance, shape (H, W, 3).
+        light: linear radiance, shape (H, W, 3); None of lamps.
         sighting: of the ball.
         notes: assumptions about the files of both, in sentences.
     """
 
     photograph: Photograph
     circle: Circle
-    light: Array
+    light: Array | None
     sighting: Sighting
     notes: tuple[str, ...] = ()
+
+    @property
+    def lamps(self) -> tuple[Lamp, ...]:
+        """Of the light; none of an environment."""
+        return () if isinstance(self.sighting.light, Environment) else tuple(self.sighting.light)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +145,7 @@ class FromPhotographs:
                 {
                     "path": str(ball.photograph.path),
                     "circle": [ball.circle.x, ball.circle.y, ball.circle.radius],
+                    "lamps": [lamp.direction.tolist() for lamp in ball.lamps],
                 }
                 for ball in self.balls
             ],
@@ -288,13 +308,13 @@ def _found(
         seen.append(gloss)
     material = find_material(
         atoms, seen, library.bands, band_matrix(library, atoms.library.names, responses),
-        exposure=request.exposure, library=library,
+        exposure=request.exposure, each=request.each, library=library,
     )  # fmt: skip
     notes = [note for ball in balls for note in ball.notes] + list(material.notes)
     if request.exposure is None:
         notes.append(
-            "the exposure was estimated: lightness may be off by a factor of two and more, which the expected errors "
-            "leave out; photograph a surface of known reflectance in the same light, and give the exposure"
+            "the exposure was estimated from how bright the library's materials are: lightness may be off by a factor "
+            "of two and more, which the expected errors include; a grey card in the picture (--grey) fixes it"
         )
     if readings is not None:
         notes += readings.notes
@@ -337,24 +357,100 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
             f"turns and elevation of {', '.join(f'{a:g}' for a in angles_deg)}, expected finite angles"
         )
     n = len(request.photographs)
-    lights, circles, turns = (
+    circles, turns = (
         _for_each(n, values, what)
-        for values, what in (
-            (request.lights, "lights"),
-            (request.circles or [""], "circles"),
-            (request.turns_deg, "turns"),
-        )
+        for values, what in ((request.circles or [""], "circles"), (request.turns_deg, "turns"))
     )
+    photographs = [read_photograph(path, request.is_linear) for path in request.photographs]
+    if request.dark is not None:
+        photographs = _without_dark(photographs, read_photograph(request.dark, request.is_linear))
+    if request.lamps:
+        return _under_lamps(request, photographs, circles)
+    if request.grey is not None:
+        raise UsageError("--grey goes with --lamp; of a --light, give the --exposure")
+    lights = _for_each(n, request.lights, "lights")
     read = {name: _light(name) for name in dict.fromkeys(lights)}
     balls = []
-    for path, light, text, turn_deg in zip(request.photographs, lights, circles, turns, strict=True):
-        photograph = read_photograph(path)
+    for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
         circle = Circle.parse(text) if text else _circle_of(photograph)
         image, made, notes = read[light]
         camera = Camera(turn_deg, request.elevation_deg, request.distance)
         sighting = Sighting(blocks_of(photograph, circle), camera, made)
         balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes))
     return tuple(balls)
+
+
+def _under_lamps(
+    request: PhotoRequest, photographs: Sequence[Photograph], circles: Sequence[str]
+) -> tuple[SeenBall, ...]:
+    """Balls under lamps that are given, or found."""
+    camera, notes = Camera(distance=request.distance), tuple[str, ...]()
+    if request.elevation_deg or any(request.turns_deg):
+        raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
+    found = [Circle.parse(text) if text else None for text in circles]
+    lamps: list[Lamp]
+    if list(request.lamps) == ["found"]:
+        if len(set(circles)) > 1:
+            raise UsageError("different circles, expected one for all photographs to find their lamps")
+        probe = find_light(photographs, found[0])
+        lamps, notes = list(probe.lamps), probe.notes
+        found = [probe.circle] * len(photographs)
+    else:
+        lamps = [lamp for text in request.lamps for lamp in parse_lamp(text)]
+        lamps = _for_each(len(photographs), lamps, "lamps")
+        if all(circle is None for circle in found) and len({one.values.shape for one in photographs}) == 1:
+            found = [circle_in(photographs)] * len(photographs)
+    if request.grey is None:
+        notes += (
+            "the lamp is taken as white: of one as red as an incandescent lamp the colour would be off by CIEDE2000 9; "
+            "balance the picture's white, or give a grey card (--grey)",
+        )
+    balls = []
+    for photograph, lamp, known in zip(photographs, lamps, found, strict=True):
+        circle = known or _circle_of(photograph)
+        seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
+        sighting = Sighting(blocks_of(seen, circle), camera, (lamp,))
+        balls.append(SeenBall(seen, circle, None, sighting, photograph.notes + notes))
+    return tuple(balls)
+
+
+def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
+    """A photograph relative to a white diffuser that faces its lamp, by a grey card that faces the camera.
+
+    Raises:
+        UsageError: the card is not in the picture, is clipped or black, or its lamp does not light it.
+    """
+    try:
+        x, y, width, height, reflectance = (float(part) for part in grey.split(","))
+    except ValueError:
+        x = y = width = height = reflectance = np.nan
+    rows, columns = photograph.values.shape[:2]
+    inside = x >= 0 and y >= 0 and width >= 2 and height >= 2 and x + width <= columns and y + height <= rows
+    if not (inside and 0.0 < reflectance <= 1.0):
+        raise UsageError(
+            f"card '{grey}', expected X,Y,W,H,REFLECTANCE: its corner and size in pixels within {columns} x {rows}, "
+            "and its reflectance up to 1, such as 20,30,80,80,0.18"
+        )
+    part = slice(int(y), int(y + height)), slice(int(x), int(x + width))
+    mean = photograph.values[part].mean(axis=(0, 1))
+    cosine = float(lamp.direction[2])
+    if photograph.is_clipped[part].any() or not np.all(mean > 0.0) or cosine < _LEAST_COSINE:
+        raise UsageError(
+            f"{photograph.path}: the card at {grey} is clipped, black, or lit from behind, expected one that the lamp "
+            "lights and the camera does not clip"
+        )
+    return replace(photograph, values=photograph.values * (reflectance * cosine / mean).astype(np.float32))
+
+
+def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[Photograph]:
+    """Photographs less one that was taken without light.
+
+    Raises:
+        UsageError: it is of another size.
+    """
+    if any(one.values.shape != dark.values.shape for one in photographs):
+        raise UsageError(f"{dark.path}: of another size than the photographs, expected the same camera")
+    return [replace(one, values=np.maximum(one.values - dark.values, 0.0)) for one in photographs]
 
 
 def _circle_of(photograph: Photograph) -> Circle:
@@ -418,10 +514,16 @@ def draw_residuals(
             _cropped(ball.photograph.is_clipped[..., None].astype(np.float32), ball.circle)[..., 0] > 0.0
         )
         camera = ball.sighting.camera
-        made = render_floating_ball(
-            file, material.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
-            turn_deg=camera.turn_deg, elevation_deg=camera.elevation_deg, distance=camera.distance,
-        ) * (material.exposure / known)  # fmt: skip
+        if ball.light is None:
+            brdf = MeasuredBRDF(read_bsdf(file))
+            lit = lamp_picture(brdf, camera, ball.lamps, _SIZE, _MARGIN)
+            made = lit if brdf.bands.is_rgb else to_srgb(lit, brdf.bands)
+        else:
+            made = render_floating_ball(
+                file, material.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
+                turn_deg=camera.turn_deg, elevation_deg=camera.elevation_deg, distance=camera.distance,
+            )  # fmt: skip
+        made = made * (material.exposure / known)
         shown = [encode_srgb(np.nan_to_num(each)) for each in (crop, made)]
         across = (1.0 + _MARGIN) * (2.0 * (np.arange(_SIZE) + 0.5) / _SIZE - 1.0)
         compared = np.hypot(across, across[:, None]) < 0.97

@@ -85,19 +85,12 @@ def direction_pairs(
         wi towards the camera, and wo towards the light, in frames of the surface, shape (K, S, 3); radiance times
         cosine over density, in every channel, shape (K, S, C): the value of a block is the sum of light times f.
     """
-    K = len(blocks.starts)
-    u = (np.random.default_rng(0).random((K, 1, 5)) + np.arange(samples)[:, None] * _STEPS) % 1.0
-    chosen = blocks.starts[:, None] + (u[..., 0] * blocks.counts[:, None]).astype(int)
-    shift = (u[..., 0] * blocks.counts[:, None]) % 1.0
-    x = blocks.x[chosen] + blocks.size * (shift - 0.5)
-    y = blocks.y[chosen] + blocks.size * (u[..., 4] - 0.5)
-    beyond = np.maximum(np.hypot(x, y), 1.0) * (1.0 + 1e-9)
-    normal, view = camera.surface(x / beyond, y / beyond)
+    normal, view, u = sampled_surface(blocks, camera, samples)
     turn = np.deg2rad(camera.turn_deg)
 
     half = np.arange(samples) % 2 == 0
     m = _half_vectors(u[:, half, 1], u[:, half, 2])
-    frame = _frames(normal)
+    frame = frames(normal)
     wi = np.einsum("ksij,ksj->ksi", frame, view)
     mirrored = 2.0 * np.sum(wi[:, half] * m, axis=-1, keepdims=True) * m - wi[:, half]
     of_light = environment.cell_probabilities(rotate_z(normalize(normal.mean(axis=1)), -turn))
@@ -116,6 +109,22 @@ def direction_pairs(
     return wi, np.where(lit[..., None], normalize(wo), [0.0, 0.0, 1.0]), light
 
 
+def sampled_surface(blocks: Blocks, camera: Camera, samples: int) -> tuple[Array, Array, Array]:
+    """Normals and directions to the camera at points of blocks, (K, S, 3), and variates (K, S, 5).
+
+    The first and last of these chose the points; the others are free.
+    """
+    K = len(blocks.starts)
+    u = (np.random.default_rng(0).random((K, 1, 5)) + np.arange(samples)[:, None] * _STEPS) % 1.0
+    chosen = blocks.starts[:, None] + (u[..., 0] * blocks.counts[:, None]).astype(int)
+    shift = (u[..., 0] * blocks.counts[:, None]) % 1.0
+    x = blocks.x[chosen] + blocks.size * (shift - 0.5)
+    y = blocks.y[chosen] + blocks.size * (u[..., 4] - 0.5)
+    beyond = np.maximum(np.hypot(x, y), 1.0) * (1.0 + 1e-9)
+    normal, view = camera.surface(x / beyond, y / beyond)
+    return normal, view, u
+
+
 def _half_vectors(u: Array, v: Array) -> Array:
     """Half vectors whose elevation grows with a power of u: dense around the normal, where mirrors reflect."""
     return from_spherical(0.5 * np.pi * u**_POWER, 2.0 * np.pi * v)
@@ -128,7 +137,7 @@ def _half_density(cos_theta_h: Array) -> Array:
     return np.where(theta < 0.5 * np.pi, 1.0 / (slope * np.sin(theta) * 2.0 * np.pi), 0.0)
 
 
-def _frames(normal: Array) -> Array:
+def frames(normal: Array) -> Array:
     """Orthonormal frames (..., 3, 3) whose last row is the normal."""
     helper = np.where(np.abs(normal[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     tangent = normalize(np.cross(helper, normal))

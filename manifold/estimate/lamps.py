@@ -1,0 +1,194 @@
+"""Lamps that light a photographed ball: discs in the camera's frame, far away or near.
+
+The frame is that of photometric stereo: x to the right, y up, z towards the camera. Photographs in the light of lamps
+are relative to a white diffuser that faces the lamp at its distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from manifold import disk
+from manifold.brdf.measured import BRDF
+from manifold.directions import normalize
+from manifold.errors import FileFormatError, UsageError
+from manifold.estimate.blocks import Blocks
+from manifold.estimate.pixels import Camera, frames, sampled_surface
+from manifold.records import Array
+
+SAMPLES = 24
+"""Points of a block that are lit."""
+
+_PICTURE_SAMPLES = 4  # points of a lamp's disc
+_RADIUS_DEG = 0.25  # of a lamp of which nothing else is known: that of the sun
+_LEAST_DISTANCE = 1.2  # radii of the ball
+_IRRADIANCE = np.pi  # which makes a white diffuser that faces the lamp 1
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A disc that faces the ball.
+
+    Attributes:
+        direction: to its middle, unit vector (3,) in the camera's frame.
+        distance: from the middle of the ball, in its radii.
+        colour: of its light, relative, in the channels of the camera, shape (3,).
+        radius_deg: seen from the ball.
+    """
+
+    direction: Array
+    distance: float = np.inf
+    colour: Array = field(default_factory=lambda: np.ones(3))
+    radius_deg: float = _RADIUS_DEG
+
+    def __str__(self) -> str:
+        at = ",".join(f"{v:.3f}" for v in self.direction)
+        return at if np.isinf(self.distance) else f"{at},{self.distance:.3g}"
+
+    @classmethod
+    def towards(cls, vector: Array, distance: float = np.inf, colour: Array | None = None) -> Lamp:
+        """A lamp in a direction (3,) of any length.
+
+        Raises:
+            UsageError: the direction is zero or not finite, or the lamp would touch the ball.
+        """
+        vector = np.asarray(vector, dtype=np.float64)
+        length = float(np.linalg.norm(vector))
+        if not (np.isfinite(length) and length > 0.0):
+            raise UsageError(f"a lamp at {','.join(f'{v:g}' for v in vector)}, expected a direction")
+        if not distance >= _LEAST_DISTANCE:
+            raise UsageError(f"a lamp at {distance:g} radii of the ball, expected {_LEAST_DISTANCE} or more")
+        return cls(vector / length, distance, np.ones(3) if colour is None else colour)
+
+
+def parse_lamp(text: str) -> list[Lamp]:
+    """The lamps of `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or a file of these, a line for every photograph.
+
+    Raises:
+        UsageError: the text is none of these.
+        FileFormatError: a line of the file is no direction.
+    """
+    if text == "flash":
+        return [Lamp(np.array([0.0, 0.0, 1.0]))]
+    if Path(text).is_file():
+        return read_lamps(Path(text))
+    numbers = _numbers(text.split(","))
+    if numbers is None or len(numbers) not in (3, 4):
+        raise UsageError(
+            f"lamp '{text}', expected X,Y,Z to the right, up and towards the camera, with a distance in radii of the "
+            "ball where it is near, such as 0.5,0.5,1 or 0,1,1,8; or a file of such lines, flash, or found"
+        )
+    return [Lamp.towards(np.array(numbers[:3]), numbers[3] if numbers[3:] else np.inf)]
+
+
+def read_lamps(path: Path) -> list[Lamp]:
+    """Lamps of a text file, a line each: direction, and intensity in one channel or three, if it is known.
+
+    A first line of one number is how many follow, as sets of photometric stereo have it.
+
+    Raises:
+        UsageError: the file cannot be read.
+        FileFormatError: a line is no direction.
+    """
+    text = disk.read_text(path, advice="name a text of lines X Y Z")
+    rows = [
+        (n, line.replace(",", " ").split())
+        for n, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if rows and len(rows[0][1]) == 1 and rows[0][1][0] == str(len(rows) - 1):
+        rows = rows[1:]
+    lamps = []
+    for n, cells in rows:
+        numbers = _numbers(cells)
+        if numbers is None or len(numbers) not in (3, 4, 6):
+            raise FileFormatError(
+                f"{path}, line {n}: found '{' '.join(cells)[:40]}', expected X Y Z, and one intensity or three"
+            )
+        colour = np.broadcast_to(numbers[3:], (3,)) if numbers[3:] else np.ones(3)
+        if not np.all(colour > 0.0):
+            raise FileFormatError(f"{path}, line {n}: an intensity that is not above 0")
+        lamps.append(Lamp.towards(np.array(numbers[:3]), colour=np.array(colour)))
+    if not lamps:
+        raise FileFormatError(f"{path}: no lamps, expected lines X Y Z")
+    return lamps
+
+
+def _numbers(cells: Sequence[str]) -> list[float] | None:
+    try:
+        numbers = [float(cell) for cell in cells]
+    except ValueError:
+        return None
+    return numbers if np.isfinite(numbers).all() else None
+
+
+def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[Array, Array, Array]:
+    """Direction pairs that light blocks, and the light from there, as `pixels.direction_pairs` has them.
+
+    A block's value is the mean over `SAMPLES` of its points, each lit by every lamp from one point of its disc.
+    """
+    normal, view, u = sampled_surface(blocks, camera, SAMPLES)
+    frame = frames(normal)
+    wi = np.einsum("ksij,ksj->ksi", frame, view)
+    parts = [lit(normal, frame, camera, lamp, u[..., 1:3]) for lamp in lamps]
+    wo = np.concatenate([part[0] for part in parts], axis=1)
+    light = np.concatenate([part[1] for part in parts], axis=1) / SAMPLES
+    return np.tile(wi, (1, len(lamps), 1)), wo, light
+
+
+def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tuple[Array, Array]:
+    """Directions (..., 3) in frames of the surface to points of a lamp's disc, and irradiance from there (..., 3).
+
+    Args:
+        normal: of points of the ball, in the world, shape (..., 3).
+        frame: there, shape (..., 3, 3).
+        camera: in whose frame the lamp stands.
+        lamp: the lamp.
+        u: in [0, 1), shape (..., 2).
+    """
+    axis = lamp.direction @ np.array(camera.axes)
+    towards = np.broadcast_to(axis, normal.shape)
+    falloff: Array | float = 1.0
+    if np.isfinite(lamp.distance):
+        away = lamp.distance * axis - normal
+        length = np.linalg.norm(away, axis=-1, keepdims=True)
+        towards, falloff = away / length, (lamp.distance / length[..., 0]) ** 2
+    radius = np.tan(np.deg2rad(lamp.radius_deg)) * np.sqrt(u[..., :1])
+    angle = 2.0 * np.pi * u[..., 1:]
+    across = frames(towards)
+    towards = normalize(
+        towards + radius * (np.cos(angle) * across[..., 0, :] + np.sin(angle) * across[..., 1, :])
+    )
+    wo = np.einsum("...ij,...j->...i", frame, towards)
+    is_lit = wo[..., 2] > 1e-6
+    power = np.where(is_lit, _IRRADIANCE * wo[..., 2] * falloff, 0.0)
+    return np.where(is_lit[..., None], wo, [0.0, 0.0, 1.0]), power[..., None] * lamp.colour
+
+
+def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
+    """A ball under lamps as its camera sees it, shape (size, size, B), black beside it.
+
+    Args:
+        brdf: of the ball.
+        camera, lamps: as of `lamp_pairs`; colours are left out.
+        size: pixels a side.
+        margin: around the ball, in radii.
+    """
+    across = (1.0 + margin) * (2.0 * (np.arange(size) + 0.5) / size - 1.0)
+    x, y = np.meshgrid(across, -across)
+    inside = np.hypot(x, y) < 1.0
+    normal, view = camera.surface(x[inside], y[inside])
+    frame = frames(normal)
+    wi = np.einsum("kij,kj->ki", frame, view)
+    picture = np.zeros((size, size, brdf.bands.count))
+    u = np.random.default_rng(0).random((_PICTURE_SAMPLES, len(normal), 2))
+    for lamp in lamps:
+        for part in u:
+            wo, light = lit(normal, frame, camera, lamp, part)
+            values = np.maximum(brdf.eval(wi, wo), 0.0) * light.mean(axis=1, keepdims=True)
+            picture[inside] += values / len(u)
+    return picture

@@ -1,0 +1,265 @@
+"""The ball as its own light probe: its outline and the lamps of photographs, from its highlights and shading.
+
+Circle, lamps, gains of pictures, a Lambertian and one GGX lobe are fitted to the pixels together. That the lobe is not
+the material's matters little: lamps follow from where pixels are bright, not from how bright.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
+
+from manifold.colour.conversion import encode_srgb
+from manifold.errors import UsageError
+from manifold.estimate.blocks import reduced
+from manifold.estimate.circle import Circle, find_circle
+from manifold.estimate.lamps import Lamp
+from manifold.estimate.photo_files import Photograph
+from manifold.records import Array, Mask
+
+_SIDES = (24, 64)  # pixels across a ball that are compared, to choose a start and to refine it
+_RIM = 0.95  # of the radius
+_SEARCHED = 800  # pixels of the longer side in which the outline is sought
+_FLATNESS = (
+    0.3  # standard deviation of the log exponent of the cosine: rough matte materials have less than 1
+)
+_OUTLINE = 0.003  # standard deviation of the outline that was found, in radii; pictures err alike
+_NOISE = 0.03  # of cube roots, relative to the picture's largest: where residuals stop to count in full
+_INDEPENDENT = 30.0  # pixels of a picture whose residuals are independent
+_LARGEST_RESIDUAL = 0.12  # of cube roots, relative: beyond, no lamp explains a picture
+_BRIGHT = 0.995  # quantile of pixels that are taken for a highlight
+_LOBES = (0.1, 0.35)  # alphas from which the fit starts
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """What photographs of one ball say of their light.
+
+    Attributes:
+        circle: the outline, alike in all.
+        lamps: of every photograph.
+        gains: of every photograph, relative to the first.
+        lamp_deg: standard deviation of every lamp's direction, in degrees.
+        circle_error: standard deviation of centre and radius, in radii.
+        residual: of every photograph's cube roots, relative.
+    """
+
+    circle: Circle
+    lamps: tuple[Lamp, ...]
+    gains: tuple[float, ...]
+    lamp_deg: tuple[float, ...]
+    circle_error: float
+    residual: tuple[float, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was found, and how well, in sentences."""
+        shown = "; ".join(
+            f"{lamp} +- {off:.1f} degrees" for lamp, off in zip(self.lamps, self.lamp_deg, strict=True)
+        )
+        return (f"lamps found: {shown}; outline within {100.0 * self.circle_error:.1f} % of the radius",)
+
+
+def find_light(photographs: Sequence[Photograph], circle: Circle | None = None) -> Probe:
+    """The outline of a ball that stays where it is, and the one lamp of every photograph.
+
+    Args:
+        photographs: of one size.
+        circle: the outline, where it is known nearly; it is refined.
+    Raises:
+        UsageError: the pictures differ in size, no ball is found, or no lamp explains a picture, which is named.
+    """
+    sizes = {one.values.shape[:2] for one in photographs}
+    if len(sizes) > 1:
+        raise UsageError(
+            "photographs of different sizes, expected one camera that stays where it is to find lamps; give the lamps"
+        )
+    if circle is None:
+        circle = circle_in(photographs)
+    coarse, pixels = (_Pixels.of(photographs, circle, side) for side in _SIDES)
+    tried = [coarse.fitted(coarse.start(lamps, alpha)) for lamps in coarse.lamps() for alpha in _LOBES]
+    best = pixels.fitted(min(tried, key=lambda fit: fit.cost).x)
+    return pixels.probe(best, [one.path for one in photographs])
+
+
+def circle_in(photographs: Sequence[Photograph]) -> Circle:
+    """The outline of a ball in photographs of one size: of their maximum, which no terminator cuts where lamps differ.
+
+    Raises:
+        UsageError: there is none.
+    """
+    largest = np.max([np.nan_to_num(one.values) for one in photographs], axis=0)
+    factor = max(1, max(largest.shape[:2]) // _SEARCHED)
+    shown = reduced(largest, factor)
+    shown = shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny)
+    return find_circle(encode_srgb(shown), str(photographs[0].path)).scaled(factor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    x: Array
+    cost: float
+    jacobian: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """Grey pixels of P photographs that are compared: cube roots relative to the largest of each."""
+
+    circle: Circle
+    columns: Array
+    rows: Array
+    roots: Array
+    is_clipped: Mask
+    is_seen: Mask
+    levels: Array
+
+    @classmethod
+    def of(cls, photographs: Sequence[Photograph], circle: Circle, side: int) -> _Pixels:
+        """Evenly spaced pixels within the outline, each a mean over its neighbourhood."""
+        step = max(2.0 * circle.radius / side, 1.0)
+        across = np.arange(-circle.radius, circle.radius, step)
+        x, y = (grid.ravel() for grid in np.meshgrid(across, across))
+        inside = np.hypot(x, y) < _RIM * circle.radius
+        height, width = photographs[0].values.shape[:2]
+        columns, rows = circle.x + x[inside], circle.y + y[inside]
+        in_picture = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        columns, rows = columns[in_picture], rows[in_picture]
+        j, i = columns.astype(int), rows.astype(int)
+        roots, clipped, seen, levels = [], [], [], []
+        for one in photographs:
+            grey = one.values.mean(axis=2)
+            is_seen = np.isfinite(grey)
+            grey = np.where(is_seen, np.maximum(grey, 0.0), 0.0)
+            if step > 1.5:
+                grey = gaussian_filter(grey, 0.4 * step)
+            level = float(np.quantile(grey[i, j], _BRIGHT))
+            if not level > 0.0:
+                raise UsageError(f"{one.path}: the ball at {circle} is black, expected a lamp")
+            levels.append(level)
+            roots.append(np.cbrt(grey[i, j] / level))
+            clipped.append(one.is_clipped[i, j])
+            seen.append(is_seen[i, j])
+        return cls(
+            circle, columns, rows, np.array(roots), np.array(clipped), np.array(seen), np.array(levels)
+        )
+
+    def lamps(self) -> list[Array]:
+        """Directions of the lamps (P, 3) where the brightest pixels are a highlight, and where they face the lamp."""
+        n = self._normals(np.zeros(3))
+        bright = np.array(
+            [
+                np.mean(n[row >= np.quantile(row, _BRIGHT)], axis=0)
+                for row in np.where(self.is_seen, self.roots, 0.0)
+            ]
+        )
+        bright /= np.linalg.norm(bright, axis=1, keepdims=True)
+        mirrored = 2.0 * bright[:, 2:] * bright - [0.0, 0.0, 1.0]
+        return [mirrored, bright]
+
+    def _normals(self, shift: Array) -> Array:
+        """Normals (M, 3) of a far camera's pixels for an outline that is moved and grown by shares of its radius."""
+        radius = self.circle.radius * (1.0 + shift[2])
+        x = (self.columns - self.circle.x - shift[0] * self.circle.radius) / radius
+        y = (self.circle.y - self.rows - shift[1] * self.circle.radius) / radius
+        r = np.maximum(np.hypot(x, y), 1.0)
+        x, y = x / r, y / r
+        return np.stack([x, y, np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=1)
+
+    def _split(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        P = len(self.roots)
+        return x[:3], x[3:7], x[7 : 7 + 2 * P].reshape(P, 2), x[7 + 2 * P :]
+
+    def predicted(self, x: Array) -> Array:
+        """Cube roots (P, M) of an outline (3), a material (4), lamps (P, 2) and gains (P)."""
+        shift, (diffuse, flatness, specular, log_alpha), slopes, gains = self._split(x)
+        n = self._normals(shift)
+        lamps = _directions(slopes)
+        cos_lamp = np.maximum(n @ lamps.T, 0.0)
+        half = lamps + np.array([0.0, 0.0, 1.0])
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        a2 = np.exp(2.0 * log_alpha)
+        cos_half = np.clip(n @ half.T, 0.0, 1.0)
+        lobe = a2 / (cos_half**2 * (a2 - 1.0) + 1.0) ** 2 / np.maximum(4.0 * n[:, 2:], 0.1)
+        shading = np.exp(diffuse) * cos_lamp ** np.exp(flatness) + np.exp(specular) * lobe * (cos_lamp > 0.0)
+        return np.asarray(np.cbrt(shading * np.exp(gains) + 1e-6).T)
+
+    def start(self, lamps: Array, alpha: float) -> Array:
+        """Parameters from directions of lamps (P, 3) and roughness."""
+        return np.concatenate(
+            [np.zeros(3), [0.0, 0.0, -3.0, np.log(alpha)], _slopes(lamps).ravel(), np.zeros(len(lamps))]
+        )
+
+    def fitted(self, start: Array) -> _Fit:
+        """The fit from some parameters."""
+        P, M = self.roots.shape
+        scale = np.sqrt(_INDEPENDENT / M) / _NOISE
+
+        def residuals(x: Array) -> Array:
+            off = self.predicted(x) - self.roots
+            off = np.where(self.is_clipped, np.minimum(off, 0.0), off)
+            off = np.where(self.is_seen, off, 0.0) * scale
+            # Gains and the material have one factor in common.
+            return np.concatenate(
+                [
+                    off.ravel(),
+                    np.sqrt(P) * x[:3] / _OUTLINE,
+                    [np.sum(x[-P:]), x[4] / _FLATNESS],
+                    (x[5:7] - start[5:7]) / 3.0,
+                ]
+            )
+
+        depends = np.zeros((P * M + 7, len(start)))
+        depends[:, :7] = depends[P * M :] = 1.0
+        for p in range(P):
+            depends[p * M : (p + 1) * M, [7 + 2 * p, 8 + 2 * p, 7 + 2 * P + p]] = 1.0
+        found = least_squares(
+            residuals, start, loss="soft_l1", x_scale="jac", jac_sparsity=depends, max_nfev=60
+        )
+        return _Fit(found.x, float(found.cost), found.jac.toarray())
+
+    def probe(self, fit: _Fit, paths: Sequence[Path]) -> Probe:
+        """What a fit says.
+
+        Raises:
+            UsageError: it does not explain a picture.
+        """
+        shift, _, slopes, gains = self._split(fit.x)
+        off = self.predicted(fit.x) - self.roots
+        off = np.where(self.is_clipped, np.minimum(off, 0.0), off) * self.is_seen
+        residual = np.sqrt(
+            np.sum(off**2, axis=1) / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12)
+        )
+        lost = [str(path.name) for path, one in zip(paths, residual, strict=True) if one > _LARGEST_RESIDUAL]
+        if lost:
+            raise UsageError(
+                f"{', '.join(lost)}: no single lamp explains the ball (residual {residual.max():.0%}, expected at most "
+                f"{_LARGEST_RESIDUAL:.0%}); give its --circle, or the lamp by --lamp X,Y,Z or the light by --light"
+            )
+        covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian)
+        deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        circle, radius = self.circle, self.circle.radius
+        found = Circle(circle.x + shift[0] * radius, circle.y + shift[1] * radius, radius * (1.0 + shift[2]))
+        of_lamps = _directions(slopes)
+        # A step of the parameters turns the lamp by about as much in radians: see `_directions`.
+        degrees = np.rad2deg(np.hypot(*self._split(deviation)[2].T))
+        strength = np.exp(gains) * self.levels
+        return Probe(
+            found, tuple(Lamp(direction) for direction in of_lamps), tuple((strength / strength[0]).tolist()),
+            tuple(degrees.tolist()), float(np.linalg.norm(deviation[:3])), tuple(residual.tolist()),
+        )  # fmt: skip
+
+
+def _directions(slopes: Array) -> Array:
+    """Unit vectors (P, 3) of the halves of their angles from the camera, stereographic: (P, 2)."""
+    square = np.sum(slopes**2, axis=1, keepdims=True) / 4.0
+    return np.hstack([slopes / (1.0 + square), (1.0 - square) / (1.0 + square)])
+
+
+def _slopes(directions: Array) -> Array:
+    return np.asarray(2.0 * directions[:, :2] / np.maximum(1.0 + directions[:, 2:], 1e-3))

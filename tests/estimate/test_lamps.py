@@ -1,0 +1,100 @@
+"""Lamps of photographed balls: given, in files, and found in the pictures."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic
+from manifold.errors import ManifoldError, UsageError
+from manifold.estimate.blocks import blocks_of
+from manifold.estimate.circle import Circle
+from manifold.estimate.lamps import Lamp, lamp_pairs, lamp_picture, parse_lamp
+from manifold.estimate.light_probe import find_light
+from manifold.estimate.photo_files import Photograph
+from manifold.estimate.photographs import PhotoRequest, see
+from manifold.estimate.pixels import Camera, block_sums
+from manifold.records import Bands
+
+PAINT = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))
+SIZE, MARGIN = 128, 0.25
+CIRCLE = Circle(SIZE / 2, SIZE / 2, SIZE / 2 / (1.0 + MARGIN))
+DIRECTIONS = np.array([[0.5, 0.4, 0.8], [-0.6, 0.2, 0.7], [0.1, 0.7, 0.6]])
+
+
+def photograph(direction, gain=1.0):
+    lamp = Lamp.towards(direction)
+    made = gain * lamp_picture(PAINT, Camera(), [lamp], SIZE, MARGIN)
+    clipped = (made > 1.0).any(axis=2)
+    return Photograph(Path("made"), np.minimum(made, 1.0).astype(np.float32), clipped)
+
+
+def test_a_white_diffuser_that_faces_the_lamp_is_one():
+    picture = photograph([0.0, 0.0, 1.0])
+    blocks = blocks_of(picture, CIRCLE)
+    wi, wo, light = lamp_pairs(blocks, Camera(), [Lamp(np.array([0.0, 0.0, 1.0]))])
+    sums = block_sums(lambda a, b: np.full((1, len(a)), 1.0 / np.pi), wi, wo, light)[0, 0]
+    means = np.add.reduceat(np.sqrt(1.0 - blocks.x**2 - blocks.y**2), blocks.starts) / blocks.counts
+    np.testing.assert_allclose(sums, means, atol=0.03)  # 24 points of a block
+    assert np.mean(sums - means) == pytest.approx(0.0, abs=0.002)
+
+
+def test_a_near_lamp_lights_the_near_side_more():
+    blocks = blocks_of(photograph([0.0, 0.0, 1.0]), CIRCLE)
+    near, far = (
+        lamp_pairs(blocks, Camera(), [Lamp.towards(np.array([0.0, 0.0, 1.0]), distance)])[2].sum(axis=(1, 2))
+        for distance in (3.0, np.inf)
+    )
+    middle = np.hypot(blocks.x[blocks.starts], blocks.y[blocks.starts]).argmin()
+    assert near[middle] / far[middle] == pytest.approx((3.0 / 2.0) ** 2, rel=0.02)
+
+
+def test_lamps_outline_and_gains_are_found_in_the_pictures():
+    gains = [1.0, 0.6, 1.5]
+    found = find_light([photograph(d, g) for d, g in zip(DIRECTIONS, gains, strict=True)])
+    assert np.hypot(found.circle.x - CIRCLE.x, found.circle.y - CIRCLE.y) < 0.02 * CIRCLE.radius
+    assert found.circle.radius == pytest.approx(CIRCLE.radius, rel=0.03)
+    for lamp, direction in zip(found.lamps, DIRECTIONS, strict=True):
+        assert np.rad2deg(np.arccos(lamp.direction @ direction / np.linalg.norm(direction))) < 4.0
+    np.testing.assert_allclose(found.gains, gains, rtol=0.1)
+
+
+def test_a_picture_that_no_lamp_explains_is_named():
+    stripes = np.broadcast_to((np.arange(SIZE) // 16 % 2)[:, None, None], (SIZE, SIZE, 3)).astype(np.float32)
+    bad = Photograph(Path("bad.png"), stripes, np.zeros((SIZE, SIZE), bool))
+    with pytest.raises(UsageError, match=r"bad\.png: no single lamp explains the ball"):
+        find_light([photograph(DIRECTIONS[0]), bad], CIRCLE)
+
+
+def test_lamps_are_read_from_text_and_files(tmp_path):
+    (tmp_path / "lights.txt").write_text("2\n0.4 0.5 0.8\n-1 0 1\n")
+    lamps = parse_lamp(str(tmp_path / "lights.txt"))
+    np.testing.assert_allclose(lamps[1].direction, np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0))
+    assert parse_lamp("0,1,1,8")[0].distance == 8.0
+    np.testing.assert_array_equal(parse_lamp("flash")[0].direction, [0.0, 0.0, 1.0])
+    for wrong in ("torch", "0,0,0", "1,2", "0,0,1,0.5"):
+        with pytest.raises(UsageError, match="expected"):
+            parse_lamp(wrong)
+    (tmp_path / "bad.txt").write_text("0 0\n")
+    with pytest.raises(ManifoldError, match="line 1"):
+        parse_lamp(str(tmp_path / "bad.txt"))
+
+
+def test_a_grey_card_gives_exposure_and_colour_of_the_lamp(tmp_path):
+    import OpenImageIO
+
+    picture = np.zeros((SIZE, SIZE, 3), np.float32)
+    picture[:] = photograph(DIRECTIONS[0]).values
+    cosine = DIRECTIONS[0, 2] / np.linalg.norm(DIRECTIONS[0])
+    picture[:10, :10] = 0.18 * cosine
+    colour = np.array([2.0, 1.0, 0.5], np.float32)
+    out = OpenImageIO.ImageOutput.create(str(tmp_path / "ball.exr"))
+    out.open(str(tmp_path / "ball.exr"), OpenImageIO.ImageSpec(SIZE, SIZE, 3, "float"))
+    out.write_image(picture * colour)
+    out.close()
+    circle, lamp = [str(CIRCLE)], ["0.5,0.4,0.8"]
+    (ball,) = see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,8,8,0.18"))
+    np.testing.assert_allclose(ball.photograph.values, picture, rtol=1e-3, atol=1e-5)
+    with pytest.raises(UsageError, match="corner and size in pixels"):
+        see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,800,8,0.18"))

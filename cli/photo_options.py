@@ -136,7 +136,7 @@ def photo_request(
         if exposure not in ("free", "each"):
             known = float(exposure)
     except ValueError:
-        raise UsageError(f"--exposure '{exposure}', expected a number above 0, free or each") from None
+        raise UsageError(f"--exposure '{exposure}', expected a number above 0, each or free") from None
     far = float("inf") if distance is None else distance
     return PhotoRequest(
         photo, light or (), circle or (), turn or (0.0,), elevation, far, known, camera, lamp or (), exposure == "each",

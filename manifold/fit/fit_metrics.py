@@ -95,11 +95,12 @@ class BallDifference:
 
     @classmethod
     def between(cls, fitted: EvaluableBRDF, material: EvaluableBRDF) -> BallDifference:
-        """Of a fit and its material."""
+        """Of a fit and its material, each in its own bands."""
 
         def errors(lights: Panel) -> LookErrors:
-            f, f_star = (brdf.eval(lights.wi, lights.wo) for brdf in (fitted, material))
-            return lights.errors(f, f_star, material.bands)
+            return lights.compare(
+                *(lights.xyz(brdf.eval(lights.wi, lights.wo), brdf.bands) for brdf in (fitted, material))
+            )
 
         look = errors(panel.judged())
         seen = errors(panel.fitted()).ball

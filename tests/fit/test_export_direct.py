@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from manifold.analytic.ggx import GGX
+from manifold.analytic.microfacet import Plastic
 from manifold.fit import fit_samples
 from manifold.fit.exports import TARGETS, Principled, blender, gltf, openpbr, standard_surface
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.fit.fit_metrics import BallDifference
+from manifold.records import Bands
 
 TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)
 START = Principled((0.5, 0.5, 0.5), roughness=0.6, metallic=0.2)
@@ -145,3 +148,11 @@ def test_parameters_at_an_end_of_their_range_are_named():
         "ior 2",
     )
     assert at_bounds(target, plain | {"baseColorFactor": [1.0, 0.2, 0.1]}) == ("baseColorFactor 1",)
+
+
+def test_a_model_in_linear_srgb_is_compared_with_a_spectral_material():
+    bands = Bands(tuple(np.linspace(400.0, 700.0, 31)))
+    grey = {
+        axis: Plastic(GGX.isotropic(0.3), np.array(1.5), np.array(0.4), axis) for axis in (Bands(None), bands)
+    }
+    assert BallDifference.between(grey[Bands(None)], grey[bands]).unseen_light < 0.5

@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
-from manifold.colour.conversion import decode_srgb, to_srgb
+from manifold.colour.conversion import decode_srgb, file_to_srgb, to_srgb
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.fit_metrics import BallDifference
-from manifold.io_rgl import read_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.images import read_display, write_display
@@ -49,9 +49,11 @@ def printed(tmp_path_factory, library):
 
 
 @pytest.fixture(scope="module")
-def mean(printed):
-    """The file of the mean."""
-    return printed[1] / "twin.bsdf"
+def mean(printed, tmp_path_factory):
+    """The file of the mean in linear sRGB; the readings' is spectral."""
+    path = tmp_path_factory.mktemp("mean") / "twin_rgb.bsdf"
+    write_bsdf(path, file_to_srgb(read_bsdf(printed[1] / "twin.bsdf")))
+    return path
 
 
 @pytest.fixture
@@ -152,7 +154,7 @@ def test_the_command_prints_and_writes_numbers(printed):
 
 @pytest.mark.skipif(not backend.is_available(), reason="needs Mitsuba")
 def test_mitsuba_loads_the_surface_s_document(printed):
-    mi = backend.mitsuba("rgb")
+    mi = backend.mitsuba("spectral")
     if "scalar" in mi.variant():
         pytest.skip("the plugin needs an LLVM variant")
     preview.bsdf.register()

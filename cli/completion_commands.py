@@ -99,8 +99,8 @@ def complete(
             "diffuse base is made otherwise, which reaches both.",
         ),
     ] = False,
-    illuminant: options.IlluminantOption = "D65",
-    observer: options.ObserverOption = 2,
+    illuminant: options.IlluminantOption = None,
+    observer: options.ObserverOption = None,
     photo: photo_options.PhotoOption = None,
     light: photo_options.LightOption = None,
     circle: photo_options.CircleOption = None,
@@ -158,7 +158,7 @@ def complete(
         raise UsageError("--mixture goes with --lab; leave it out")
 
     def parsed(text: str) -> Array:
-        return completions.parse_lab(text, illuminant, observer)
+        return completions.parse_lab(text, options.viewing_of(illuminant, observer))
 
     if photo:
         if suggest:
@@ -199,7 +199,7 @@ def complete(
         if Path(lab).is_file():
             from manifold.many import tasks
 
-            colours = coat.read_colours(Path(lab), units, illuminant, observer)
+            colours = coat.read_colours(Path(lab), units, options.viewing_of(illuminant, observer))
             batch = tasks.coats_in(folder_or_default(output, "completions", f"{len(colours)} colours"))
             made_of = tasks.complete_colours(
                 colours, library, batch, is_mixture=mixture, options=written,
@@ -260,6 +260,7 @@ def complete(
             else completions.read_sample(samples[0], correction, units)
         )
         target = or_default(output, completions.file_name(taken))
+    taken = replace(taken, viewing=options.viewing_of(illuminant, observer, taken.viewing))
     if repeatability is not None:
         taken = replace(taken, repeatability=repeatability / 100.0)
     ball = checked(target.with_suffix(".png"), "picture") if picture else None
@@ -410,8 +411,8 @@ def _colours_at(found: Completion) -> dict[str, str]:
     wi, wo = found.readings.wi[most], found.readings.wo[most]
     angles = " and ".join(f"{math.degrees(math.acos(min(w[2], 1.0))):.0f}" for w in (wi, wo))
     return {
-        "colours at the readings": f"off by CIEDE2000 {off.mean():.2f} in the mean, at most {off[most]:.2f} "
-        f"(at {angles} degrees)"
+        "colours at the readings": f"off by CIEDE2000 ({found.viewing}) {off.mean():.2f} in the mean, at most "
+        f"{off[most]:.2f} (at {angles} degrees)"
     }
 
 

@@ -335,8 +335,8 @@ def find(
             metavar="L,a,b|FILE",
         ),
     ] = None,
-    illuminant: options.IlluminantOption = "D65",
-    observer: options.ObserverOption = 2,
+    illuminant: options.IlluminantOption = None,
+    observer: options.ObserverOption = None,
     gloss: Annotated[
         list[str] | None,
         typer.Option(help="Gloss units at 20, 60 or 85 degrees; may be repeated.", metavar="60=UNITS"),
@@ -363,12 +363,13 @@ def find(
             + ("nothing" if material is None else "both kinds")
         )
     results = terminal.Results(json)
+    viewing = options.viewing_of(illuminant, observer)
     units = completions.parse_gloss(gloss or [])
     opened = Library(library)
     if lab is not None and Path(lab).is_file():
         document = {}
         with progress.shown("Reading materials"):
-            colours = coat.read_colours(Path(lab), units, illuminant, observer)
+            colours = coat.read_colours(Path(lab), units, viewing)
             nearest = {one.name: finding.find(opened, one.lab, one.gloss)[:count] for one in colours}
         for name, some in nearest.items():
             results.text(f"{name}:\n")
@@ -380,7 +381,7 @@ def find(
         if material is not None:
             found = finding.find_like(opened, _sought(material, sample, model, library))
         else:
-            colour = None if lab is None else completions.parse_lab(lab, illuminant, observer)
+            colour = None if lab is None else completions.parse_lab(lab, viewing)
             found = finding.find(opened, colour, units)
     _show_found(results, found[:count])
     results.document({"found": [one.to_json() for one in found[:count]]})
@@ -403,7 +404,7 @@ def _show_found(results: terminal.Results, found: Sequence[Found]) -> None:
     angles = list(found[0].gloss) if found else []
     has_colour = bool(found) and found[0].ciede2000 is not None
     results.table(
-        ["material", "L", "a", "b", *(["CIEDE2000"] if has_colour else []), *(f"gloss {a:g}" for a in angles)],
+        ["material", "L (D65/2)", "a", "b", *(["CIEDE2000"] if has_colour else []), *(f"gloss {a:g}" for a in angles)],
         [
             (
                 one.name, *(f"{v:.1f}" for v in one.lab),

@@ -13,6 +13,7 @@ from manifold.errors import UsageError
 
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
+    from manifold.formats.readings import Viewing
     from manifold.model.colours import ColourChoice
 
 DEFAULT_LIBRARY = Path("library.zarr")
@@ -77,9 +78,19 @@ IncidencesOption = Annotated[
 SampleOption = Annotated[
     str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
 ]
-IlluminantOption = Annotated[str, typer.Option(help="Illuminant of --lab, such as D50 or A.", metavar="NAME")]
+IlluminantOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Illuminant of Lab values, such as D50 or A.  [default: that of the file, or D65]",
+        metavar="NAME",
+    ),
+]
 ObserverOption = Annotated[
-    int, typer.Option(help="Observer of --lab, in degrees: 2 (CIE 1931) or 10 (CIE 1964).", metavar="DEGREES")
+    int | None,
+    typer.Option(
+        help="Their observer in degrees: 2 (CIE 1931) or 10 (CIE 1964).  [default: that of the file, or 2]",
+        metavar="DEGREES",
+    ),
 ]
 UnitOption = Annotated[
     str | None,
@@ -88,6 +99,14 @@ UnitOption = Annotated[
         metavar="UNIT",
     ),
 ]
+
+
+def viewing_of(illuminant: str | None, observer: int | None, usual: Viewing | None = None) -> Viewing:
+    """Light and observer of Lab values; the usual ones, or D65/2, where none are given."""
+    from manifold.formats.readings import DAYLIGHT, Viewing
+
+    usual = usual or DAYLIGHT
+    return Viewing(illuminant or usual.illuminant, observer or usual.observer_deg)
 
 
 def output_option(help: str, metavar: str = "FILE") -> Any:

@@ -15,7 +15,8 @@ from manifold.colour.illuminants import Illuminant, illuminant_power
 from manifold.colour.reflectances import srgb_spectra
 from manifold.colour.tables import colour_science
 from manifold.directions import from_spherical
-from manifold.errors import ShapeError, UsageError
+from manifold.errors import ShapeError
+from manifold.formats.readings import DAYLIGHT, Viewing
 from manifold.metrics import spectral_angle
 from manifold.records import Array, Bands
 
@@ -68,26 +69,35 @@ def to_lab(xyz: Array, white: Array) -> Array:
     return np.asarray(colour_science().XYZ_to_Lab(np.asarray(xyz), white[:2] / np.sum(white)))
 
 
-def lab_under_d65(lab: Array, illuminant: str, observer_deg: int) -> Array:
-    """CIELAB (3,) under D65 and the 2 degree observer of what has a colour under another light, or to another observer.
+def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
+    """CIELAB (..., 3) of BRDF values (..., B) in 1/sr, taken as radiance factors; linear sRGB has that of D65/2.
+
+    Raises:
+        UsageError: there is no such illuminant or observer.
+    """
+    weights = xyz_weights(bands, *viewing)
+    return to_lab(np.pi * np.asarray(f) @ weights, weights.sum(axis=0))
+
+
+def lab_under_d65(lab: Array, viewing: Viewing) -> Array:
+    """CIELAB (..., 3) under D65 and the 2 degree observer of what has a colour under another light, or to another eye.
 
     Of all spectra of the colour, the one that is a combination of the smooth ones of the primaries is taken.
 
     Args:
-        lab: CIELAB under the illuminant, relative to its white, shape (3,).
-        illuminant: its name.
-        observer_deg: 2 or 10.
+        lab: CIELAB under the illuminant, relative to its white, shape (..., 3).
+        viewing: its light and observer.
     Raises:
         UsageError: there is no such illuminant or observer.
     Source: Mallett & Yuksel 2019, for the spectra.
     """
-    if observer_deg not in (2, 10):
-        raise UsageError(f"an observer of {observer_deg} degrees, expected 2 (CIE 1931) or 10 (CIE 1964)")
-    nm, weights = sensor_responses(Illuminant.named(illuminant), observer_deg)
+    if viewing == DAYLIGHT:
+        return np.asarray(lab, dtype=np.float64)
+    nm, weights = sensor_responses(Illuminant.named(viewing.illuminant), viewing.observer_deg)
     white = weights.sum(axis=0)
     xyz = np.asarray(colour_science().Lab_to_XYZ(lab, white[:2] / white.sum()))
     of_primaries = srgb_spectra(Bands(tuple(nm.tolist()))) @ weights
-    linear = np.linalg.solve(of_primaries.T, xyz)
+    linear = xyz @ np.linalg.inv(of_primaries)
     return to_lab(srgb_to_xyz(linear), srgb_to_xyz(np.ones(3)))
 
 

@@ -15,10 +15,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from manifold.colour.conversion import interpolation_matrix, to_xyz
-from manifold.colour.difference import delta_e_2000
+from manifold.colour.conversion import interpolation_matrix, to_xyz, xyz_to_srgb, xyz_weights
+from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_under_d65, lab_values
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.formats.readings import Readings
+from manifold.colour.tables import colour_science
+from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 from manifold.records import Array, Bands
 
 SPECTRUM = Bands(tuple(np.arange(400.0, 701.0, 10.0).tolist()))
@@ -43,7 +44,12 @@ def estimate_spectra(values: Array, bands: Bands) -> Array:
 
 
 def with_spectra(readings: Readings) -> Readings:
-    """Readings in three narrow bands as spectra, with a note of the expected error of their colours; others as is."""
+    """Readings in three narrow bands as spectra, with a note of the expected error of their colours; others as is.
+
+    Linear sRGB relative to another light than D65, or another observer, becomes relative to these.
+    """
+    if readings.wavelengths_nm is None and readings.viewing != DAYLIGHT:
+        return _in_daylight(readings)
     if not is_narrow(readings.bands):
         return readings
     values = np.full((len(readings), SPECTRUM.count), np.nan)
@@ -59,6 +65,30 @@ def with_spectra(readings: Readings) -> Readings:
         readings, wavelengths_nm=np.array(SPECTRUM.wavelengths_nm), values=values, colour_error=median
     )
     return estimated.with_note(note)
+
+
+def _in_daylight(readings: Readings) -> Readings:
+    lab = lab_values(readings.values, readings.bands)
+    white = xyz_weights(readings.bands).sum(axis=0)
+    seen = np.isfinite(lab).all(axis=1)
+    values = np.full_like(readings.values, np.nan)
+    xyz = colour_science().Lab_to_XYZ(lab_under_d65(lab[seen], readings.viewing), white[:2] / white.sum())
+    values[seen] = xyz_to_srgb(xyz) / np.pi
+    median, most = conversion_errors(readings.viewing)
+    note = (
+        f"colours under {readings.viewing} are converted to D65/2 as those of smooth spectra: expected colour error "
+        f"{median:.1f} CIEDE2000, above {most:.1f} for one colour in ten"
+    )
+    return replace(readings, values=values, viewing=DAYLIGHT, colour_error=median).with_note(note)
+
+
+@lru_cache(maxsize=8)
+def conversion_errors(viewing: Viewing) -> tuple[float, float]:
+    """Median and 90th percentile of the CIEDE2000 of colours of measured reflectances, converted to D65/2."""
+    f = _reflectances()[1] / np.pi
+    found = lab_under_d65(lab_values(f, SPECTRUM, viewing), viewing)
+    errors = delta_e_2000_lab(found, lab_values(f, SPECTRUM))
+    return float(np.median(errors)), float(np.percentile(errors, 90))
 
 
 @lru_cache(maxsize=8)

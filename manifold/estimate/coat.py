@@ -30,7 +30,7 @@ from manifold.estimate.completions import atoms_of, parse_lab
 from manifold.estimate.expected import KINDS, Calibration, cached, errors_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.samples import safe_name
-from manifold.formats.readings import gloss_fault
+from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
 from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
@@ -253,9 +253,7 @@ _SEPARATORS = re.compile(r"\s*[,;\t]\s*|\s+")
 _GLOSS_HEAD = re.compile(r"gloss[ _]?(\d+)", re.IGNORECASE)
 
 
-def read_colours(
-    path: Path, gloss: Mapping[float, float], illuminant: str = "D65", observer_deg: int = 2
-) -> list[ColourSample]:
+def read_colours(path: Path, gloss: Mapping[float, float], viewing: Viewing = DAYLIGHT) -> list[ColourSample]:
     """The colours of a text or CSV file, of which a line is `[name] L a b`.
 
     A first line of names may order the columns (`name`, `L`, `a`, `b`) and add gloss (`gloss_60`).
@@ -263,7 +261,7 @@ def read_colours(
     Args:
         path: of the file.
         gloss: of all samples, gloss units by angle in degrees; columns of gloss go before it.
-        illuminant, observer_deg: of the colours.
+        viewing: light and observer of the colours.
     Raises:
         UsageError: the file cannot be read, a colour is none, or there is no such illuminant or observer.
         FileFormatError: a line is no colour, or a name comes twice.
@@ -301,7 +299,7 @@ def read_colours(
             for column, cell in values.items()
             if (match := _GLOSS_HEAD.fullmatch(column))
         }
-        lab = parse_lab(",".join(values[column] for column in ("l", "a", "b")), illuminant, observer_deg)
+        lab = parse_lab(",".join(values[column] for column in ("l", "a", "b")), viewing)
         found[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
     if not found:
         raise FileFormatError(f"{path}: no colours, expected lines of name, L, a, b, such as red,50,60,40")

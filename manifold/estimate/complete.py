@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.measured import BRDF
-from manifold.colour.difference import colour_differences
+from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.band_mixtures import Hypotheses, band_mixtures
@@ -17,7 +17,7 @@ from manifold.estimate.gloss import GlossReadings, gloss_differences, gloss_unit
 from manifold.estimate.mixtures import ReadingRoots, posterior
 from manifold.estimate.reading_bands import bands_of, beyond, for_library, in_all_bands
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
-from manifold.formats.readings import Readings
+from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 from manifold.metrics import cosine_weight
 from manifold.model.estimator import explain
 from manifold.model.observation import Observation
@@ -179,12 +179,22 @@ class Completion:
 
     @cached_property
     def colour_misfits(self) -> Array | None:
-        """CIEDE2000 (D65, 2 degrees) between every reading and the completion there, (P,); None without colours."""
+        """CIEDE2000 (see `viewing`) between every reading and the completion there, (P,); None without colours."""
+        return None if self.colours is None else delta_e_2000_lab(*self.colours)
+
+    @property
+    def viewing(self) -> Viewing:
+        """Light and observer of `colours`."""
+        return DAYLIGHT if self.readings.bands.is_rgb else self.readings.viewing
+
+    @cached_property
+    def colours(self) -> tuple[Array, Array] | None:
+        """CIELAB of the readings and of the completion there, see `viewing`, (P, 3) each; None without colours."""
         bands = self.readings.bands
         if bands.count < 3 or ((nm := bands.wavelengths_nm) is not None and not nm[0] < _VISIBLE_NM < nm[-1]):
             return None
         read = np.maximum(np.where(self.readings.measured, self.readings.values, self.predicted), 0.0)
-        return colour_differences(read, self.predicted, bands, "D65")[0]
+        return lab_values(read, bands, self.viewing), lab_values(self.predicted, bands, self.viewing)
 
     @cached_property
     def residual_of_readings(self) -> float:

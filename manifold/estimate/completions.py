@@ -25,7 +25,7 @@ from manifold.estimate.instruments import correct_colours, learn_across, merge
 from manifold.estimate.samples import Sample, find_samples, safe_name
 from manifold.estimate.suggest import Suggested, directions_left, suggest
 from manifold.formats import registry
-from manifold.formats.readings import Readings, gloss_fault
+from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault
 from manifold.library.identity import alike
 from manifold.library.store import Library
 from manifold.model import diagnostics
@@ -82,6 +82,8 @@ class Completed:
             "instrument": made.readings.instrument,
             "readings": len(made.readings),
             "misfits": made.misfits.tolist(),
+            "viewing": str(made.viewing),
+            "lab": None if made.colours is None else [colour.tolist() for colour in made.colours],
             "misfits_ciede2000": None if made.colour_misfits is None else made.colour_misfits.tolist(),
             "repeatability": made.readings.repeatability,
             "residual": self.residual,
@@ -243,7 +245,7 @@ def _merged(
     return replace(merged, gloss={**merged.gloss, **gloss}), learned
 
 
-def parse_lab(text: str, illuminant: str = "D65", observer_deg: int = 2) -> Array:
+def parse_lab(text: str, viewing: Viewing = DAYLIGHT) -> Array:
     """The CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer.
 
     Raises:
@@ -256,9 +258,7 @@ def parse_lab(text: str, illuminant: str = "D65", observer_deg: int = 2) -> Arra
         lab = np.empty(0)
     if lab.shape != (3,) or not np.isfinite(lab).all() or not 0.0 <= lab[0] <= 100.0:
         raise UsageError(f"colour '{text}', expected L,a,b such as 50,20,10, with L from 0 to 100")
-    if (illuminant, observer_deg) == ("D65", 2):
-        return lab
-    return lab_under_d65(lab, illuminant, observer_deg)
+    return lab_under_d65(lab, viewing)
 
 
 def parse_gloss(texts: Iterable[str]) -> dict[float, float]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from manifold.formats.readings import GLOSS_ANGLES_DEG
+from manifold.formats.readings import GLOSS_ANGLES_DEG, Viewing
 from manifold.formats.text import ErrorContext
 
 Quantity = Literal["f", "f_cos", "factor"]
@@ -65,6 +65,11 @@ _NAMES = (
 )  # fmt: skip  # the best first
 _GLOSS_WORDS = {"gloss", "glanz", "gu", "deg", "degree", "degrees", "unit", "units", "value"}
 _USUAL_GLOSS_DEG = 60.0
+
+
+_OF_VIEWING = r"(?P<light>[A-Za-z]+[0-9]*)\s*/\s*(?P<deg>2|10)\s*°?"
+_VIEWING = re.compile(_OF_VIEWING)
+_LAB = re.compile(rf"(?P<axis>[Lab])\s*\*?\s*([(\[]\s*{_OF_VIEWING}\s*[)\]])?")
 
 
 class ValueHead(NamedTuple):
@@ -157,6 +162,36 @@ def gloss_angle(head: str) -> float | None:
         return None
     angle = numbers[0] if numbers else _USUAL_GLOSS_DEG
     return angle if angle in GLOSS_ANGLES_DEG else None
+
+
+class LabHead(NamedTuple):
+    """A head such as `L* (D65/10)`.
+
+    Attributes:
+        axis: `l`, `a` or `b`.
+        viewing: light and observer; None where it names none.
+    """
+
+    axis: str
+    viewing: Viewing | None
+
+
+def lab_head(head: str) -> LabHead | None:
+    """What the head of a column of CIELAB values says; None for others."""
+    found = _LAB.fullmatch(head.strip()) if len(head) <= _LONGEST else None
+    if found is None:
+        return None
+    return LabHead(found["axis"].lower(), None if found["light"] is None else _viewing(found))
+
+
+def viewing(text: str) -> Viewing | None:
+    """The light and the observer that a text such as `D65/10` is; None for others."""
+    found = _VIEWING.fullmatch(text.strip()) if len(text) <= _LONGEST else None
+    return None if found is None else _viewing(found)
+
+
+def _viewing(found: re.Match[str]) -> Viewing:
+    return Viewing(found["light"].upper(), int(found["deg"]))
 
 
 def plain_head(head: str) -> str:

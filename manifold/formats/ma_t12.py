@@ -20,7 +20,8 @@ import numpy as np
 
 from manifold import disk
 from manifold.errors import FileFormatError
-from manifold.formats.readings import MA_T12_NAMES, Readings
+from manifold.formats.column_heads import lab_head, viewing
+from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing
 from manifold.formats.tables import HEADERS, Cell, Columns, Table, find_columns, in_one_unit, read_table
 from manifold.formats.text import ErrorContext, read_bytes
 
@@ -50,6 +51,7 @@ def read(path: Path) -> list[Readings]:
     sheets = _sheets(workbook, context)
     instrument = _instrument(sheets)
     found = _tables(sheets, context)
+    seen_as = _viewing(sheets)
     readings = [
         (
             table.sheet,
@@ -61,7 +63,11 @@ def read(path: Path) -> list[Readings]:
     ]
     texture = _texture(sheets, data, workbook)
     return [
-        replace(one, texture=texture.get(one.name, texture.get("", {})))
+        replace(
+            one,
+            texture=texture.get(one.name, texture.get("", {})),
+            viewing=one.viewing if one.bands.is_rgb else seen_as,
+        )
         for one in in_one_unit(_named_apart(readings))
     ]
 
@@ -161,6 +167,16 @@ def _instrument(sheets: Mapping[str, list[list[Cell]]]) -> str:
                 if any(word in text.lower() for word in ("ma-t12", "mat12", "ma-t6", "ma9", "byk", "x-rite")):
                     return text.strip()[:60]
     return "multi-angle spectrophotometer (workbook)"
+
+
+def _viewing(sheets: Mapping[str, list[list[Cell]]]) -> Viewing:
+    """Light and observer of the workbook's own colours, which a title or the heads of its columns name."""
+    for rows in sheets.values():
+        for cell in (str(cell) for row in rows[:8] for cell in row if cell is not None):
+            lab = lab_head(cell)
+            if found := viewing(cell) or (lab and lab.viewing):
+                return found
+    return DAYLIGHT
 
 
 def _texture(

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,25 @@ MOST_GLOSS = {20.0: 2040.0, 60.0: 1000.0, 85.0: 162.0}
 """Gloss units of a mirror that reflects all light, by angle: 100 over the reflectance of glass of index 1.567."""
 
 
+class Viewing(NamedTuple):
+    """Light and eye of a colour.
+
+    Attributes:
+        illuminant: CIE's name of the light.
+        observer_deg: field of view of CIE's standard observer, 2 (1931) or 10 (1964).
+    """
+
+    illuminant: str = "D65"
+    observer_deg: int = 2
+
+    def __str__(self) -> str:
+        return f"{self.illuminant}/{self.observer_deg}"
+
+
+DAYLIGHT = Viewing()
+"""Of linear sRGB."""
+
+
 @dataclass(frozen=True, eq=False)
 class Readings:
     """What an instrument says of one sample. P direction pairs, B bands.
@@ -64,6 +83,7 @@ class Readings:
         gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees: 20, 60 or 85.
         repeatability: relative standard deviation of a value that is read again.
         assumed_unit: one of `UNITS`, as which values were taken that a file gives without a unit; else None.
+        viewing: of CIELAB values that are printed of spectra; of linear sRGB, that to which it is relative.
     """
 
     name: str
@@ -80,6 +100,7 @@ class Readings:
     colour_error: float = 0.0
     repeatability: float = REPEATABILITY
     assumed_unit: str | None = None
+    viewing: Viewing = DAYLIGHT
 
     def __post_init__(self) -> None:
         """Check shapes and values, and make arrays read-only.

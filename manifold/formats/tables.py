@@ -23,7 +23,7 @@ from manifold.formats.geometry_names import (
     parse_geometry,
     resolve,
 )
-from manifold.formats.readings import Readings, gloss_fault, mean_of_repeats
+from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault, mean_of_repeats
 from manifold.formats.text import ErrorContext, number, plain_float
 from manifold.formats.values import (
     TAKEN_AS_BRDF,
@@ -31,6 +31,7 @@ from manifold.formats.values import (
     TAKEN_AS_PERCENT,
     as_brdf,
     bands_of,
+    lab_to_linear_srgb,
     looks_like_percent,
     nanometres,
 )
@@ -42,6 +43,8 @@ HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (d
 
 _HEADER_ROWS = 60  # a header stands at the top, below titles
 _CONDITION = re.compile(r"M[0-3]\b")
+_LAB_AXES = "lab"
+_USUAL_VIEWING = Viewing("D65", 10)  # of instruments for coatings, where heads name none
 _BLACK_LAB = {"src_z", "src_a", "view_z", "view_a"}  # a program's heads; its values are reflectance factors
 
 
@@ -85,6 +88,7 @@ class Columns:
         name: the column of samples' names, if there is one.
         gloss: columns of gloss, with its angle in degrees.
         comments: lines of the file that may name a wavelength.
+        viewing: of CIELAB values, which are linear sRGB relative to it in these columns; None of other values.
     """
 
     row: int
@@ -95,6 +99,7 @@ class Columns:
     name: int | None
     gloss: dict[int, float]
     comments: tuple[str, ...] = ()
+    viewing: Viewing | None = None
 
     @property
     def band_heads(self) -> list[str]:
@@ -155,6 +160,17 @@ def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] |
         if wide is not table:
             table, heads = wide, [text_of(cell) for cell in wide.rows[index]]
             geometry = _geometry_column(table, index, heads)
+        is_named = names_directions(heads) or geometry is not None
+        if is_named and (lab := _lab_columns(heads)) is not None:
+            axes, seen = lab
+            table = _from_lab(table, index, axes)
+            heads = [text_of(cell) for cell in table.rows[index]]
+            columns = (
+                _direction_columns(table, index, heads, context)
+                if geometry is None
+                else _geometry_columns(table, index, heads, geometry, context, axes)
+            )
+            return table, replace(columns, viewing=seen)
         if names_directions(heads):
             return table, _direction_columns(table, index, heads, context)
         if geometry is not None and any(wavelength(head) for k, head in enumerate(heads) if k != geometry):
@@ -254,6 +270,35 @@ def _from_rows_of_bands(
     return Table([*table.rows[:index], head, *wide], table.sheet, place)
 
 
+def _lab_columns(heads: list[str]) -> tuple[list[int], Viewing] | None:
+    """The columns of CIELAB values in a header without bands, and their light and observer."""
+    said = {k: lab for k, head in enumerate(heads) if (lab := column_heads.lab_head(head)) is not None}
+    if any(wavelength(head) is not None for head in heads):
+        return None
+    for seen in dict.fromkeys(lab.viewing for lab in said.values()):
+        axes = {lab.axis: k for k, lab in said.items() if lab.viewing == seen}
+        if len(axes) == len(_LAB_AXES):
+            return [axes[axis] for axis in _LAB_AXES], seen or _USUAL_VIEWING
+    return None
+
+
+def _from_lab(table: Table, index: int, axes: list[int]) -> Table:
+    """The table with linear sRGB in place of CIELAB values; what is no colour stays as it is."""
+    rows: list[Sequence[Cell]] = list(table.rows[: index + 1])
+    made = list(rows[index])
+    for k, channel_name in zip(axes, "RGB", strict=True):
+        made[k] = channel_name
+    rows[index] = made
+    for row in range(index + 1, len(table.rows)):
+        cells = list(table.rows[row])
+        lab = [number(table.text(row, k)) for k in axes]
+        if None not in lab:
+            for k, value in zip(axes, lab_to_linear_srgb(np.array(lab, dtype=float)).tolist(), strict=True):
+                cells[k] = value
+        rows.append(cells)
+    return Table(rows, table.sheet, table.place)
+
+
 def _band(table: Table, row: int, column: int, context: ErrorContext) -> str:
     """The wavelength in a cell as the head of a band."""
     text = table.text(row, column)
@@ -288,9 +333,9 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
 
 
 def _geometry_columns(
-    table: Table, index: int, heads: list[str], geometry: int, context: ErrorContext
+    table: Table, index: int, heads: list[str], geometry: int, context: ErrorContext, lab: Sequence[int] = ()
 ) -> Columns:
-    bands = [k for k, head in enumerate(heads) if k != geometry and wavelength(head) is not None]
+    bands = [*lab] or [k for k, head in enumerate(heads) if k != geometry and wavelength(head) is not None]
     gloss = {
         k: angle for k, head in enumerate(heads) if k != geometry and (angle := gloss_angle(head)) is not None
     }
@@ -301,7 +346,7 @@ def _geometry_columns(
                 f"found '{heads[k][:24]}' among wavelengths, expected nm", table.where(index, k)
             )
     nm = [wavelength(heads[k]) for k in bands]
-    if len(set(nm)) < len(nm):
+    if not lab and len(set(nm)) < len(nm):
         raise context.error("two columns of the same wavelength, expected different ones", table.where(index))
     name = column_heads.name_column(["" if k in (geometry, *bands) else head for k, head in enumerate(heads)])
     return Columns(index, heads, {}, geometry, bands, name, gloss)
@@ -377,6 +422,9 @@ def read_table(
     kind = column_heads.quantity(columns.band_heads)
     if is_percent or (columns.geometry is None and set(columns.heads) >= _BLACK_LAB):
         kind = "factor"
+    if columns.viewing is not None:
+        kind = "factor"
+        notes.append(f"colours are read as CIELAB under {columns.viewing}, which says nothing of spectra")
     white, assumed = 100.0 if is_percent else 1.0, None
     if kind is None and columns.geometry is not None:
         kind = "factor"
@@ -391,6 +439,7 @@ def read_table(
         replace(
             _readings(key, instrument, sample, pairs[key], columns, kind or "f", white, notes, context),
             assumed_unit=assumed,
+            viewing=columns.viewing or DAYLIGHT,
         )
         for key, sample in samples.items()
     ]

@@ -124,6 +124,14 @@ def xyz_to_linear_srgb(xyz: Array) -> Array:
     return np.asarray(xyz) @ np.linalg.inv(matrix).T
 
 
+def lab_to_linear_srgb(lab: Array) -> Array:
+    """Linear sRGB (..., 3), relative to its white, of CIELAB (..., 3). Source: CIE 15."""
+    scaled = (lab[..., :1] + 16.0) / 116.0 + lab * [0.0, 1.0 / 500.0, -1.0 / 200.0]
+    f = np.stack([scaled[..., 1], scaled[..., 0], scaled[..., 2]], axis=-1)
+    relative = np.where(f > 6.0 / 29.0, f**3, 3.0 * (6.0 / 29.0) ** 2 * (f - 4.0 / 29.0))
+    return xyz_to_linear_srgb(relative * linear_srgb_to_xyz(np.ones(3)))
+
+
 def linear_srgb_to_xyz(rgb: Array) -> Array:
     """XYZ (..., 3) of linear sRGB; the inverse of `xyz_to_linear_srgb`."""
     return np.asarray(rgb) @ np.linalg.inv(xyz_to_linear_srgb(np.eye(3)))

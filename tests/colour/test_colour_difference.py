@@ -20,6 +20,7 @@ from manifold.colour.difference import (
 )
 from manifold.colour.illuminants import Illuminant, illuminant_power
 from manifold.errors import ShapeError, UsageError
+from manifold.formats.readings import Viewing
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.records import Bands
 
@@ -152,12 +153,12 @@ def test_a_colour_under_any_light_is_that_of_its_reflectance_under_d65(illuminan
     reflectance = 0.2 + 0.5 / (1.0 + np.exp((560.0 - nm) / 40.0))  # an orange
     of_d65 = sensor_responses(Illuminant.named("D65"))[1]
     lab, expected = (to_lab(reflectance @ w, w.sum(axis=0)) for w in (weights, of_d65))
-    found = delta_e_2000_lab(lab_under_d65(lab, illuminant, observer), expected)
+    found = delta_e_2000_lab(lab_under_d65(lab, Viewing(illuminant, observer)), expected)
     assert found < max(0.1, 0.5 * delta_e_2000_lab(lab, expected))  # what is left is metamerism
     white = np.array([100.0, 0.0, 0.0])
-    np.testing.assert_allclose(lab_under_d65(white, illuminant, observer), white, atol=0.05)
+    np.testing.assert_allclose(lab_under_d65(white, Viewing(illuminant, observer)), white, atol=0.05)
 
 
 def test_an_observer_that_is_none_is_refused():
     with pytest.raises(UsageError, match="an observer of 5 degrees, expected 2"):
-        lab_under_d65(np.array([50.0, 0.0, 0.0]), "D65", 5)
+        lab_under_d65(np.array([50.0, 0.0, 0.0]), Viewing("D65", 5))

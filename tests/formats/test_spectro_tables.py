@@ -12,10 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manifold.analytic.instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
+from manifold.colour.difference import lab_under_d65, lab_values
+from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import FileFormatError
 from manifold.formats import registry
 from manifold.formats.geometry_names import parse_aspecular, parse_geometry
-from manifold.formats.readings import MA_T12_NAMES
+from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Viewing
 
 SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
 FACTORS = np.pi * SPECTRO.values
@@ -378,3 +380,45 @@ def test_texture_and_flake_images_stay_with_the_readings(tmp_path, rng):
     assert found.texture["values"][0]["Coarseness"] > 1.0
     assert list(found.texture["images"]) == list(MA_T12_NAMES[6:])
     assert all(image.startswith(b"\x89PNG") for image in found.texture["images"].values())
+
+
+def lab_table(path, heads, rows):
+    """A CSV file of CIELAB values per geometry."""
+    lines = [",".join(["Name", "Geometry", *heads])]
+    lines += [",".join(["red", name, *(f"{v:.6f}" for v in lab)]) for name, lab in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("heads", "viewing"),
+    [
+        (("L* (D65/10)", "a* (D65/10)", "b* (D65/10)"), Viewing("D65", 10)),
+        (("L*(A/2°)", "a*(A/2°)", "b*(A/2°)"), Viewing("A", 2)),
+        (("L*", "a*", "b*"), Viewing("D65", 10)),
+        (("L", "a", "b"), Viewing("D65", 10)),
+    ],
+)
+def test_cielab_values_at_geometries_are_colours_under_their_light(heads, viewing, tmp_path, rng):
+    lab = rng.uniform([20.0, -40.0, -40.0], [90.0, 40.0, 40.0], (3, 3))
+    path = lab_table(tmp_path / "lab.csv", heads, zip(("15as15", "45as45", "45as110"), lab, strict=True))
+    (found,) = registry.read_all(path)
+    assert found.viewing == viewing
+    assert found.assumed_unit is None
+    # Relative to the white of D65/2 they are the same numbers.
+    np.testing.assert_allclose(lab_values(found.values, found.bands), lab, atol=1e-3)
+    daylight = with_spectra(found)
+    assert daylight.viewing == DAYLIGHT
+    np.testing.assert_allclose(
+        lab_values(daylight.values, found.bands), lab_under_d65(lab, viewing), atol=1e-3
+    )
+    assert 0.0 < daylight.colour_error < 5.0
+
+
+def test_spectra_keep_the_light_and_observer_of_their_workbooks_colours(tmp_path, rng):
+    path = tmp_path / "sample.xlsx"
+    write_ma_t12(path, smooth(MA_T12_BANDS), "seen", rng)
+    book = openpyxl.load_workbook(path)
+    book["Color Data"].append(["ILLUMINANT/OBSERVER:", "A/2"])
+    book.save(path)
+    assert registry.read_readings(path).viewing == Viewing("A", 2)

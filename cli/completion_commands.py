@@ -187,7 +187,7 @@ def complete(
                 "no file of readings; name one, or give --suggest K for the directions to measure first"
             )
         first = completions.suggest_first(library, suggest, instrument)
-        _show_suggested(results, first, "Measure first")
+        _show_suggested(results, first, "Measure first", instrument)
         results.document({"suggested_deg": first.angles_deg.tolist()})
         return
     if instrument is not None and not suggest:
@@ -273,6 +273,7 @@ def complete(
     results.rows(
         f"Completed {made.path}",
         {
+            "from": ", ".join(path.name for path in readings) if readings else "a colour",
             "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
             f"{found.readings.bands}",
             "expected error": _expected_words(made.expected),
@@ -309,7 +310,7 @@ def complete(
         ],
     )  # fmt: skip
     if made.suggested is not None:
-        _show_suggested(results, made.suggested, "\nMeasure next")
+        _show_suggested(results, made.suggested, "\nMeasure next", instrument)
     results.document(made.to_json())
 
 
@@ -416,8 +417,13 @@ def _colours_at(found: Completion) -> dict[str, str]:
     }
 
 
-def _show_suggested(results: terminal.Results, suggested: Suggested, title: str) -> None:
-    results.text(f"{title}, angles in degrees; azimuth 0 is on the side of the mirror direction:\n")
+def _show_suggested(
+    results: terminal.Results, suggested: Suggested, title: str, instrument: str | None
+) -> None:
+    of = instrument or "a goniometer up to 80 degrees (--instrument keeps to ma-t12 or mini-diff)"
+    results.text(
+        f"{title}, with {of}, angles in degrees; azimuth 0 is on the side of the mirror direction:\n"
+    )
     results.table(
         ("incidence", "outgoing", "azimuth"),
         [tuple(f"{angle:.0f}" for angle in row) for row in suggested.angles_deg],

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
 
 from manifold import progress
 from manifold.disk import matching
 from manifold.errors import ManifoldError
 from manifold.formats import registry
+from manifold.formats.readings import Readings
 from manifold.library.identity import alike
 from manifold.library.importing import find_files
+
+_SAME_INCIDENCE = 1e-3  # between unit vectors
 
 
 @dataclass(frozen=True)
@@ -61,13 +66,22 @@ def find_samples(sources: Iterable[Path]) -> list[Sample]:
         try:
             records = registry.read_all(path)
         except ManifoldError:  # which whatever completes it is told again
-            groups[str(path)] = [_Part(path, None, path.stem, "", 0)]
+            groups[str(path)] = [_Part(path, None, path.stem, "", 0, None)]
             continue
         for one in records:
             sample = one.name if len(records) > 1 else None
-            part = _Part(path, sample, one.name.strip(), one.instrument, one.bands.count)
+            part = _Part(
+                path, sample, one.name.strip(), one.instrument, one.bands.count, _only_incidence_deg(one)
+            )
             groups.setdefault(alike(part.name), []).append(part)
-    return [sample for parts in groups.values() for sample in _in_samples(parts)]
+    found = [sample for parts in groups.values() for sample in _in_samples(parts)]
+    lone = [parts[0] for parts in groups.values() if len(parts) == 1]
+    incidences = {part.incidence_deg for part in lone}
+    is_apart = len(found) == len(lone) == len(incidences) > 1 and None not in incidences
+    if is_apart and len({part.instrument for part in lone}) == 1:
+        note = f"{len(lone)} files have one incidence each, all different: --merge if they are of one sample"
+        return [replace(sample, note=note) for sample in found]
+    return found
 
 
 class _Part(NamedTuple):
@@ -78,6 +92,18 @@ class _Part(NamedTuple):
     name: str
     instrument: str
     bands: int
+    incidence_deg: float | None
+
+
+def _only_incidence_deg(record: registry.Record) -> float | None:
+    """The incidence of readings that have one, in degrees; None of others."""
+    if (
+        not isinstance(record, Readings)
+        or len(record) == 1
+        or np.ptp(record.wi, axis=0).max() > _SAME_INCIDENCE
+    ):
+        return None
+    return round(float(np.rad2deg(np.arccos(min(record.wi[0, 2], 1.0)))), 1)
 
 
 def _in_samples(parts: list[_Part]) -> list[Sample]:
@@ -90,7 +116,7 @@ def _in_samples(parts: list[_Part]) -> list[Sample]:
         spectral_first = sorted(parts, key=lambda part: -part.bands)  # others are corrected by it
         note = f"put together from {files}, in which the sample is named {name}"
         return [Sample(safe_name(name), tuple(part[:2] for part in spectral_first), note)]
-    note = f"{files} hold readings of {name} by one instrument: completed apart; merge them if they are of one sample"
+    note = f"{files} hold readings of {name} by one instrument: completed apart; --merge if they are of one sample"
     return [
         Sample(safe_name("_".join(filter(None, (part.path.stem, part.sample)))), (part[:2],), note)
         for part in parts

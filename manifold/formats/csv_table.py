@@ -17,7 +17,7 @@ import numpy as np
 
 from manifold import disk
 from manifold.directions import to_spherical
-from manifold.formats.column_heads import gloss_angle
+from manifold.formats.column_heads import gloss_angle, plain_head
 from manifold.formats.readings import Readings
 from manifold.formats.tables import (
     HEADERS,
@@ -27,6 +27,7 @@ from manifold.formats.tables import (
     names_directions,
     read_table,
     resembles_header,
+    text_of,
 )
 from manifold.formats.text import ErrorContext, decode, number, read_bytes
 from manifold.names import in_one_line
@@ -94,6 +95,14 @@ def _table(lines: list[str], context: ErrorContext) -> tuple[Table, Columns]:
     refusal = context.error("no header of a table of readings found")
     for separator in _SEPARATORS:
         head = Table([_cells(line, separator) for line in lines[:70]])
+        bare = next(
+            (row for row in head.rows if any(plain_head(text_of(c)).startswith("geometr") for c in row)), None
+        )
+        if bare is not None and len(bare) > 1:
+            shown = ", ".join(str(cell) for cell in bare)[:80]
+            refusal = context.error(
+                f"a header without values ({shown}), expected wavelengths or L*, a*, b* beside the geometry"
+            )
         found = find_columns(head, context)
         if found is not None and (separator is not None or found[1].geometry is None):
             table = Table([_row(line, separator, k, context) for k, line in enumerate(lines, start=1)])

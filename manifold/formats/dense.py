@@ -75,6 +75,12 @@ class DenseTable:
         if limit is not None and above.size > limit:
             above = above[np.linspace(0, above.size - 1, limit).astype(int)]
         rows = self.values.reshape(-1, self.values.shape[-1])[index[above]]
+        notes = self.notes
+        if limit is not None and above.size == limit:
+            notes += (
+                f"a dense table, of whose {int(np.isfinite(self.values).any(axis=-1).sum())} nodes {limit} are taken: "
+                "`manifold convert` keeps them all",
+            )
         return Readings(
             self.name,
             self.instrument,
@@ -82,6 +88,6 @@ class DenseTable:
             wo[above],
             self.wavelengths_nm,
             rows,
-            notes=self.notes,
+            notes=notes,
             repeatability=GONIOMETER,
         )

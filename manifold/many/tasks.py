@@ -41,6 +41,7 @@ _ERRORS: dict[str, Callable[[dict[str, Any]], Any]] = {
 def completions_in(folder: Path) -> Batch:
     """Completed samples."""
     columns: dict[str, Callable[[dict[str, Any]], Any]] = {
+        "from": lambda content: content.get("from"),
         "instrument": lambda content: content["instrument"],
         "readings": lambda content: content["readings"],
         **APPEARANCE,
@@ -98,7 +99,7 @@ def _complete(
     made = completions.complete_readings(
         readings, library, path, correction=learned, count=count, instrument=instrument, options=options
     )
-    return made.to_json() | appearance(path)
+    return made.to_json() | {"from": ", ".join(part.name for part, _ in sample.parts)} | appearance(path)
 
 
 def coats_in(folder: Path) -> Batch:

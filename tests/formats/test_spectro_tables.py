@@ -263,7 +263,7 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ("Name,Geometry,r,g,b\nx,45as15,120,100,90\n", "no header of a table of readings"),
+        ("Name,Geometry,r,g,b\nx,45as15,120,100,90\n", "a header without values .Name, Geometry, r, g, b."),
         ("Geometry,400,500,600\nd/8 SPIN,1,2,3\n", "found geometry 'd/8 SPIN', expected one such as 45as15"),
         ("Name,400,500,600\nA,1,2,3\n", "no header .* such as 'Name, Geometry, 400, 410'"),
         ("Name,Angle,400,500,600\nA,25,1,2,3\nA,45,1,2,3\nA,75,1,2,3\n", "45as25 ... or 25/0"),
@@ -298,6 +298,7 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         ("Geometry,400,410\n45as15,1\n", "row 2, column 3: the row ends after 2"),
         ("Geometry,400,410\n45as15,0,1,0,2\n", "decimal commas need quotes"),
         ("Geometry,400,410\n", "a header but no rows"),
+        ("Name,Geometry\nA,45as15\n", "a header without values .Name, Geometry., expected wavelengths or L"),
     ],
 )
 def test_tables_that_hold_no_reflectance_at_a_geometry_are_refused(table, words, tmp_path):

@@ -163,6 +163,16 @@ def test_two_files_of_one_name_and_instrument_stay_apart_and_say_so(tmp_path, rn
     assert all("by one instrument" in s.note for s in samples)
 
 
+def test_files_of_one_incidence_each_are_told_of_merging(tmp_path):
+    head = "theta_i (deg),phi_i (deg),theta_o (deg),phi_o (deg),R,G,B"
+    for incidence in (0, 30, 60):
+        rows = [f"{incidence},0,{elevation},180,0.1,0.2,0.3" for elevation in (10, 40, 70)]
+        (tmp_path / f"at_{incidence}.csv").write_text("\n".join([head, *rows]) + "\n")
+    assert all("--merge" in sample.note for sample in find_samples([tmp_path]))
+    (tmp_path / "again_60.csv").write_text((tmp_path / "at_60.csv").read_text())
+    assert all(sample.note is None for sample in find_samples([tmp_path]))
+
+
 def test_what_a_file_is_made_of_has_the_content_of_the_reflectance_and_not_its_path(tmp_path):
     model, spectrum = small_model(tmp_path), tmp_path / "green.txt"
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,8 +19,6 @@ from .outputs import checked, or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
-    from manifold.estimate.coat import Coated
-    from manifold.estimate.complete import Completion
     from manifold.estimate.suggest import Suggested
     from manifold.records import Array
 
@@ -120,6 +116,7 @@ def complete(
             help="Also render its ball, beside the file; of photographs, these beside their prediction.",
         ),
     ] = False,
+    report: options.ReportOption = None,
     suggest: Annotated[
         int,
         typer.Option(
@@ -142,7 +139,7 @@ def complete(
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
     samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept.
     """
-    from manifold.estimate import completions, inputs
+    from manifold.estimate import completions, inputs, reports
     from manifold.estimate.attributes import readings_of_colour
     from manifold.estimate.samples import find_samples
     from manifold.library.store import Library
@@ -154,6 +151,8 @@ def complete(
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
         )
+    if report is not None and (photo or not (readings or lab)):
+        raise UsageError("--report goes with readings or a colour; leave it out")
     if mixture and lab is None:
         raise UsageError("--mixture goes with --lab; leave it out")
 
@@ -199,6 +198,8 @@ def complete(
         if Path(lab).is_file():
             from manifold.many import tasks
 
+            if report is not None:
+                raise UsageError("--report goes with readings or one colour, found a list; leave it out")
             colours = coat.read_colours(Path(lab), units, options.viewing_of(illuminant, observer))
             batch = tasks.coats_in(folder_or_default(output, "completions", f"{len(colours)} colours"))
             made_of = tasks.complete_colours(
@@ -223,7 +224,11 @@ def complete(
                     renders.render(
                         FileSource(target), checked(target.with_suffix(".png"), "picture"), RenderSettings()
                     )
-            _show_coated(results, coated)
+            results.rows(f"Completed {coated.path}", coated.rows)
+            if report is not None:
+                reports.write_coat(report, coated)
+                results.text(f"  report: {report}\n")
+            results.document(coated.to_json())
             return
     if readings and sample is None and not merge and unit is None:
         with progress.shown("Reading files"):
@@ -242,7 +247,7 @@ def complete(
             inputs.require_apart(readings, batch.folder)
             outcomes = tasks.complete_all(
                 samples, library, batch, correction=correction, count=suggest, instrument=instrument,
-                options=written, workers=workers_of(processes, scheduler),
+                options=written, workers=workers_of(processes, scheduler), report=report,
             )  # fmt: skip
             if into is not None:
                 tasks.import_all(outcomes, into)
@@ -269,34 +274,11 @@ def complete(
             taken, library, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
             options=written,
         )  # fmt: skip
-    found = made.completion
-    results.rows(
-        f"Completed {made.path}",
-        {
-            "from": ", ".join(path.name for path in readings) if readings else "a colour",
-            "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
-            f"{found.readings.bands}",
-            "expected error": _expected_words(made.expected),
-            "residual of readings": f"{100 * made.residual:.1f} % in cube roots, "
-            f"at most {100 * max(found.misfits.max(), made.residual):.1f} %",
-            **_colours_at(found),
-            **(
-                {
-                    "gloss": [
-                        f"{found.gloss[a]:.3g} at {a:g} degrees, {u:g} given"
-                        for a, u in found.readings.gloss.items()
-                    ]
-                }
-                if found.readings.gloss
-                else {}
-            ),
-            "combination of": [f"{name} {weight:.2f}" for name, weight in found.made_of],
-            "albedo": f"at most {made.plausibility.max_albedo:.2f}",
-            **({"picture": made.picture} if made.picture else {}),
-            "time": f"{made.seconds:.1f} s",
-            **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
-        },
-    )
+    source = ", ".join(path.name for path in readings) if readings else "a colour"
+    results.rows(f"Completed {made.path}", {"from": source, **made.rows})
+    if report is not None:
+        reports.write_completion(report, made, readings or [])
+        results.text(f"  report: {report}\n")
     results.text("\nMixtures of materials that explain the readings, before they are adjusted to these:\n")
     results.table(
         ("materials", "probability", "residual", "difference of the ball"),
@@ -305,7 +287,7 @@ def complete(
                 " + ".join(f"{weight:.2f} {name}" for name, weight in a.like), f"{a.probability:.2f}",
                 f"{100 * a.misfit:.1f} %", f"{100 * a.difference:.0f} %",
             )
-            for a in found.alternatives
+            for a in made.completion.alternatives
             if a.probability >= _SHOWN_PROBABILITY
         ],
     )  # fmt: skip
@@ -331,6 +313,7 @@ def calibrate(
     output: Annotated[Path, options.output_option("The correction to write, as JSON.")] = Path(
         "correction.json"
     ),
+    report: options.ReportOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Fit the colour correction of a camera-based instrument to a spectrophotometer, over several samples.
@@ -339,7 +322,7 @@ def calibrate(
     leave-one-out error, sample by sample, of those that make at most a quarter of the samples worse. Give six or more
     samples of different colours: one sample determines the correction of its own colour only.
     """
-    from manifold.estimate import completions
+    from manifold.estimate import completions, reports
 
     learned, samples = completions.calibrate_instrument(pairs, output)
     results = terminal.Results(json)
@@ -363,6 +346,8 @@ def calibrate(
         ],
     )
     notes = completions.calibration_notes(learned, samples)
+    if report is not None:
+        reports.write_calibration(report, learned, samples, notes)
     for note in notes:
         results.sentence(f"note: {note}")
     results.document(
@@ -376,45 +361,6 @@ def calibrate(
             "notes": list(notes),
         }
     )
-
-
-def _show_coated(results: terminal.Results, made: Coated) -> None:
-    results.rows(
-        f"Completed {made.path}",
-        {
-            "made": f"a dielectric coat (alpha {made.alpha:.3g}, index {made.index:.3g}) over a diffuse base",
-            "colour": "L,a,b {:.1f}, {:.1f}, {:.1f} (D65, 2 degrees, 45/0), ".format(*made.lab)
-            + f"CIEDE2000 {made.difference:.1f} from what was asked",
-            "gloss": [
-                f"{made.gloss[a]:.3g} at {a:g} degrees, {u:g} asked" for a, u in made.sample.gloss.items()
-            ],
-            "expected error": _expected_words(made.expected),
-            "albedo": f"at most {made.plausibility.max_albedo:.2f}",
-            "time": f"{made.seconds:.1f} s",
-            **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
-        },
-    )
-    results.document(made.to_json())
-
-
-def _expected_words(expected: Mapping[str, float]) -> str:
-    return (
-        f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
-        f"linear {100 * expected['linear']:.0f} %"
-    )
-
-
-def _colours_at(found: Completion) -> dict[str, str]:
-    """How well the colours of readings are met."""
-    if (off := found.colour_misfits) is None:
-        return {}
-    most = int(off.argmax())
-    wi, wo = found.readings.wi[most], found.readings.wo[most]
-    angles = " and ".join(f"{math.degrees(math.acos(min(w[2], 1.0))):.0f}" for w in (wi, wo))
-    return {
-        "colours at the readings": f"off by CIEDE2000 ({found.viewing}) {off.mean():.2f} in the mean, at most "
-        f"{off[most]:.2f} (at {angles} degrees)"
-    }
 
 
 def _show_suggested(

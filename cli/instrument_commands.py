@@ -71,6 +71,7 @@ def convert(
     merge: Annotated[
         bool, typer.Option("--merge", help="Several files are of one sample, whatever its names.")
     ] = False,
+    report: options.ReportOption = None,
     processes: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
@@ -95,6 +96,8 @@ def convert(
     if found is not None:
         if unit is not None:
             raise UsageError(f"--unit {unit} goes with one file, found several, or a folder; leave it out")
+        if report is not None:
+            raise UsageError("--report goes with one file, found several, or a folder; leave it out")
         from manifold.many import tasks
 
         batch = tasks.conversions_in(folder_or_default(output, "conversions"))
@@ -115,17 +118,10 @@ def convert(
             merge=merge,
             unit=unit,
         )
-    error = made.error
-    rows: dict[str, object] = {
-        "material": made.name,
-        "from": made.source,
-        "bands": str(made.bands),
-        "nodes compared": error.nodes,
-        "error, linear": f"{error.linear:.2%}",
-        "error, cube root": f"{error.cube_root:.2%}",
-        "deviation": f"median {error.median:.2%}, 95 % of values within {error.percentile_95:.2%}",
-        "size": terminal.megabytes(output.stat().st_size),
-    }
+    rows = {**made.rows, "size": terminal.megabytes(output.stat().st_size)}
+    if report is not None:
+        made.write_report(report, output)
+        rows["report"] = report
     for k, note in enumerate(made.notes, start=1):
         rows[f"note {k}"] = note
     results.rows(f"{output}: {made.target}", rows)

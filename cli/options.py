@@ -92,6 +92,14 @@ ObserverOption = Annotated[
         metavar="DEGREES",
     ),
 ]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        help="Also write a report to hand on: one page of HTML, printable; of many, one each and an index.",
+        metavar="FILE",
+    ),
+]
 UnitOption = Annotated[
     str | None,
     typer.Option(

@@ -26,11 +26,13 @@ from manifold.convert.source import (
 )
 from manifold.convert.targets import TARGETS, Options, target_of
 from manifold.errors import UsageError
+from manifold.estimate import reports
 from manifold.estimate.predictions import predict
 from manifold.estimate.sources import MaterialSource, PlaceSource, source_file
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.plots import html_page
 from manifold.records import Array, Bands, BsdfFile
 
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
@@ -72,6 +74,7 @@ class Conversion:
 
     Attributes:
         name: of the material.
+        files: that were read; or the place.
         source: what was read, in words.
         target: format, in words.
         bands: of the result.
@@ -80,15 +83,46 @@ class Conversion:
     """
 
     name: str
+    files: tuple[str, ...]
     source: str
     target: str
     bands: Bands
     error: ConversionError
     notes: tuple[str, ...]
 
+    @property
+    def rows(self) -> dict[str, object]:
+        """What a table says of it, by label."""
+        error = self.error
+        return {
+            "material": self.name,
+            "file": list(self.files),
+            "from": self.source,
+            "bands": str(self.bands),
+            "nodes compared": error.nodes,
+            "error, linear": f"{error.linear:.2%}",
+            "error, cube root": f"{error.cube_root:.2%}",
+            "deviation": f"median {error.median:.2%}, 95 % of values within {error.percentile_95:.2%}",
+        }
+
+    def write_report(self, path: Path, output: Path) -> None:
+        """Write a page of HTML about the file that was written. Raises: UsageError."""
+        sections = [html_page.Section("Conversion", self.rows)]
+        shown = open_source([output]).interpolated
+        if not isinstance(shown, UsageError):
+            sections += [reports.balls(shown), reports.gloss(shown)]
+        sections.append(html_page.Section("Notes", notes=self.notes))
+        html_page.write(path, self.name, f"{output.name}: {self.target}.", sections)
+
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {**vars(self), "bands": str(self.bands), "error": vars(self.error), "notes": list(self.notes)}
+        return {
+            **vars(self),
+            "files": list(self.files),
+            "bands": str(self.bands),
+            "error": vars(self.error),
+            "notes": list(self.notes),
+        }
 
 
 def convert(
@@ -154,8 +188,9 @@ def convert(
         notes += _gaps(source)
     error = _error(source, back)
     return Conversion(
-        nodes.name, nodes.instrument, target.title, back.nodes.bands, error, (*nodes.notes, *notes)
-    )
+        nodes.name, tuple(path.name for path in files) or (name,), nodes.instrument, target.title, back.nodes.bands,
+        error, (*nodes.notes, *notes),
+    )  # fmt: skip
 
 
 @contextmanager

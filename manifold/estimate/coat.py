@@ -26,7 +26,7 @@ from manifold.colour.difference import delta_e_2000_lab
 from manifold.errors import FileFormatError, UsageError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.attributes import COLOUR_TOLERANCE, GLOSS_TOLERANCE, factor_of, lab_of, tinted
-from manifold.estimate.completions import atoms_of, parse_lab
+from manifold.estimate.completions import atoms_of, expected_words, parse_lab
 from manifold.estimate.expected import KINDS, Calibration, cached, errors_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.samples import safe_name
@@ -94,6 +94,22 @@ class Coated:
     def difference(self) -> float:
         """CIEDE2000 between the colours asked for and written."""
         return float(delta_e_2000_lab(np.array(self.sample.lab), self.lab))
+
+    @property
+    def rows(self) -> dict[str, object]:
+        """What a table says of it, by label: words, and lists of words."""
+        return {
+            "made": f"a dielectric coat (alpha {self.alpha:.3g}, index {self.index:.3g}) over a diffuse base",
+            "colour": f"L,a,b {', '.join(f'{v:.1f}' for v in self.lab)} ({DAYLIGHT}, 45/0), "
+            f"CIEDE2000 {self.difference:.1f} from what was asked",
+            "gloss": [
+                f"{self.gloss[a]:.3g} at {a:g} degrees, {u:g} asked" for a, u in self.sample.gloss.items()
+            ],
+            "expected error": expected_words(self.expected),
+            "albedo": f"at most {self.plausibility.max_albedo:.2f}",
+            "time": f"{self.seconds:.1f} s",
+            **{f"note {k}": note for k, note in enumerate(self.diagnostics, start=1)},
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

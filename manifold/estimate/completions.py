@@ -72,6 +72,37 @@ class Completed:
         """Of the readings, in cube roots: root mean square, or that of gloss if it is larger."""
         return self.completion.residual_of_readings
 
+    @property
+    def rows(self) -> dict[str, object]:
+        """What a table says of it, by label: words, and lists of words."""
+        found = self.completion
+        rows: dict[str, object] = {
+            "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
+            f"{found.readings.bands}",
+            "expected error": expected_words(self.expected),
+            "residual of readings": f"{100 * self.residual:.1f} % in cube roots, "
+            f"at most {100 * max(found.misfits.max(), self.residual):.1f} %",
+        }
+        if (off := found.colour_misfits) is not None:
+            most = int(off.argmax())
+            wi, wo = (
+                np.degrees(np.arccos(min(w[most, 2], 1.0))) for w in (found.readings.wi, found.readings.wo)
+            )
+            rows["colours at the readings"] = (
+                f"off by CIEDE2000 ({found.viewing}) {off.mean():.2f} in the mean, at most {off[most]:.2f} "
+                f"(at {wi:.0f} and {wo:.0f} degrees)"
+            )
+        if found.readings.gloss:
+            rows["gloss"] = [
+                f"{found.gloss[a]:.3g} at {a:g} degrees, {u:g} given" for a, u in found.readings.gloss.items()
+            ]
+        rows["combination of"] = [f"{name} {weight:.2f}" for name, weight in found.made_of]
+        rows["albedo"] = f"at most {self.plausibility.max_albedo:.2f}"
+        if self.picture is not None:
+            rows["picture"] = self.picture
+        rows["time"] = f"{self.seconds:.1f} s"
+        return rows | {f"note {k}": note for k, note in enumerate(self.diagnostics, start=1)}
+
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         made = self.completion
@@ -101,6 +132,14 @@ class Completed:
             "diagnostics": list(self.diagnostics),
             "seconds": self.seconds,
         }
+
+
+def expected_words(expected: Mapping[str, float]) -> str:
+    """Expected errors as one row of a table."""
+    return (
+        f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
+        f"linear {100 * expected['linear']:.0f} %"
+    )
 
 
 def complete_readings(

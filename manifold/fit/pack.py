@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from manifold import __version__, disk
 from manifold.brdf.measured import EvaluableBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.colour.panel import JUDGED
+from manifold.plots import html_page
 from manifold.render import images
 
 INDEX = "index.html"
@@ -22,24 +21,6 @@ BALLS = "balls"
 
 _SIZE, _SUN_DEG = 64, 45.0
 _RINGS, _SPOKES = 32, 32  # of a ball in the studio: fewer leave streaks on matt materials
-
-_HEAD = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>{title}</title>
-<style>
-body {{ font: 15px/1.4 system-ui, sans-serif; margin: 2em auto; max-width: 70em; padding: 0 1em }}
-body {{ color: #222; background: #eee }}
-main {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(18em, 1fr)); gap: 1em }}
-figure {{ margin: 0; padding: .8em; background: #fff; border-radius: 6px }}
-img {{ width: 100%; height: auto }}
-figcaption {{ font-size: 13px }} figcaption b {{ font-size: 15px }}
-</style></head><body>
-<h1>{title}</h1>
-<p>Each picture: measured, exported; measured, exported. Left in the studio, right under a sun {sun:.0f} degrees beside
-the view. CIEDE2000 of the ball between the two, in the mean of {lights} lights that the fit did not see, and in the
-worst. Made by manifold {version}.</p>
-<main>
-"""
 
 
 def write_balls(path: Path, material: EvaluableBRDF, exported: EvaluableBRDF) -> None:
@@ -65,15 +46,16 @@ def write_index(folder: Path, title: str, made: Sequence[tuple[str, Path, Mappin
         title: of the page.
         made: name, file and content of every export.
     """
-    page = [_HEAD.format(title=escape(title), sun=_SUN_DEG, lights=len(JUDGED), version=__version__)]
+    cards = []
     for name, file, content in made:
-        ball, label = content["ball"], escape(name)
-        page.append(
-            f'<figure><img src="{BALLS}/{label}.png" alt="balls of {label}" width="{4 * _SIZE}" height="{_SIZE}" '
-            f'loading="lazy"><figcaption><b><a href="{escape(file.name)}">{label}</a></b><br>'
-            f"{ball['unseen_light']:.1f}, in {escape(ball['worst_light'])} {ball['worst']:.1f}</figcaption></figure>\n"
-        )
-    page.append("</main></body></html>\n")
+        ball = content["ball"]
+        words = f"{ball['unseen_light']:.1f}, in {ball['worst_light']} {ball['worst']:.1f}"
+        cards.append(html_page.card(f"{BALLS}/{name}.png", f"balls of {name}", file.name, name, words))
+    intro = (
+        "Each picture: measured, exported; measured, exported. Left in the studio, right under a sun "
+        f"{_SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of {len(JUDGED)} "
+        "lights that the fit did not see, and in the worst."
+    )
     path = folder / INDEX
-    disk.write_text(path, "".join(page))
+    html_page.write(path, title, intro, f"<main>{''.join(cards)}</main>")
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -10,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from manifold.batch import APPEARANCE, Batch, Outcome, Task, appearance
+from manifold import disk
+from manifold.batch import APPEARANCE, Batch, Outcome, Task, appearance, ball_path
 from manifold.colour.correction import read_correction
 from manifold.convert import conversion
 from manifold.convert.source import open_source
 from manifold.convert.targets import TARGETS, Options
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate import coat, completions, reconstructions
+from manifold.estimate import coat, completions, reconstructions, reports
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.coat import ColourSample
 from manifold.estimate.inputs import Input
@@ -55,7 +57,7 @@ def completions_in(folder: Path) -> Batch:
 
 def complete_all(
     samples: Sequence[Sample], library: Path, batch: Batch, *, correction: Path | None = None, count: int = 0,
-    instrument: str | None = None, options: OutputOptions, workers: Workers = HERE,
+    instrument: str | None = None, options: OutputOptions, workers: Workers = HERE, report: Path | None = None,
 ) -> list[Outcome[Sample]]:  # fmt: skip
     """Complete samples through a library, each into a `.bsdf` file; see `completions.complete_readings`.
 
@@ -66,14 +68,20 @@ def complete_all(
         correction: of colours, a file.
         count, instrument, options: as there.
         workers: who makes them.
+        report: page that lists a report of each, which lie in a folder beside it; None for none.
     Raises: as `Batch.run`; `UsageError` also where the library cannot be used.
     """
+    if report is not None:
+        disk.require_writable(report)
+    pages = None if report is None else report.parent / f"{report.stem}_reports"
     how = {
         "library": Library(library).content_hash,
         "count": count,
         "instrument": instrument,
         **asdict(options),
     }
+    if pages is not None:
+        how["reports"] = str(pages.absolute())
     if correction is not None:
         read_correction(correction)
         how["correction"] = file_sha256(correction)
@@ -85,20 +93,41 @@ def complete_all(
         }
 
     make = partial(
-        _complete, library=library, correction=correction, count=count, instrument=instrument, options=options
-    )
+        _complete, library=library, correction=correction, count=count, instrument=instrument, options=options,
+        pages=pages,
+    )  # fmt: skip
     todo = [Task(one.name, batch.folder / f"{one.name}.bsdf", one) for one in samples]
-    return batch.run(todo, make, made_of, workers=workers)
+    outcomes = batch.run(todo, make, made_of, workers=workers)
+    if report is not None and pages is not None:
+        _list_reports(report, pages, outcomes)
+    return outcomes
+
+
+def _list_reports(report: Path, pages: Path, outcomes: Sequence[Outcome[Sample]]) -> None:
+    cards = [
+        (
+            os.path.relpath(ball_path(one.path), report.parent),
+            f"{pages.name}/{one.path.stem}.html",
+            one.name,
+            f"expected error of the ball {one.content['expected']['ball']:.1f}",
+        )
+        for one in outcomes
+        if one.content is not None and (pages / f"{one.path.stem}.html").is_file()
+    ]
+    reports.write_index(report, "Completions", cards)
 
 
 def _complete(
     sample: Sample, path: Path, *, library: Path, correction: Path | None, count: int, instrument: str | None,
-    options: OutputOptions,
+    options: OutputOptions, pages: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
     readings, learned = completions.read_sample(sample, correction)
     made = completions.complete_readings(
         readings, library, path, correction=learned, count=count, instrument=instrument, options=options
     )
+    if pages is not None:
+        pages.mkdir(parents=True, exist_ok=True)
+        reports.write_completion(pages / f"{path.stem}.html", made, [part for part, _ in sample.parts])
     return made.to_json() | {"from": ", ".join(part.name for part, _ in sample.parts)} | appearance(path)
 
 

@@ -1,0 +1,212 @@
+"""Reports to hand on: what was read and what was made of it, a page of HTML each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.notebook import ball_image, sun_image
+from manifold.estimate import report_figure
+from manifold.estimate.gloss import gloss_units
+from manifold.formats.readings import GLOSS_ANGLES_DEG
+from manifold.io_rgl import read_bsdf
+from manifold.plots import html_page
+from manifold.plots.html_page import Section
+from manifold.records import Array
+from manifold.render import backend, images
+from manifold.render.ball import render_material
+from manifold.render.render import RenderSettings
+
+if TYPE_CHECKING:
+    from manifold.colour.correction import ColourCorrection
+    from manifold.estimate.coat import Coated
+    from manifold.estimate.complete import Completion
+    from manifold.estimate.completions import Completed
+
+_BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
+_COARSE_BALL = 96  # without Mitsuba
+_SUN_DEG = 45.0
+_BACKGROUND = 0.12
+_MOST_READINGS = 60  # of a table: of more, those that differ most
+_FLOP_DEG = (15.0, 45.0, 110.0)
+
+
+def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> None:
+    """Write the report of a completion.
+
+    Args:
+        path: of the page.
+        made: what was completed and written.
+        sources: files of its readings.
+    Raises:
+        UsageError: the page cannot be written.
+    """
+    completion, brdf = made.completion, MeasuredBRDF(read_bsdf(made.path))
+    readings = completion.readings
+    rows: dict[str, object] = {"from": [source.name for source in sources], **made.rows}
+    rows["repeats within"] = f"{100 * readings.repeatability:g} % of a value"
+    notes = [str(rows.pop(label)) for label in list(rows) if label.startswith("note ")]
+    del rows["time"]
+    sections = [
+        Section("Sample", rows),
+        balls(brdf),
+        *_of_colours(completion),
+        gloss(brdf, completion.readings.gloss),
+        Section(
+            "Mixtures that explain the readings, before they are adjusted to these",
+            heads=("materials", "probability", "residual"),
+            table=[
+                (
+                    " + ".join(f"{weight:.2f} {name}" for name, weight in one.like), f"{one.probability:.2f}",
+                    f"{100 * one.misfit:.1f} %",
+                )
+                for one in completion.alternatives
+            ],
+        ),
+        Section("Notes", notes=notes),
+    ]  # fmt: skip
+    html_page.write(path, readings.name, f"{made.path.name}, completed from readings.", sections)
+
+
+def write_coat(path: Path, made: Coated) -> None:
+    """Write the report of a colour and gloss made a material. Raises: UsageError."""
+    brdf = MeasuredBRDF(read_bsdf(made.path))
+    sections = [Section("Sample", made.rows), balls(brdf), gloss(brdf, made.sample.gloss)]
+    html_page.write(path, made.sample.name, f"{made.path.name}, made of a colour and gloss.", sections)
+
+
+def write_calibration(
+    path: Path, learned: ColourCorrection, samples: Sequence[str], notes: Sequence[str]
+) -> None:
+    """Write the report of a colour correction, learned from samples. Raises: UsageError."""
+    of_forms = {**learned.errors, "none: estimated spectra": learned.uncorrected}
+    colours = learned.colours if len(samples) > 1 else learned.colours.mean(axis=0, keepdims=True)
+    sections = [
+        Section(
+            "Leave-one-out relative error",
+            heads=("form", "error", "chosen"),
+            table=[
+                (form, "" if error != error else f"{error:.4f}", "chosen" * (form == learned.form))
+                for form, error in of_forms.items()
+            ],
+        ),
+        Section(
+            "CIEDE2000 (D65/2) to the reference, left out, mean over readings",
+            heads=("sample", "uncorrected", "corrected"),
+            table=[
+                (name, *("" if off != off else f"{off:.2f}" for off in row))
+                for name, row in zip(samples, colours, strict=False)
+            ],
+        ),
+        Section("Notes", notes=notes),
+    ]
+    html_page.write(path, "Colour correction", f"Learned from {len(samples)} samples.", sections)
+
+
+def balls(brdf: BRDF) -> Section:
+    """The ball of a material in the studio and under a sun."""
+    if backend.is_available():
+        studio = images.tone_map(render_material(brdf, RenderSettings(size=_BALL)))
+    else:
+        image, inside = ball_image(brdf, _COARSE_BALL)
+        studio = np.where(inside[..., None], image, _BACKGROUND)
+    sun, is_lit = sun_image(brdf, _BALL, _SUN_DEG)
+    across = 2.0 * (np.arange(_BALL) + 0.5) / _BALL - 1.0
+    beside = np.hypot(across, across[:, None])[..., None] > 1.0
+    shown = [studio, np.where(is_lit[..., None], sun, np.where(beside, _BACKGROUND, 0.0))]
+    names = ("in the studio", f"under a sun {_SUN_DEG:g} degrees beside the view")
+    pictures = [
+        (name, html_page.picture(image, f"ball {name}", _WIDTH))
+        for name, image in zip(names, shown, strict=True)
+    ]
+    return Section("Ball", pictures=pictures)
+
+
+def write_index(path: Path, title: str, made: Sequence[tuple[str, str, str, str]]) -> None:
+    """Write a page of cards, one for each report: picture, link, name and a line. Raises: UsageError."""
+    cards = "".join(
+        html_page.card(ball, f"ball of {name}", link, name, text) for ball, link, name, text in made
+    )
+    html_page.write(path, title, f"{len(made)} reports.", f"<main>{cards}</main>")
+
+
+def _of_colours(made: Completion) -> list[Section]:
+    """Readings beside the completion: a figure over angles, spectra, and a table."""
+    if made.colours is None or made.colour_misfits is None:
+        return []
+    read, found = made.colours
+    off = made.colour_misfits
+    angles = angles_of(made.readings.wi, made.readings.wo)
+    shown = np.arange(len(off))
+    title = f"Colours (L*, a*, b* under {made.viewing}), read and completed"
+    if len(off) > _MOST_READINGS:
+        shown = np.sort(np.argsort(off)[::-1][:_MOST_READINGS])
+        title += f": the {_MOST_READINGS} of {len(off)} readings that differ most"
+    table = [
+        (
+            *(f"{angle:.0f}" for angle in angles[k, :3]),
+            "" if np.isnan(angles[k, 3]) else f"{angles[k, 3]:.0f}",
+            *(f"{value:.1f}" for value in (*read[k], *found[k])),
+            f"{off[k]:.2f}",
+        )
+        for k in shown
+    ]
+    lab = ("L* read", "a*", "b*", "L* completed", "a*", "b*")
+    heads = ("incidence", "outgoing", "azimuth", "aspecular", *lab, "CIEDE2000")
+    rows = {}
+    if (flop := flop_index(angles, read)) is not None:
+        rows["flop index"] = (
+            f"{flop:.2f} read, {flop_index(angles, found):.2f} completed (2.69 (L15 - L110)^1.11 / L45^0.86)"
+        )
+    figures = [
+        ("over the aspecular angle; lines completed, dots read", report_figure.colours(angles, read, found))
+    ]
+    if made.readings.wavelengths_nm is not None:
+        spectra = report_figure.spectra(made.readings, made.predicted, angles)
+        figures.append(("reflectance factors; lines completed, dots read", spectra))
+    pictures = [(caption, html_page.drawing(figure)) for caption, figure in figures if figure is not None]
+    return [Section("Over angles", rows, pictures=pictures), Section(title, heads=heads, table=table)]
+
+
+def angles_of(wi: Array, wo: Array) -> Array:
+    """Elevations of incidence and outgoing, azimuth from the mirror side, aspecular angle; degrees, (P, 4).
+
+    The aspecular angle is counted from the mirror direction towards the light; NaN out of the plane of incidence.
+    """
+    theta_i, theta_o = (np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (wi, wo))
+    azimuth = np.degrees(np.arctan2(wo[:, 1], wo[:, 0]) - np.arctan2(wi[:, 1], wi[:, 0]))
+    azimuth = np.abs(azimuth % 360.0 - 180.0)
+    azimuth[(theta_i < 0.5) | (theta_o < 0.5)] = 0.0
+    signed = np.where(azimuth < 90.0, theta_o, -theta_o)
+    in_plane = np.minimum(azimuth, 180.0 - azimuth) < 1.0
+    return np.column_stack([theta_i, theta_o, azimuth, np.where(in_plane, theta_i - signed, np.nan)])
+
+
+def flop_index(angles: Array, lab: Array) -> float | None:
+    """How much darker a coating is away from the highlight; None without its angles. Source: Alman 1987."""
+    lightness = []
+    for wanted in _FLOP_DEG:
+        near = (np.abs(angles[:, 0] - 45.0) < 1.0) & (np.abs(angles[:, 3] - wanted) < 1.0)
+        if not near.any():
+            return None
+        lightness.append(float(lab[near, 0].mean()))
+    bright, middle, dark = lightness
+    return float(2.69 * max(bright - dark, 0.0) ** 1.11 / max(middle, 1e-3) ** 0.86)
+
+
+def gloss(brdf: BRDF, read: Mapping[float, float] = MappingProxyType({})) -> Section:
+    """Gloss units of a material, beside those that were read, by angle in degrees."""
+    found = gloss_units(brdf, GLOSS_ANGLES_DEG)
+    return Section(
+        "Gloss (ISO 2813)",
+        heads=("angle", "read", "of the file"),
+        table=[
+            (f"{angle:g}", f"{read[angle]:.3g}" if angle in read else "", f"{units:.3g}")
+            for angle, units in found.items()
+        ],
+    )

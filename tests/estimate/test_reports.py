@@ -1,0 +1,88 @@
+"""Reports to hand on say what was read, what was made of it and how far they differ, in one file each."""
+
+from __future__ import annotations
+
+import json
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+from helpers.instrument_files import smooth
+
+from manifold.analytic.instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
+from manifold.estimate import reports
+from manifold.formats import csv_table
+from manifold.formats.readings import aspecular_pair, geometry_ma_t12
+
+
+def rows(page: str) -> list[list[str]]:
+    """The cells of all rows of tables of numbers."""
+    return [
+        [unescape(cell) for cell in re.findall(r"<td>(.*?)</td>", row)]
+        for row in re.findall(r"<tr>(<td>.*?)</tr>", page)
+    ]
+
+
+def test_the_report_of_a_completion_has_every_reading_with_its_difference(run, library, tmp_path, rng):
+    write_ma_t12(tmp_path / "sample.xlsx", smooth(MA_T12_BANDS), "a <b>paint</b> & more", rng)
+    status, _, err = run(
+        "complete", "sample.xlsx", "-L", library, "-o", "made.bsdf", "--json", "made.json", "--report", "made.html",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert status == 0, err
+    page = (tmp_path / "made.html").read_text()
+    known = json.loads((tmp_path / "made.json").read_text())
+    assert "sample.xlsx" in page
+    assert "a &lt;b&gt;paint&lt;/b&gt; &amp; more" in page
+    assert "<b>paint" not in page
+    of_readings = [row for row in rows(page) if len(row) == 11]
+    assert [row[-1] for row in of_readings] == [f"{off:.2f}" for off in known["misfits_ciede2000"]]
+    assert [float(row[4]) for row in of_readings] == pytest.approx(
+        [lab[0] for lab in known["lab"][0]], abs=0.051
+    )
+    assert [(float(row[0]), float(row[3])) for row in of_readings][:2] == [(45.0, -15.0), (45.0, 15.0)]
+    assert page.count("data:image/png;base64") == 2
+    assert page.count("<svg") == 2
+    assert not re.search(r'(src|href)="(?!data:|#)', page)  # nothing lies beside it
+    for note in known["diagnostics"]:
+        assert note in unescape(page)
+
+
+def test_a_batch_gives_a_report_each_and_a_page_that_leads_to_them(run, library, tmp_path, rng):
+    for name in ("red", "blue"):
+        write_ma_t12(tmp_path / f"{name}.xlsx", smooth(MA_T12_BANDS), name, rng)
+    status, _, err = run(
+        "complete", "red.xlsx", "blue.xlsx", "-L", library, "-o", "made", "--report", "all.html", cwd=tmp_path
+    )
+    assert status == 0, err
+    page = (tmp_path / "all.html").read_text()
+    linked = re.findall(r'(?:src|href)="(.*?)"', page)
+    assert len(linked) == 4
+    assert all((tmp_path / link).is_file() for link in linked)
+
+
+def test_conversions_and_colours_have_reports(run, library, tmp_path):
+    csv_table.write(tmp_path / "felt.csv", ma_t12_readings(smooth(MA_T12_BANDS), "felt"))
+    status, _, err = run("convert", "felt.csv", "-o", "felt.astm", "--report", "felt.html", cwd=tmp_path)
+    assert status == 0, err
+    assert "felt.csv" in (tmp_path / "felt.html").read_text()
+    status, _, err = run(
+        "complete", "--lab", "40,30,20", "--gloss", "60=50", "-L", library, "-o", "c.bsdf", "--report", "c.html",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert status == 0, err
+    assert "50 asked" in (tmp_path / "c.html").read_text()
+
+
+def test_angles_are_those_of_the_instrument_and_the_flop_index_is_alman_s():
+    wi, wo = geometry_ma_t12()
+    angles = reports.angles_of(wi, wo)
+    np.testing.assert_allclose(angles[:, 0], [45.0] * 6 + [15.0] * 6)
+    np.testing.assert_allclose(angles[:, 3], [-15, 15, 25, 45, 75, 110, -45, -30, -15, 15, 45, 80], atol=1e-9)
+    lab = np.zeros((12, 3))
+    lab[[1, 3, 5], 0] = 90.0, 60.0, 30.0
+    assert reports.flop_index(angles, lab) == pytest.approx(2.69 * 60.0**1.11 / 60.0**0.86)
+    assert reports.flop_index(angles[:1], lab[:1]) is None
+    out_of_plane = reports.angles_of(*(w[None] for w in aspecular_pair(45.0, 60.0, 125.3)))
+    assert np.isnan(out_of_plane[0, 3])

@@ -11,7 +11,6 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
-from manifold.estimate import report_figure
 from manifold.estimate.gloss import gloss_units
 from manifold.formats.readings import GLOSS_ANGLES_DEG
 from manifold.io_rgl import read_bsdf
@@ -137,6 +136,8 @@ def write_index(path: Path, title: str, made: Sequence[tuple[str, str, str, str]
 
 def _of_colours(made: Completion) -> list[Section]:
     """Readings beside the completion: a figure over angles, spectra, and a table."""
+    from manifold.estimate import report_figure  # Matplotlib, which takes as long to load as all else
+
     if made.colours is None or made.colour_misfits is None:
         return []
     read, found = made.colours

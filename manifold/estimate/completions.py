@@ -21,7 +21,7 @@ from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.complete import Completion, complete
 from manifold.estimate.expected import calibrate
-from manifold.estimate.instruments import correct_colours, learn_across, merge
+from manifold.estimate.instruments import between_measurements, correct_colours, learn_across, merge
 from manifold.estimate.samples import Sample, find_samples, safe_name
 from manifold.estimate.suggest import Suggested, directions_left, suggest
 from manifold.formats import registry
@@ -79,7 +79,7 @@ class Completed:
         rows: dict[str, object] = {
             "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
             f"{found.readings.bands}",
-            "expected error": expected_words(self.expected),
+            "expected error": expected_words(self.expected) + self._beside(self.expected["ball"]),
             "residual of readings": f"{100 * self.residual:.1f} % in cube roots, "
             f"at most {100 * max(found.misfits.max(), self.residual):.1f} %",
         }
@@ -90,7 +90,12 @@ class Completed:
             )
             rows["colours at the readings"] = (
                 f"off by CIEDE2000 ({found.viewing}) {off.mean():.2f} in the mean, at most {off[most]:.2f} "
-                f"(at {wi:.0f} and {wo:.0f} degrees)"
+                f"(at {wi:.0f} and {wo:.0f} degrees)" + self._beside(off[most])
+            )
+        if (between := found.readings.between) is not None:
+            rows["between measurements"] = (
+                f"{100 * between.deviation:.1f} % of a value, beyond what each repeats (Mandel-Paule, "
+                f"{counted(between.pairs, 'shared reading')}); CIEDE2000 {between.ciede2000:.2f}"
             )
         if found.readings.gloss:
             rows["gloss"] = [
@@ -102,6 +107,11 @@ class Completed:
             rows["picture"] = self.picture
         rows["time"] = f"{self.seconds:.1f} s"
         return rows | {f"note {k}": note for k, note in enumerate(self.diagnostics, start=1)}
+
+    def _beside(self, ciede2000: float) -> str:
+        """What stands beside an error that is less than measurements of the sample differ."""
+        between = self.completion.readings.between
+        return "" if between is None or ciede2000 > between.ciede2000 else " (less than measurements differ)"
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -117,6 +127,7 @@ class Completed:
             "lab": None if made.colours is None else [colour.tolist() for colour in made.colours],
             "misfits_ciede2000": None if made.colour_misfits is None else made.colour_misfits.tolist(),
             "repeatability": made.readings.repeatability,
+            "between_measurements": made.readings.between and made.readings.between._asdict(),
             "residual": self.residual,
             "gloss": {
                 f"{angle:g}": {"read": units, "completed": made.gloss[angle]}
@@ -281,6 +292,10 @@ def _merged(
     merged, learned = readings[0], None
     for other in readings[1:]:
         merged, learned = merge(merged, other)
+    comparable = [one for one in readings if one.bands == readings[0].bands]
+    if len(comparable) > 1 and (between := between_measurements(comparable)) is not None:
+        repeatability = float(np.hypot(merged.repeatability, between.deviation))
+        merged = replace(merged, between=between, repeatability=repeatability)
     return replace(merged, gloss={**merged.gloss, **gloss}), learned
 
 

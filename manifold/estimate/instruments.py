@@ -11,15 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import QhullError
+from scipy.optimize import brentq
+from scipy.spatial import QhullError, cKDTree
 
 from manifold.colour.correction import ColourCorrection, learn_correction
+from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import BandMismatchError, UsageError
-from manifold.formats.readings import Readings
+from manifold.formats.readings import Between, Readings
 from manifold.records import Array
 
 _CAMERA_BANDS = 3
+_SAME_PLACE = 1e-3  # between pairs of directions, in half and difference angles, in radians
 _MOST_READINGS = 2000  # of a goniometer
 _TWO_SAMPLES = (
     0.2  # error of a correction; in the corpus always less for one sample, and more for 4 in 5 pairs of two
@@ -95,6 +98,37 @@ def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrect
     step = -(-len(other) // _MOST_READINGS)
     some = other.select_pairs(np.arange(0, len(other), step))
     return _joined(reference, correct_colours(some, correction)).with_note(note), correction
+
+
+def between_measurements(parts: Sequence[Readings]) -> Between | None:
+    """How far measurements of one sample differ beyond what each repeats; None where no two share a direction pair.
+
+    Args:
+        parts: readings of one sample in the same bands, each of one file or instrument.
+    Source: Mandel & Paule 1970; over all pairs of directions with one between-measurement variance.
+    """
+    at = np.vstack([_coordinates(part.wi, part.wo) for part in parts])
+    values = np.vstack([part.values for part in parts])
+    within = np.concatenate([np.full(len(part), part.repeatability) for part in parts])
+    file = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    near = cKDTree(at).query_ball_point(at, _SAME_PLACE, return_sorted=True)
+    groups = [np.array(g) for g in dict.fromkeys(map(tuple, near)) if len(set(file[list(g)])) > 1]
+    groups = [g for g in groups if np.isfinite(values[g]).all() and np.all(values[g].mean(axis=0) > 0.0)]
+    if not groups:
+        return None
+
+    def excess(variance: float) -> float:
+        total = 0.0
+        for g in groups:
+            weight = 1.0 / (within[g] ** 2 + variance)
+            mean = weight @ values[g] / weight.sum()
+            total += float(np.mean(weight @ ((values[g] - mean) / mean) ** 2)) - (len(g) - 1)
+        return total
+
+    variance = 0.0 if excess(0.0) <= 0.0 else 1.0 if excess(1.0) >= 0.0 else brentq(excess, 0.0, 1.0)
+    bands = parts[0].bands
+    apart = [delta_e_2000_lab(*lab_values(values[g[[0, -1]]], bands, parts[0].viewing)) for g in groups]
+    return Between(float(np.sqrt(variance)), float(np.mean(apart)), len(groups))
 
 
 def _shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:

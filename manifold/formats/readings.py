@@ -63,6 +63,20 @@ DAYLIGHT = Viewing()
 """Of linear sRGB."""
 
 
+class Between(NamedTuple):
+    """How far measurements of one sample differ.
+
+    Attributes:
+        deviation: standard deviation between measurements, relative, beyond what each repeats.
+        ciede2000: between two of them, mean over shared pairs of directions.
+        pairs: of directions, that are shared.
+    """
+
+    deviation: float
+    ciede2000: float
+    pairs: int
+
+
 @dataclass(frozen=True, eq=False)
 class Readings:
     """What an instrument says of one sample. P direction pairs, B bands.
@@ -81,8 +95,10 @@ class Readings:
         notes: what was ambiguous in the file, and how it was taken; one sentence each.
         texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
         gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees: 20, 60 or 85.
-        repeatability: relative standard deviation of a value that is read again.
+        repeatability: relative standard deviation of a value that is read again; of several measurements, of one that
+            is measured again.
         assumed_unit: one of `UNITS`, as which values were taken that a file gives without a unit; else None.
+        between: how far several measurements of the sample differ; None where there was one.
         viewing: of CIELAB values that are printed of spectra; of linear sRGB, that to which it is relative.
     """
 
@@ -101,6 +117,7 @@ class Readings:
     repeatability: float = REPEATABILITY
     assumed_unit: str | None = None
     viewing: Viewing = DAYLIGHT
+    between: Between | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values, and make arrays read-only.

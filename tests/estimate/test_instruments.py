@@ -17,9 +17,9 @@ from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.estimate import completions
 from manifold.estimate.completions import calibration_notes
-from manifold.estimate.instruments import correct_colours, merge
+from manifold.estimate.instruments import between_measurements, correct_colours, merge
 from manifold.formats import csv_table, registry
-from manifold.formats.readings import MA_T12_NAMES
+from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -239,3 +239,60 @@ def test_a_correction_says_whether_it_is_better_than_none(rng):
         "spectra estimated without a correction have a smaller error"
         in calibration_notes(estimated, names)[1]
     )
+
+
+# -- measurements of one sample -------------------------------------------------------------------------------------
+
+
+def measured_again(rng, spreads, repeatability, n=400):
+    """Measurements of a grey sample at the same pairs, each off by its own error and noise of its repeatability."""
+    wi = from_spherical(np.full(n, 0.6), np.pi)
+    wo = from_spherical(np.linspace(0.0, 1.3, n), 0.0)
+    true = 0.2 + 0.1 * np.linspace(0.0, 1.0, n)[:, None] * np.ones(3)
+    return [
+        Readings(
+            "grey", f"device {k}", wi, wo, None,
+            true * (1.0 + spread * rng.standard_normal((n, 1)) + repeatability * rng.standard_normal((n, 3))),
+            repeatability=repeatability,
+        )
+        for k, spread in enumerate(spreads)
+    ]  # fmt: skip
+
+
+def test_the_deviation_between_measurements_is_found_beyond_what_each_repeats(rng):
+    parts = measured_again(rng, (0.05, 0.05, 0.05), 0.01)
+    found = between_measurements(parts)
+    assert found.deviation == pytest.approx(0.05, rel=0.08)
+    assert found.pairs == 400
+    # With equal variances within, Mandel and Paule's equation has a closed form.
+    values = np.array([part.values for part in parts])
+    relative = values / values.mean(axis=0) - 1.0
+    closed = np.sqrt(np.sum(relative**2) / (400 * 3 * 2) - 0.01**2)
+    assert found.deviation == pytest.approx(closed, rel=1e-3)
+
+
+def test_measurements_that_agree_as_each_repeats_differ_by_nothing_more(rng):
+    found = between_measurements(measured_again(rng, (0.0, 0.0), 0.02))
+    assert found.deviation < 0.004
+    alone = readings(np.full((12, 3), 0.2))
+    assert between_measurements([alone, alone]).deviation == 0.0
+    assert (
+        between_measurements([alone.select_pairs(np.arange(6)), alone.select_pairs(np.arange(6, 12))]) is None
+    )
+
+
+def test_a_sample_that_was_measured_twice_is_completed_with_what_the_measurements_differ(
+    run, library, tmp_path
+):
+    for k, factor in enumerate((0.95, 1.05)):
+        csv_table.write(tmp_path / f"at_{k}.csv", readings(np.full((12, 3), 0.2 * factor)))
+    status, out, err = run(
+        "complete", "at_0.csv", "at_1.csv", "--merge", "-L", library, "-o", "made_rgb.bsdf", "--json", "made.json",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert status == 0, err
+    found = json.loads((tmp_path / "made.json").read_text())
+    # Two values, 10 % apart: their standard deviation is 10 % over the root of two.
+    assert found["between_measurements"]["deviation"] == pytest.approx(0.1 / np.sqrt(2.0), rel=0.01)
+    assert found["repeatability"] > 0.07
+    assert "between measurements" in out

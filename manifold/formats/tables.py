@@ -29,8 +29,10 @@ from manifold.formats.values import (
     TAKEN_AS_BRDF,
     TAKEN_AS_FACTORS,
     TAKEN_AS_PERCENT,
+    TOO_BRIGHT,
     as_brdf,
     bands_of,
+    is_too_bright,
     lab_to_linear_srgb,
     looks_like_percent,
     nanometres,
@@ -433,8 +435,17 @@ def read_table(
         notes.append(TAKEN_AS_FACTORS if white == 1.0 else TAKEN_AS_PERCENT)
         assumed = "factor" if white == 1.0 else "percent"
     elif kind is None:
-        notes.append(TAKEN_AS_BRDF)
+        raw = [(wi, wo, np.array(samples[key].values)[keep]) for key, (keep, wi, wo, _) in pairs.items()]
         assumed = "brdf"
+        if any(is_too_bright(*one) for one in raw):
+            kind, assumed = "factor", "factor"
+            if any(is_too_bright(wi, wo, values / np.pi) for wi, wo, values in raw):
+                white, assumed = 100.0, "percent"
+        notes.append(
+            TAKEN_AS_BRDF
+            if assumed == "brdf"
+            else TOO_BRIGHT + ("taken as reflectance factors" if assumed == "factor" else "taken as per cent")
+        )
     return [
         replace(
             _readings(key, instrument, sample, pairs[key], columns, kind or "f", white, notes, context),

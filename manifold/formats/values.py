@@ -15,6 +15,9 @@ _NO_UNIT = "no unit given (--unit brdf, factor or percent): "
 TAKEN_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
 TAKEN_AS_FACTORS = _NO_UNIT + "taken as reflectance factors, 1 being the perfect diffuser"
 TAKEN_AS_PERCENT = _NO_UNIT + "values above 2 away from the mirror direction, or above 30, taken as percent"
+TOO_BRIGHT = _NO_UNIT + "as BRDF in 1/sr it would reflect more light than it receives: "
+_MOST_BRDF = 1.15  # median radiance factor away from the mirror direction: of 20 real materials at most 0.86
+_FEWEST = 5  # values that say so
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
@@ -113,6 +116,17 @@ def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float =
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
     off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
     return bool(np.max(off, initial=0.0) > most_factor or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
+
+
+def is_too_bright(wi: Array, wo: Array, values: Array) -> bool:
+    """Whether values (P, B) in 1/sr are too large in the median, away from the mirror direction and the horizon."""
+    mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+    is_diffuse = (mirror < np.cos(np.deg2rad(40.0))) & (
+        np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))
+    )
+    seen = values[is_diffuse].mean(axis=1)
+    seen = seen[np.isfinite(seen)]
+    return bool(len(seen) >= _FEWEST and np.pi * np.median(seen) > _MOST_BRDF)
 
 
 def xyz_to_linear_srgb(xyz: Array) -> Array:

@@ -14,6 +14,7 @@ from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats import fred, lighttools, openmaterial, registry, speos, utia
 from manifold.formats.column_heads import RELATIVE, angle_name, value_head, wavelength
+from manifold.formats.readings import UNITS
 from manifold.records import Array, Bands
 
 BLACK_LAB = REPOSITORY.parent / "shared" / "files" / "bsdf-tools" / "20250210_S7_sample_final.txt"
@@ -231,6 +232,21 @@ def test_what_a_column_of_values_is_taken_for_is_said(head, expected, tmp_path):
     np.testing.assert_allclose(found.values[:, 0], smooth(BANDS).eval(found.wi, found.wo)[:, 1], rtol=1e-6)
     said = [note for note in found.notes if "1/sr" in note or "pi" in note]
     assert said == [] if expected is None else expected in said[0]
+
+
+@pytest.mark.parametrize(
+    ("head", "factor", "unit"),
+    [("value", 0.9, "factor"), ("value", 90.0, "percent"), ("value", 0.25, "brdf"), ("BRDF", 0.9, None)],
+)
+def test_values_that_only_one_unit_makes_plausible_decide_it(head, factor, unit, tmp_path):
+    path = tmp_path / "diffuse.csv"
+    rows = [f"45,0,{theta},{phi},{factor}" for theta in (0, 20, 40, 60) for phi in (30, 90)]
+    path.write_text("\n".join([f"theta_i (deg),phi_i (deg),theta_o (deg),phi_o (deg),{head}", *rows]) + "\n")
+    found = registry.read_readings(path)
+    assert found.assumed_unit == unit
+    np.testing.assert_allclose(found.values, factor * UNITS[unit or "brdf"])
+    if unit in ("factor", "percent"):
+        assert any("reflect more light than it receives" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

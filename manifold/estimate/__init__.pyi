@@ -1,5 +1,5 @@
 from .atoms import LibraryAtoms
-from .circle import Circle, find_circle
+from .circle import Circle, find_outlines
 from .complete import Completion, complete
 from .expected import Calibration, calibrate
 from .light import Environment
@@ -22,8 +22,8 @@ __all__ = [
     "Sighting",
     "calibrate",
     "complete",
-    "find_circle",
     "find_material",
+    "find_outlines",
     "locate",
     "predict",
     "read_photograph",

@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.errors import UsageError
 from manifold.estimate.circle import Circle
-from manifold.estimate.photo_files import Photograph
+from manifold.estimate.photo_files import Photograph, reduced
 from manifold.records import Array, Indices, Mask
 
 _MOST_BLOCKS = 400
@@ -82,14 +82,6 @@ def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
     i, j = np.concatenate(parts).T
     means = np.add.reduceat(values[i, j].astype(float), starts) / counts[:, None]
     return Blocks(x[i, j], y[i, j], starts, factor / circle.radius, means, is_clipped[i, j][starts])
-
-
-def reduced(values: Array, factor: int) -> Array:
-    """Means of squares of pixels; NaN where one of them is."""
-    if factor == 1:
-        return values
-    H, W = (n // factor * factor for n in values.shape[:2])
-    return np.asarray(values[:H, :W].reshape(H // factor, factor, W // factor, factor, -1).mean(axis=(1, 3)))
 
 
 def _squares(roots: Array, seen: Mask, side: int, most: int) -> list[tuple[int, int, int]]:

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 from scipy.optimize import minimize
 
+from manifold.colour.conversion import encode_srgb
 from manifold.errors import UsageError
+from manifold.estimate.photo_files import Photograph, reduced
 from manifold.records import Array
 
+_SEARCHED = 800  # pixels of the longer side in which outlines are sought, at least, where pictures have more
+_BRIGHT = 0.995  # quantile of values that is white in what is searched
 _COARSE = 128  # pixels of the longer side in which circles are searched
 _RADII = 0.08, 0.62  # of circles, relative to that
 _LEAST_SUPPORT = 0.5  # share of the outline that is an edge
 _ANGLES = 180
+_SPANS, _ROUNDS = (0.2, 0.1, 0.05, 0.03), 8  # of the radius in which edges are sought, and rounds in each
+_ON_IT = 0.015  # of the radius: edges this near lie on a circle
+_LEAST_SHARE = 0.7  # of real balls lit from one side, circles drawn to the terminator have 0.50 to 0.67
 
 
 @dataclass(frozen=True)
@@ -55,10 +64,55 @@ class Circle:
         return cls(x, y, radius)
 
 
-def find_circle(display: Array, where: str) -> Circle:
-    """The most pronounced circular edge of a picture of display values in [0, 1], shape (H, W, 3).
+class Outline(NamedTuple):
+    """A circle that may be the outline of a ball.
 
-    Gradients vote for centres along their direction, radius by radius; the best is refined to parts of a pixel.
+    Attributes:
+        circle: as it was found.
+        share: of the edges near it that lie on it.
+    """
+
+    circle: Circle
+    share: float
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A doubt about it, in a sentence."""
+        if self.share >= _LEAST_SHARE:
+            return ()
+        return (
+            f"outline {self.circle}: {self.share:.0%} of the edges near it lie on it, of a ball lit from one side the "
+            "others may be its terminator; give its --circle, or pictures under other lamps",
+        )
+
+
+def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
+    """Where a ball's outline may be in photographs of one size, the likeliest first.
+
+    It is sought in their maximum, which no terminator cuts where lamps differ.
+
+    Raises:
+        UsageError: there is none, or nothing of a picture was seen.
+    """
+    for one in photographs:
+        if not np.any(np.isfinite(one.values).all(axis=2) & ~one.is_clipped):
+            raise UsageError(
+                f"{one.path}: every pixel is clipped, transparent or not finite, expected a ball; expose it less"
+            )
+    largest = np.max([np.nan_to_num(one.values) for one in photographs], axis=0)
+    factor = max(1, max(largest.shape[:2]) // _SEARCHED)
+    shown = reduced(largest, factor)
+    shown = encode_srgb(shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny))
+    found = find_outlines(shown, str(photographs[0].path))
+    return [one._replace(circle=one.circle.scaled(factor)) for one in found]
+
+
+def find_outlines(display: Array, where: str) -> list[Outline]:
+    """The most pronounced circular edge of a picture of display values in [0, 1] (H, W, 3), in two versions.
+
+    Gradients vote for centres along their direction, radius by radius; the best is refined to parts of a pixel. Of a
+    ball that is lit from one side that is drawn to the terminator: the other version passes through the strongest edges
+    around it. The likelier one stands first.
 
     Raises:
         UsageError: no circle is an edge over half of its length.
@@ -95,7 +149,44 @@ def find_circle(display: Array, where: str) -> Circle:
             f"{where}: no ball found (the best circle is an edge over {support:.0%} of its length, expected "
             f"{_LEAST_SUPPORT:.0%}); give its circle"
         )
+    both = [Outline(one, _share_of_edges(smooth, one)) for one in (circle, _through_edges(smooth, circle))]
+    return sorted(both, key=lambda one: -one.share)
+
+
+def _through_edges(grey: Array, circle: Circle) -> Circle:
+    """The circle through the strongest edges on rays around another, robust against those far from it."""
+    for span in _SPANS:
+        x, y, gradient, _ = _rays(grey, circle, span)
+        at = gradient.argmax(axis=0)
+        every = np.arange(len(at))
+        strength, x, y = gradient[at, every], x[at, every], y[at, every]
+        terms, squares = np.stack([x, y, np.ones(len(x))], axis=1), x**2 + y**2
+        weights = strength
+        for _ in range(_ROUNDS):
+            a, b, c = np.linalg.lstsq(terms * weights[:, None], squares * weights, rcond=None)[0]
+            centre, radius = np.array([a, b]) / 2.0, float(np.sqrt(max(c + (a * a + b * b) / 4.0, 1.0)))
+            off = np.hypot(x - centre[0], y - centre[1]) - radius
+            scale = max(1.5, 1.5 * float(np.median(np.abs(off[strength > 0.3 * strength.max()]))))
+            weights = strength / (1.0 + (off / scale) ** 2)
+        circle = Circle(float(centre[0]) + 0.5, float(centre[1]) + 0.5, radius)
     return circle
+
+
+def _share_of_edges(grey: Array, circle: Circle) -> float:
+    """Of the strongest edges on rays, how much lies on a circle."""
+    _, _, gradient, radii = _rays(grey, circle, _SPANS[0])
+    near = np.abs(radii / circle.radius - 1.0) < _ON_IT
+    return float(gradient[near].max(axis=0).sum() / max(gradient.max(axis=0).sum(), np.finfo(float).tiny))
+
+
+def _rays(grey: Array, circle: Circle, span: float) -> tuple[Array, Array, Array, Array]:
+    """Points x, y (R, A) on rays near a circle, the strength of edges across them there, and their radii (R,)."""
+    angle = 2.0 * np.pi * np.arange(2 * _ANGLES) / (2 * _ANGLES)
+    radii = np.arange((1.0 - span) * circle.radius, (1.0 + span) * circle.radius, 0.5)
+    x = circle.x - 0.5 + radii[:, None] * np.cos(angle)
+    y = circle.y - 0.5 - radii[:, None] * np.sin(angle)
+    profile = map_coordinates(grey, [y, x], order=1, mode="nearest")
+    return x, y, np.abs(np.gradient(profile, axis=0)), radii
 
 
 def _refined(grey: Array, coarse: Circle, scale: float) -> tuple[float, Circle]:

@@ -14,17 +14,14 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 
-from manifold.colour.conversion import encode_srgb
 from manifold.errors import UsageError
-from manifold.estimate.blocks import reduced
-from manifold.estimate.circle import Circle, find_circle
+from manifold.estimate.circle import Circle, outlines_in
 from manifold.estimate.lamps import Lamp
 from manifold.estimate.photo_files import Photograph
 from manifold.records import Array, Mask
 
 _SIDES = (24, 64)  # pixels across a ball that are compared, to choose a start and to refine it
 _RIM = 0.95  # of the radius
-_SEARCHED = 800  # pixels of the longer side in which the outline is sought
 _FLATNESS = (
     0.3  # standard deviation of the log exponent of the cosine: rough matte materials have less than 1
 )
@@ -79,25 +76,17 @@ def find_light(photographs: Sequence[Photograph], circle: Circle | None = None) 
         raise UsageError(
             "photographs of different sizes, expected one camera that stays where it is to find lamps; give the lamps"
         )
-    if circle is None:
-        circle = circle_in(photographs)
-    coarse, pixels = (_Pixels.of(photographs, circle, side) for side in _SIDES)
-    tried = [coarse.fitted(coarse.start(lamps, alpha)) for lamps in coarse.lamps() for alpha in _LOBES]
-    best = pixels.fitted(min(tried, key=lambda fit: fit.cost).x)
+    circles = [circle] if circle is not None else [one.circle for one in outlines_in(photographs)]
+    fits = [_fit_to(photographs, one) for one in circles]
+    pixels, best = min(fits, key=lambda fit: fit[1].cost)
     return pixels.probe(best, [one.path for one in photographs])
 
 
-def circle_in(photographs: Sequence[Photograph]) -> Circle:
-    """The outline of a ball in photographs of one size: of their maximum, which no terminator cuts where lamps differ.
-
-    Raises:
-        UsageError: there is none.
-    """
-    largest = np.max([np.nan_to_num(one.values) for one in photographs], axis=0)
-    factor = max(1, max(largest.shape[:2]) // _SEARCHED)
-    shown = reduced(largest, factor)
-    shown = shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny)
-    return find_circle(encode_srgb(shown), str(photographs[0].path)).scaled(factor)
+def _fit_to(photographs: Sequence[Photograph], circle: Circle) -> tuple[_Pixels, _Fit]:
+    """The best fit of several starts near an outline."""
+    coarse, pixels = (_Pixels.of(photographs, circle, side) for side in _SIDES)
+    tried = [coarse.fitted(coarse.start(lamps, alpha)) for lamps in coarse.lamps() for alpha in _LOBES]
+    return pixels, pixels.fitted(min(tried, key=lambda fit: fit.cost).x)
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,3 +58,11 @@ def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
         )
     grey = (f"{path.name}: grey; the colour is not in it",) * picture.is_grey
     return Photograph(path, values, picture.is_clipped & seen, notes + grey)
+
+
+def reduced(values: Array, factor: int) -> Array:
+    """Means of squares of pixels; NaN where one of them is."""
+    if factor == 1:
+        return values
+    H, W = (n // factor * factor for n in values.shape[:2])
+    return np.asarray(values[:H, :W].reshape(H // factor, factor, W // factor, factor, -1).mean(axis=(1, 3)))

@@ -21,12 +21,12 @@ from manifold.colour.pictures import read_picture
 from manifold.errors import UsageError
 from manifold.estimate import photo_figure
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.blocks import blocks_of, reduced
-from manifold.estimate.circle import Circle, find_circle
+from manifold.estimate.blocks import blocks_of
+from manifold.estimate.circle import Circle, outlines_in
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamps import Lamp, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
-from manifold.estimate.light_probe import circle_in, find_light
+from manifold.estimate.light_probe import find_light
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
@@ -52,7 +52,6 @@ _MARGIN = 0.05  # around the ball in pictures of residuals
 _SIZE, _SAMPLES = 256, 32  # of predicted pictures
 _BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip
 _LEAST_COSINE = 0.05  # of a grey card's angle to its lamp
-_SEARCHED = 800  # pixels of the longer side in which a ball is found, at least, where the picture has more
 
 
 @dataclass(frozen=True)
@@ -372,11 +371,11 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
     read = {name: _light(name) for name in dict.fromkeys(lights)}
     balls = []
     for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
-        circle = Circle.parse(text) if text else _circle_of(photograph)
+        circle, doubts = (Circle.parse(text), ()) if text else _outline_of([photograph])
         image, made, notes = read[light]
         camera = Camera(turn_deg, request.elevation_deg, request.distance)
         sighting = Sighting(blocks_of(photograph, circle), camera, made)
-        balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes))
+        balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes + doubts))
     return tuple(balls)
 
 
@@ -399,7 +398,8 @@ def _under_lamps(
         lamps = [lamp for text in request.lamps for lamp in parse_lamp(text)]
         lamps = _for_each(len(photographs), lamps, "lamps")
         if all(circle is None for circle in found) and len({one.values.shape for one in photographs}) == 1:
-            found = [circle_in(photographs)] * len(photographs)
+            common, doubts = _outline_of(photographs)
+            found, notes = [common] * len(photographs), doubts
     if request.grey is None:
         notes += (
             "the lamp is taken as white: of one as red as an incandescent lamp the colour would be off by CIEDE2000 9; "
@@ -407,10 +407,10 @@ def _under_lamps(
         )
     balls = []
     for photograph, lamp, known in zip(photographs, lamps, found, strict=True):
-        circle = known or _circle_of(photograph)
+        circle, doubts = (known, ()) if known else _outline_of([photograph])
         seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
         sighting = Sighting(blocks_of(seen, circle), camera, (lamp,))
-        balls.append(SeenBall(seen, circle, None, sighting, photograph.notes + notes))
+        balls.append(SeenBall(seen, circle, None, sighting, photograph.notes + notes + doubts))
     return tuple(balls)
 
 
@@ -453,19 +453,10 @@ def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[P
     return [replace(one, values=np.maximum(one.values - dark.values, 0.0)) for one in photographs]
 
 
-def _circle_of(photograph: Photograph) -> Circle:
-    """The outline of the ball, found in a picture that is not larger than it takes.
-
-    Raises:
-        UsageError: there is none, or nothing of the picture was seen.
-    """
-    if not np.any(np.isfinite(photograph.values).all(axis=2) & ~photograph.is_clipped):
-        raise UsageError(
-            f"{photograph.path}: every pixel is clipped, transparent or not finite, expected a ball; expose it less"
-        )
-    factor = max(1, max(photograph.values.shape[:2]) // _SEARCHED)
-    shown = encode_srgb(np.nan_to_num(reduced(photograph.values, factor)))
-    return find_circle(shown, str(photograph.path)).scaled(factor)
+def _outline_of(photographs: Sequence[Photograph]) -> tuple[Circle, tuple[str, ...]]:
+    """The likeliest outline of the ball in photographs of one size, and doubts about it. Raises: as `outlines_in`."""
+    best = outlines_in(photographs)[0]
+    return best.circle, best.notes
 
 
 def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:

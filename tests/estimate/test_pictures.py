@@ -9,7 +9,7 @@ from PIL import Image
 
 from manifold.colour.conversion import decode_srgb
 from manifold.errors import FileFormatError, UsageError
-from manifold.estimate.circle import Circle, find_circle
+from manifold.estimate.circle import Circle, find_outlines
 from manifold.estimate.photo_files import read_photograph
 from manifold.render import images
 
@@ -116,7 +116,7 @@ def drawn(shape, circle, rng, light=0.8):
     [((120, 160), Circle(70.0, 58.0, 40.0)), ((600, 500), Circle(260.5, 330.0, 180.0)), ((64, 64), Circle(32, 32, 27))],
 )  # fmt: skip
 def test_the_ball_is_found(rng, shape, circle):
-    found = find_circle(drawn(shape, circle, rng), "ball.png")
+    found = find_outlines(drawn(shape, circle, rng), "ball.png")[0].circle
     apart = np.hypot(found.x - circle.x, found.y - circle.y)
     assert apart < 0.02 * circle.radius
     assert found.radius == pytest.approx(circle.radius, rel=0.02)
@@ -124,9 +124,9 @@ def test_the_ball_is_found(rng, shape, circle):
 
 def test_a_picture_without_a_ball_is_refused(rng):
     with pytest.raises(UsageError, match="no ball found"):
-        find_circle(0.5 + 0.05 * rng.standard_normal((100, 100, 3)), "noise.png")
+        find_outlines(0.5 + 0.05 * rng.standard_normal((100, 100, 3)), "noise.png")
     with pytest.raises(UsageError, match="no ball found"):
-        find_circle(np.full((100, 100, 3), 0.5), "flat.png")
+        find_outlines(np.full((100, 100, 3), 0.5), "flat.png")
 
 
 @pytest.mark.parametrize("text", ["1,2", "a,b,c", "1,2,nan", "1,2,-3"])

@@ -23,6 +23,7 @@ _LEAST_SUPPORT = 0.5  # share of the outline that is an edge
 _ANGLES = 180
 _SPANS, _ROUNDS = (0.2, 0.1, 0.05, 0.03), 8  # of the radius in which edges are sought, and rounds in each
 _ON_IT = 0.015  # of the radius: edges this near lie on a circle
+_DIFFERENT = 0.02  # of the radius: circles this far apart are two
 _LEAST_SHARE = 0.7  # of real balls lit from one side, circles drawn to the terminator have 0.50 to 0.67
 
 
@@ -99,12 +100,36 @@ def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
             raise UsageError(
                 f"{one.path}: every pixel is clipped, transparent or not finite, expected a ball; expose it less"
             )
+    shown, factor = _display(photographs)
+    found = find_outlines(shown, str(photographs[0].path))
+    return [one._replace(circle=one.circle.scaled(factor)) for one in found]
+
+
+def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tuple[str, ...]:
+    """A doubt about an outline that was given for photographs of one size: edges near it that lie on another circle."""
+    shown, factor = _display(photographs)
+    grey, given = _grey(shown), circle.scaled(1.0 / factor)
+    edges = _through_edges(grey, given)
+    off = max(float(np.hypot(edges.x - given.x, edges.y - given.y)), abs(edges.radius - given.radius))
+    share = _share_of_edges(grey, edges)
+    if off < _DIFFERENT * given.radius or share < max(_LEAST_SHARE, _share_of_edges(grey, given)):
+        return ()
+    return (
+        f"the circle {circle} was given, but {share:.0%} of the edges near it lie on {edges.scaled(factor)}, "
+        f"{off / given.radius:.0%} of its radius away: is it the ball's outline?",
+    )
+
+
+def _display(photographs: Sequence[Photograph]) -> tuple[Array, int]:
+    """The maximum of photographs in display values, and how many times smaller it is."""
     largest = np.max([np.nan_to_num(one.values) for one in photographs], axis=0)
     factor = max(1, max(largest.shape[:2]) // _SEARCHED)
     shown = reduced(largest, factor)
-    shown = encode_srgb(shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny))
-    found = find_outlines(shown, str(photographs[0].path))
-    return [one._replace(circle=one.circle.scaled(factor)) for one in found]
+    return encode_srgb(shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny)), factor
+
+
+def _grey(display: Array) -> Array:
+    return np.asarray(gaussian_filter(np.cbrt(np.maximum(display.mean(axis=2), 0.0)), 0.5))
 
 
 def find_outlines(display: Array, where: str) -> list[Outline]:
@@ -141,7 +166,7 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
         best = np.unravel_index(int(votes.argmax()), votes.shape)
         found.append((float(votes.max()), Circle(float(best[1]), float(best[0]), float(radius))))
     found.sort(key=lambda pair: -pair[0])
-    smooth = gaussian_filter(grey, 0.5)
+    smooth = _grey(display)
     refined = [_refined(smooth, circle, 1.0 / factor) for _, circle in found[:6]]
     support, circle = max(refined, key=lambda pair: pair[0], default=(0.0, Circle(0.0, 0.0, 0.0)))
     if support < _LEAST_SUPPORT:

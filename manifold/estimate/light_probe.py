@@ -29,6 +29,7 @@ _OUTLINE = 0.003  # standard deviation of the outline that was found, in radii; 
 _NOISE = 0.03  # of cube roots, relative to the picture's largest: where residuals stop to count in full
 _INDEPENDENT = 30.0  # pixels of a picture whose residuals are independent
 _LARGEST_RESIDUAL = 0.12  # of cube roots, relative: beyond, no lamp explains a picture
+_DOUBTED_DEG = 10.0  # of real pictures of a matte ball, lamps are found alone within 7 degrees
 _BRIGHT = 0.995  # quantile of pixels that are taken for a highlight
 _LOBES = (0.1, 0.35)  # alphas from which the fit starts
 
@@ -80,6 +81,26 @@ def find_light(photographs: Sequence[Photograph], circle: Circle | None = None) 
     fits = [_fit_to(photographs, one) for one in circles]
     pixels, best = min(fits, key=lambda fit: fit[1].cost)
     return pixels.probe(best, [one.path for one in photographs])
+
+
+def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tuple[str, ...]:
+    """A doubt about a lamp that was given: the ball looks lit from elsewhere.
+
+    Of materials that are no sum of a diffuse part and a highlight a picture alone says nothing, nor of near lamps.
+    """
+    if np.isfinite(lamp.distance):
+        return ()
+    try:
+        seen = find_light([photograph], circle)
+    except UsageError:
+        return ()
+    apart = float(np.rad2deg(np.arccos(np.clip(seen.lamps[0].direction @ lamp.direction, -1.0, 1.0))))
+    if apart <= max(_DOUBTED_DEG, 3.0 * seen.lamp_deg[0]):
+        return ()
+    return (
+        f"{photograph.path.name}: the lamp was given at {lamp}, but the ball looks lit from {seen.lamps[0]}, "
+        f"{apart:.0f} degrees away: is it the lamp of this picture, and x to the right, y up, z to the camera?",
+    )
 
 
 def _fit_to(photographs: Sequence[Photograph], circle: Circle) -> tuple[_Pixels, _Fit]:

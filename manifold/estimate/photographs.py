@@ -22,11 +22,11 @@ from manifold.errors import UsageError
 from manifold.estimate import photo_figure
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle, outlines_in
+from manifold.estimate.circle import Circle, given_outline_notes, outlines_in
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamps import Lamp, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
-from manifold.estimate.light_probe import find_light
+from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
@@ -364,54 +364,56 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
     if request.dark is not None:
         photographs = _without_dark(photographs, read_photograph(request.dark, request.is_linear))
     if request.lamps:
-        return _under_lamps(request, photographs, circles)
+        return _with_doubts(_under_lamps(request, photographs, circles), circles)
     if request.grey is not None:
         raise UsageError("--grey goes with --lamp; of a --light, give the --exposure")
     lights = _for_each(n, request.lights, "lights")
     read = {name: _light(name) for name in dict.fromkeys(lights)}
     balls = []
     for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
-        circle, doubts = (Circle.parse(text), ()) if text else _outline_of([photograph])
+        circle, doubts = _outline_of([photograph], text)
         image, made, notes = read[light]
         camera = Camera(turn_deg, request.elevation_deg, request.distance)
         sighting = Sighting(blocks_of(photograph, circle), camera, made)
         balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes + doubts))
-    return tuple(balls)
+    return _with_doubts(balls, circles)
 
 
 def _under_lamps(
     request: PhotoRequest, photographs: Sequence[Photograph], circles: Sequence[str]
-) -> tuple[SeenBall, ...]:
+) -> list[SeenBall]:
     """Balls under lamps that are given, or found."""
     camera, notes = Camera(distance=request.distance), tuple[str, ...]()
     if request.elevation_deg or any(request.turns_deg):
         raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
-    found = [Circle.parse(text) if text else None for text in circles]
-    lamps: list[Lamp]
+    is_common = len(set(circles)) == 1 and len({one.values.shape for one in photographs}) == 1
     if list(request.lamps) == ["found"]:
         if len(set(circles)) > 1:
             raise UsageError("different circles, expected one for all photographs to find their lamps")
-        probe = find_light(photographs, found[0])
+        probe = find_light(photographs, Circle.parse(circles[0]) if circles[0] else None)
         lamps, notes = list(probe.lamps), probe.notes
-        found = [probe.circle] * len(photographs)
+        outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
     else:
-        lamps = [lamp for text in request.lamps for lamp in parse_lamp(text)]
-        lamps = _for_each(len(photographs), lamps, "lamps")
-        if all(circle is None for circle in found) and len({one.values.shape for one in photographs}) == 1:
-            common, doubts = _outline_of(photographs)
-            found, notes = [common] * len(photographs), doubts
+        given = [lamp for text in request.lamps for lamp in parse_lamp(text)]
+        lamps = _for_each(len(photographs), given, "lamps")
+        if is_common:
+            outlines = [_outline_of(photographs, circles[0])] * len(photographs)
+        else:
+            outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
     if request.grey is None:
         notes += (
-            "the lamp is taken as white: of one as red as an incandescent lamp the colour would be off by CIEDE2000 9; "
-            "balance the picture's white, or give a grey card (--grey)",
+            "the lamp is taken as white: whatever colour it has, the material's is off by it; balance the picture's "
+            "white, or give a grey card (--grey)",
         )
     balls = []
-    for photograph, lamp, known in zip(photographs, lamps, found, strict=True):
-        circle, doubts = (known, ()) if known else _outline_of([photograph])
+    for photograph, lamp, (circle, doubts) in zip(photographs, lamps, outlines, strict=True):
         seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
         sighting = Sighting(blocks_of(seen, circle), camera, (lamp,))
-        balls.append(SeenBall(seen, circle, None, sighting, photograph.notes + notes + doubts))
-    return tuple(balls)
+        own = photograph.notes + notes + doubts
+        if list(request.lamps) != ["found"]:
+            own += given_lamp_notes(photograph, circle, lamp)
+        balls.append(SeenBall(seen, circle, None, sighting, own))
+    return balls
 
 
 def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
@@ -453,10 +455,25 @@ def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[P
     return [replace(one, values=np.maximum(one.values - dark.values, 0.0)) for one in photographs]
 
 
-def _outline_of(photographs: Sequence[Photograph]) -> tuple[Circle, tuple[str, ...]]:
-    """The likeliest outline of the ball in photographs of one size, and doubts about it. Raises: as `outlines_in`."""
+def _outline_of(photographs: Sequence[Photograph], given: str) -> tuple[Circle, tuple[str, ...]]:
+    """The outline of the ball in photographs of one size, given or the likeliest, and doubts about the latter.
+
+    Raises: as `outlines_in` and `Circle.parse`.
+    """
+    if given:
+        return Circle.parse(given), ()
     best = outlines_in(photographs)[0]
     return best.circle, best.notes
+
+
+def _with_doubts(balls: Sequence[SeenBall], given: Sequence[str]) -> tuple[SeenBall, ...]:
+    """Balls with doubts about the outlines that were given."""
+    return tuple(
+        replace(ball, notes=ball.notes + given_outline_notes([ball.photograph], ball.circle))
+        if text
+        else ball
+        for ball, text in zip(balls, given, strict=True)
+    )
 
 
 def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:

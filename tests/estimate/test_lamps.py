@@ -9,9 +9,9 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle
+from manifold.estimate.circle import Circle, given_outline_notes, outlines_in
 from manifold.estimate.lamps import Lamp, lamp_pairs, lamp_picture, parse_lamp
-from manifold.estimate.light_probe import find_light
+from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.photo_files import Photograph
 from manifold.estimate.photographs import PhotoRequest, see
 from manifold.estimate.pixels import Camera, block_sums
@@ -98,3 +98,29 @@ def test_a_grey_card_gives_exposure_and_colour_of_the_lamp(tmp_path):
     np.testing.assert_allclose(ball.photograph.values, picture, rtol=1e-3, atol=1e-5)
     with pytest.raises(UsageError, match="corner and size in pixels"):
         see(PhotoRequest([tmp_path / "ball.exr"], circles=circle, lamps=lamp, grey="1,1,800,8,0.18"))
+
+
+@pytest.mark.parametrize(
+    ("x", "radius", "words"), [(0.0, 1.0, None), (0.0, 1.06, "edges near it"), (0.08, 1.0, "edges")]
+)
+def test_a_circle_beside_the_outline_is_doubted(x, radius, words):
+    given = Circle(CIRCLE.x + x * CIRCLE.radius, CIRCLE.y, radius * CIRCLE.radius)
+    notes = given_outline_notes([photograph([0.2, 0.2, 1.0])], given)
+    assert notes == () if words is None else words in notes[0]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 4.0, 15.0, 30.0])
+def test_a_lamp_given_elsewhere_is_doubted(degrees):
+    direction = DIRECTIONS[0] / np.linalg.norm(DIRECTIONS[0])
+    turn = np.deg2rad(degrees)
+    beside = np.cross(direction, [0.0, 1.0, 0.0])
+    given = Lamp.towards(np.cos(turn) * direction + np.sin(turn) * beside / np.linalg.norm(beside))
+    notes = given_lamp_notes(photograph(direction), CIRCLE, given)
+    assert len(notes) == (degrees > 10.0)
+
+
+def test_a_ball_lit_from_one_side_keeps_its_outline_or_it_is_doubted():
+    for direction in ([0.8, 0.2, 0.5], [-0.5, 0.6, 0.6], [0.0, -0.9, 0.4]):
+        best, *_ = outlines_in([photograph(direction)])
+        off = np.hypot(best.circle.x - CIRCLE.x, best.circle.y - CIRCLE.y) / CIRCLE.radius
+        assert off < 0.02 or best.notes

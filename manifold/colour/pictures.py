@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.conversion import decode_srgb
-from manifold.errors import FileFormatError, MissingFileError
+from manifold.errors import FileFormatError, MissingFileError, UsageError
 from manifold.records import Array, Mask
 
+RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
+"""Of raw files of cameras, which need rawpy."""
 SUFFIXES = (".exr", ".hdr", ".pfm", ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".webp")
 """Of files that are read; what a file holds is decided by its content."""
 
@@ -26,6 +28,11 @@ _MOST_BYTES = 1_200_000_000  # of decoded values: 100 million pixels in single p
 _MOST_TILE = 1 << 24  # pixels of a tile, which is decoded whole
 _TIFF_KINDS = {0: "white is 0", 3: "palette", 5: "CMYK", 6: "YCbCr", 8: "CIELAB"}
 _PRIMARIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of sRGB and its white
+_MOST_CODE = 65535  # of 16 bits
+_RAW_WHITE = 0.999  # of the largest code: LibRaw rounds
+_MOST_CHUNKS = 100
+_HEIF = (b"heic", b"heix", b"hevc", b"mif1", b"msf1", b"avif")  # brands behind `ftyp`
+_SAY_COLOURS = {b"sRGB", b"gAMA", b"iCCP", b"cICP", b"cHRM"}  # chunks of PNG
 _PLATEAU = 4  # pixels of the very same largest value may be clipped
 
 
@@ -41,6 +48,7 @@ class Picture:
             four or more share the largest one; shape (H, W).
         is_encoded: whether the file has display values, which were decoded as sRGB.
         is_grey: whether its channels are equal.
+        notes: assumptions about the file, in sentences.
     """
 
     path: Path
@@ -49,19 +57,14 @@ class Picture:
     is_clipped: Mask
     is_encoded: bool
     is_grey: bool
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Assumptions about the file, in sentences."""
-        if not self.is_encoded:
-            return ()
-        return (
-            f"{self.path.name}: taken as sRGB; tone curves and colour settings of a camera are not undone",
-        )
+    notes: tuple[str, ...] = ()
 
 
 def read_picture(path: Path) -> Picture:
     """A picture: EXR, HDR, PFM and TIFF are linear, others and TIFF with a profile of sRGB are decoded as sRGB.
+
+    PNG of 16 bits that names no colour space is linear, too, as photometric stereo has it. Raw files of cameras are
+    developed by LibRaw: linear, in sRGB's primaries, with the camera's white balance.
 
     It is upright, as its orientation says. Layers and other channels than red, green, blue or grey, and alpha are left
     out of EXR and TIFF.
@@ -69,9 +72,12 @@ def read_picture(path: Path) -> Picture:
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: it is no picture, too large, or of a kind or in colours that are not supported.
+        UsageError: it is a camera's raw file, and rawpy is not installed.
     """
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return _read_raw(path)
     try:
         return _read(path, _kind(path))
     except UnicodeDecodeError as error:  # of names, or of messages of OpenImageIO with parts of the file
@@ -110,9 +116,49 @@ def _read(path: Path, kind: str) -> Picture:
     is_grey = colours[0] == colours[1] or bool(
         np.array_equal(values[..., :2], values[..., 1:], equal_nan=True)
     )
+    notes: tuple[str, ...] = ()
+    if is_encoded:
+        notes = (f"{path.name}: taken as sRGB; tone curves and colour settings of a camera are not undone",)
+    elif kind == "png":
+        notes = (f"{path.name}: 16 bits, and no colour space named: taken as linear",)
     return Picture(
-        path, _upright(values, turn), _upright(opaque, turn), _upright(clipped, turn), is_encoded, is_grey
+        path,
+        _upright(values, turn),
+        _upright(opaque, turn),
+        _upright(clipped, turn),
+        is_encoded,
+        is_grey,
+        notes,
     )
+
+
+def _read_raw(path: Path) -> Picture:
+    """A raw file, developed without curves."""
+    try:
+        import rawpy
+    except ImportError as error:
+        raise UsageError(
+            f"{path}: a camera's raw file, which rawpy reads: pip install 'brdf-manifold[raw]', or develop it to a "
+            "linear 16-bit TIFF"
+        ) from error
+    try:
+        with rawpy.imread(str(path)) as raw:
+            n_bytes = 12 * raw.sizes.iheight * raw.sizes.iwidth
+            if n_bytes > _MOST_BYTES:
+                raise _unsupported(path, f"{raw.sizes.iwidth} x {raw.sizes.iheight} pixels")
+            codes = raw.postprocess(
+                gamma=(1, 1),
+                no_auto_bright=True,
+                output_bps=16,
+                use_camera_wb=True,
+                output_color=rawpy.ColorSpace.sRGB,
+            )
+    except rawpy.LibRawError as error:
+        raise _unreadable(path, str(error)) from error
+    clipped: Mask = np.any(codes >= _RAW_WHITE * _MOST_CODE, axis=2)
+    values = (np.asarray(codes) / _MOST_CODE).astype(np.float32)
+    notes = (f"{path.name}: developed with the camera's white balance",)
+    return Picture(path, values, np.full(clipped.shape, True), clipped, False, False, notes)
 
 
 def _kind(path: Path) -> str:
@@ -125,6 +171,11 @@ def _kind(path: Path) -> str:
     for magic, kind in _MAGIC.items():
         if head.startswith(magic) and (kind != "webp" or head.endswith(b"WEBP")):
             return kind
+    if head[4:8] == b"ftyp" and head[8:12] in _HEIF:
+        raise FileFormatError(
+            f"{path}: a HEIC or AVIF picture, expected {_EXPECTED}; convert it: magick {path.name} {path.stem}.png, "
+            f"or on macOS sips -s format tiff {path.name} --out {path.stem}.tif"
+        )
     raise FileFormatError(f"{path}: not a readable picture (it begins with {head!r}), expected {_EXPECTED}")
 
 
@@ -182,6 +233,8 @@ def _is_encoded(path: Path, spec: Any, kind: str) -> bool:
     if profile is not None:
         found = _encoding(bytes(profile), spec.nchannels)
         space = spec.get_string_attribute("ICCProfile:profile_description") or "its profile"
+    elif kind == "png" and str(spec.format) == "uint16" and not _SAY_COLOURS & _chunks(path):
+        return False
     elif not space:
         found = kind not in _LINEAR
     else:
@@ -190,6 +243,17 @@ def _is_encoded(path: Path, spec: Any, kind: str) -> bool:
         found = is_srgb or (False if name.startswith(("lin_rec709", "linear", "lin_srgb")) else None)
     if found is None:
         raise FileFormatError(f"{path}: colours in {space}, expected sRGB or linear sRGB; convert it")
+    return found
+
+
+def _chunks(path: Path) -> set[bytes]:
+    """Types of the chunks of a PNG file before its pixels."""
+    found: set[bytes] = set()
+    with path.open("rb") as stream:
+        stream.seek(8)
+        while len(head := stream.read(8)) == 8 and head[4:] != b"IDAT" and len(found) < _MOST_CHUNKS:
+            found.add(head[4:])
+            stream.seek(int.from_bytes(head[:4], "big") + 4, 1)
     return found
 
 
@@ -216,7 +280,7 @@ def _encoding(profile: bytes, n_channels: int) -> bool | None:
 
 def _linear(stored: Array, is_encoded: bool, is_float: bool) -> tuple[Array, Mask]:
     """Linear float32 values of stored ones (H, W, 3), codes of 8 or 16 bits or floats, and which pixels are clipped."""
-    full = {"uint8": 255, "uint16": 65535}.get(str(stored.dtype), 1)
+    full = {"uint8": 255, "uint16": _MOST_CODE}.get(str(stored.dtype), 1)
     most = np.max(stored, where=np.isfinite(stored), initial=0) if is_float else full
     clipped: Mask = np.any(np.equal(stored, most), axis=2)
     if is_float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import sys
 import zlib
 
 import numpy as np
@@ -12,9 +13,9 @@ import pytest
 import tifffile
 from PIL import Image, ImageCms
 
-from manifold.colour.conversion import decode_srgb
+from manifold.colour.conversion import SRGB_TO_XYZ, decode_srgb
 from manifold.colour.pictures import read_picture
-from manifold.errors import FileFormatError
+from manifold.errors import FileFormatError, UsageError
 
 
 @pytest.fixture
@@ -49,10 +50,57 @@ def test_sixteen_bits_of_grey_are_read_in_sixteen_bits(tmp_path, rng, ending):
         Image.fromarray(grey).save(path)
     else:
         tifffile.imwrite(path, grey)
-    expected = decode_srgb(grey / 65535.0) if ending == "png" else grey / 65535.0
     read = read_picture(path)
-    np.testing.assert_allclose(read.values, np.repeat(expected[..., None], 3, 2), atol=1e-6)
+    np.testing.assert_allclose(read.values, np.repeat(grey[..., None] / 65535.0, 3, 2), atol=1e-6)
     assert read.is_grey
+    if ending == "png":  # which names no colour space, as pictures of photometric stereo
+        assert "taken as linear" in read.notes[0]
+
+
+def test_phones_pictures_are_refused_with_the_command_that_converts_them(tmp_path):
+    path = tmp_path / "IMG_1.heic"
+    path.write_bytes(b"\0\0\0\x18ftypheic" + bytes(64))
+    with pytest.raises(FileFormatError, match=r"magick IMG_1\.heic IMG_1\.png"):
+        read_picture(path)
+
+
+def write_dng(path, rgb, white=4095):
+    """A camera's raw file whose filters are the primaries of sRGB."""
+    codes = np.minimum(np.rint(rgb * white), white).astype(np.uint16)
+    filtered = np.empty(rgb.shape[:2], np.uint16)
+    for i, j, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        filtered[i::2, j::2] = codes[i::2, j::2, channel]
+    matrix = np.rint(1e4 * np.linalg.inv(SRGB_TO_XYZ)).astype(int)
+    ratios = [int(v) for value in matrix.ravel() for v in (value, 10_000)]
+    tags = [
+        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True),
+        (50706, "B", 4, bytes([1, 4, 0, 0]), True),
+        (50708, "s", 0, "Test", True), (50714, "H", 1, 0, True), (50717, "I", 1, white, True),
+        (50721, "2i", 9, ratios, True), (50728, "2I", 3, (1, 1) * 3, True), (50778, "H", 1, 21, True),
+        (271, "s", 0, "Test", True), (272, "s", 0, "Test", True),
+    ]  # fmt: skip
+    tifffile.imwrite(path, filtered, photometric=32803, extratags=tags)
+
+
+def test_raw_files_are_developed_without_curves(tmp_path):
+    y, x = np.mgrid[:64, :96] / 96.0
+    rgb = np.stack([0.2 + 0.5 * x, np.full_like(x, 0.3), 0.1 + 0.6 * y], axis=2)
+    rgb[:8, :8] = 1.5
+    write_dng(tmp_path / "ball.dng", rgb)
+    read = read_picture(tmp_path / "ball.dng")
+    np.testing.assert_allclose(read.values[12:-4, 12:-4], rgb[12:-4, 12:-4], atol=2e-3)
+    assert read.is_clipped[:6, :6].all()
+    assert not read.is_clipped[12:, 12:].any()
+    (tmp_path / "broken.dng").write_bytes((tmp_path / "ball.dng").read_bytes()[:300])
+    with pytest.raises(FileFormatError, match="not a readable picture"):
+        read_picture(tmp_path / "broken.dng")
+
+
+def test_raw_files_name_what_reads_them_where_it_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    (tmp_path / "ball.nef").write_bytes(b"II*\0")
+    with pytest.raises(UsageError, match=r"brdf-manifold\[raw\]"):
+        read_picture(tmp_path / "ball.nef")
 
 
 def test_sixteen_bits_of_colour_are_read_in_sixteen_bits(tmp_path, rng):

@@ -109,6 +109,7 @@ def complete(
     grey: photo_options.GreyOption = None,
     linear: photo_options.LinearOption = False,
     dark: photo_options.DarkOption = None,
+    light_ball: photo_options.LightBallOption = None,
     picture: Annotated[
         bool,
         typer.Option(
@@ -163,7 +164,19 @@ def complete(
         if suggest:
             raise UsageError("found --photo with --suggest, which suggests readings; leave one of them out")
         request = photo_options.photo_request(
-            photo, light, circle, turn, elevation, distance, exposure, camera, lamp, grey, linear, dark
+            photo,
+            light,
+            circle,
+            turn,
+            elevation,
+            distance,
+            exposure,
+            camera,
+            lamp,
+            grey,
+            linear,
+            dark,
+            light_ball,
         )
         from manifold.estimate import photographs
 

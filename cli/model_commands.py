@@ -369,6 +369,7 @@ def locate(
     grey: photo_options.GreyOption = None,
     linear: photo_options.LinearOption = False,
     dark: photo_options.DarkOption = None,
+    light_ball: photo_options.LightBallOption = None,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -396,7 +397,19 @@ def locate(
         if materials:
             raise UsageError(f"found {materials[0]} and --photo, expected one of them")
         request = photo_options.photo_request(
-            photo, light, circle, turn, elevation, distance, exposure, camera, lamp, grey, linear, dark
+            photo,
+            light,
+            circle,
+            turn,
+            elevation,
+            distance,
+            exposure,
+            camera,
+            lamp,
+            grey,
+            linear,
+            dark,
+            light_ball,
         )
         from manifold.estimate import photographs
 

@@ -31,6 +31,15 @@ LightOption = Annotated[
         metavar="PICTURE|NAME",
     ),
 ]
+LightBallOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--light-ball",
+        help="Instead of --light: a picture of a mirror ball in the same place, by the same camera. One, or one per "
+        "picture; its outline is found, or given behind it. How bright clipped spots were follows from the pixels.",
+        metavar="PICTURE[@X,Y,R]",
+    ),
+]
 LampOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -115,6 +124,7 @@ def photo_request(
     grey: str | None,
     linear: bool,
     dark: Path | None,
+    light_ball: list[str] | None,
 ) -> PhotoRequest:
     """What the options ask for.
 
@@ -123,12 +133,13 @@ def photo_request(
     """
     from manifold.estimate.photographs import PhotoRequest
 
-    if bool(light) == bool(lamp):
+    if sum(map(bool, (light, lamp, light_ball))) != 1:
         from manifold.colour.lights import ENVIRONMENTS
 
         raise UsageError(
-            f"found --photo {'without its light' if not light else 'with --light and --lamp'}; give one of --light "
-            f"ENV.exr, or a name ({', '.join(ENVIRONMENTS)}), and --lamp X,Y,Z, flash or found"
+            f"found --photo {'with several kinds of light' if light or lamp else 'without its light'}; give one of "
+            f"--light ENV.exr, or a name ({', '.join(ENVIRONMENTS)}), --light-ball MIRROR.png, and --lamp X,Y,Z, flash "
+            "or found"
         )
     exposure = exposure or ("free" if lamp and grey is None else "1")
     try:
@@ -140,7 +151,7 @@ def photo_request(
     far = float("inf") if distance is None else distance
     return PhotoRequest(
         photo, light or (), circle or (), turn or (0.0,), elevation, far, known, camera, lamp or (), exposure == "each",
-        grey, linear, dark,
+        grey, linear, dark, light_ball or (),
     )  # fmt: skip
 
 

@@ -44,6 +44,8 @@ _WHITE = 0.1  # standard deviation of the logarithm of what is brighter than whi
 _TEMPERED = (
     0.05  # weight of the evidence of pixels against the prior: the exposure is off by the least with it
 )
+_STRENGTHS = 4.0 ** np.arange(6)  # of spots in a clipped light, beside what is in its picture
+_FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _ROUNDS = 3  # of gains and weights in turn
 _HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
@@ -59,11 +61,13 @@ class Sighting:
         blocks: of its picture.
         camera: where it stood.
         light: an environment in its channels, or lamps.
+        spots: lamps of unknown strength beside the environment, where it is clipped.
     """
 
     blocks: Blocks
     camera: Camera
     light: Environment | Sequence[Lamp]
+    spots: Sequence[Lamp] = ()
 
     @cached_property
     def pairs(self) -> tuple[Array, Array, Array]:
@@ -72,9 +76,17 @@ class Sighting:
             return lamp_pairs(self.blocks, self.camera, self.light)
         return direction_pairs(self.blocks, self.camera, self.light, SAMPLES)
 
-    def rows(self, atoms: PhotoAtoms) -> list[Observation]:
-        """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small."""
-        sums = block_sums(atoms.values, *self.pairs)
+    def sums(self, atoms: PhotoAtoms) -> tuple[Array, Array | float]:
+        """Pixels of atoms under the light, and under the spots: (n, C, K) each; 0 without these."""
+        of_spots = lamp_pairs(self.blocks, self.camera, self.spots) if self.spots else None
+        return block_sums(atoms.values, *self.pairs), block_sums(atoms.values, *of_spots) if of_spots else 0.0
+
+    def rows(self, sums: Array) -> list[Observation]:
+        """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small.
+
+        Args:
+            sums: pixels of atoms, shape (n, C, K).
+        """
         counts, blocks = np.sqrt(self.blocks.counts), self.blocks
         channels = range(sums.shape[1])
         return [Observation(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped) for c in channels]
@@ -96,6 +108,7 @@ class PhotoMaterial:
         unlit: what the light cannot tell, in sentences.
         library: in whose cache the calibration is kept, if any.
         is_exposure_free: whether the exposure was estimated: then that of left-out materials is, too.
+        strength: of spots in a clipped light, see `strength_of_spots`; 0 without any.
     """
 
     atoms: PhotoAtoms
@@ -109,6 +122,7 @@ class PhotoMaterial:
     unlit: tuple[str, ...]
     library: Library | None = None
     is_exposure_free: bool = False
+    strength: float = 0.0
 
     def __repr__(self) -> str:
         like = ", ".join(f"{share:.2f} {name}" for name, share in self.made_of[:3])
@@ -134,12 +148,18 @@ class PhotoMaterial:
     def notes(self) -> tuple[str, ...]:
         """What the light cannot tell, and whether light and photographs go together, in sentences."""
         most = float(self.calibration.indicators[:, 0].max())
+        notes = self.unlit
+        if self.strength > 0.0:
+            notes += (
+                f"the light is clipped: by the pixels its spots are {1.0 + self.strength:.3g} times as bright as in "
+                "its picture; expected errors take that as known",
+            )
         if self.residual <= max(_UNEXPLAINED, most):
-            return self.unlit
+            return notes
         return (
             f"nothing explains the pixels (residual {self.residual:.0%}, of left-out materials at most {most:.0%}): is "
             "the light that of the photograph, turned and exposed alike, and the circle that of the ball?",
-            *self.unlit,
+            *notes,
         )
 
     @cached_property
@@ -194,7 +214,9 @@ def find_material(
         library: that of the atoms, in whose cache errors of left-out materials are kept.
     """
     sightings = [one for one in seen if isinstance(one, Sighting)]
-    per_picture = [sighting.rows(atoms) for sighting in sightings]
+    sums = [sighting.sums(atoms) for sighting in sightings]
+    strength = strength_of_spots(atoms, sightings, sums, exposure) if any(s.spots for s in sightings) else 0.0
+    per_picture = [s.rows(lit + strength * spots) for s, (lit, spots) in zip(sightings, sums, strict=True)]
     readings = [one for one in seen if isinstance(one, Readings)]
     gloss = {angle: units for one in seen if isinstance(one, Mapping) for angle, units in one.items()}
     gloss = {angle: units for one in readings for angle, units in one.gloss.items()} | gloss
@@ -229,7 +251,37 @@ def find_material(
         unlit(sightings),
         library,
         exposure is None,
+        strength,
     )
+
+
+def strength_of_spots(
+    atoms: PhotoAtoms,
+    sightings: Sequence[Sighting],
+    sums: Sequence[tuple[Array, Array | float]],
+    exposure: float | None,
+) -> float:
+    """How many times brighter than where the camera clipped them the spots of a light are: what explains pixels best.
+
+    Args:
+        atoms: of the library.
+        sightings: photographs in this light.
+        sums: their pixels, see `Sighting.sums`.
+        exposure: of the photographs; None where it is not known.
+    """
+
+    def off(strength: float) -> float:
+        rows = [s.rows(lit + strength * spots) for s, (lit, spots) in zip(sightings, sums, strict=True)]
+        channels = _joined(rows, np.ones(len(rows)))
+        t = exposure or probable_exposure(atoms, channels, [None] * len(channels))
+        channels = [one.scaled(t) for one in channels]
+        weights, _ = estimate(atoms, channels)
+        return float(np.mean([one.relative.error(w) ** 2 for one, w in zip(channels, weights, strict=True)]))
+
+    tried = np.append(0.0, _STRENGTHS)
+    best = float(tried[np.argmin([off(s) for s in tried])])
+    finer = best * _FINER
+    return float(finer[np.argmin([off(s) for s in finer])]) if best else 0.0
 
 
 def _joined(per_picture: Sequence[Sequence[Observation]], gains: Array) -> list[Observation]:

@@ -27,6 +27,7 @@ from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamps import Lamp, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
 from manifold.estimate.light_probe import find_light, given_lamp_notes
+from manifold.estimate.mirror_ball import clipped_spots, unwrapped
 from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
@@ -71,6 +72,8 @@ class PhotoRequest:
         grey: a card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None for none.
         is_linear: photographs are linear, whatever kind of files they are.
         dark: a photograph without light, that is subtracted from all; None for none.
+        light_balls: photographs of a mirror ball in place of environments, by the same camera, `PICTURE` or
+            `PICTURE@X,Y,R` with its outline.
     """
 
     photographs: Sequence[Path]
@@ -86,6 +89,7 @@ class PhotoRequest:
     grey: str | None = None
     is_linear: bool = False
     dark: Path | None = None
+    light_balls: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,14 +371,21 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         return _with_doubts(_under_lamps(request, photographs, circles), circles)
     if request.grey is not None:
         raise UsageError("--grey goes with --lamp; of a --light, give the --exposure")
-    lights = _for_each(n, request.lights, "lights")
-    read = {name: _light(name) for name in dict.fromkeys(lights)}
+    if request.light_balls:
+        if any(request.turns_deg):
+            raise UsageError("--turn goes with --light; a mirror ball is seen by the same camera")
+        lights = _for_each(n, request.light_balls, "mirror balls")
+        camera = Camera(0.0, request.elevation_deg, request.distance)
+        read = {text: _around(text, camera, request.is_linear) for text in dict.fromkeys(lights)}
+    else:
+        lights = _for_each(n, request.lights, "lights")
+        read = {name: (*_light(name), ()) for name in dict.fromkeys(lights)}
     balls = []
     for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
         circle, doubts = _outline_of([photograph], text)
-        image, made, notes = read[light]
+        image, made, notes, spots = read[light]
         camera = Camera(turn_deg, request.elevation_deg, request.distance)
-        sighting = Sighting(blocks_of(photograph, circle), camera, made)
+        sighting = Sighting(blocks_of(photograph, circle), camera, made, spots)
         balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes + doubts))
     return _with_doubts(balls, circles)
 
@@ -504,6 +515,22 @@ def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
         return image, Environment.of(image), notes
     except UsageError as error:
         raise UsageError(f"{name}: {error}") from error
+
+
+def _around(
+    text: str, camera: Camera, is_linear: bool
+) -> tuple[Array, Environment, tuple[str, ...], Sequence[Lamp]]:
+    """The environment that a photographed mirror ball shows: as a picture, for sampling, notes, and clipped spots."""
+    name, _, given = (text, "", "") if Path(text).is_file() else text.rpartition("@")
+    path = Path(name or text)
+    photograph = read_photograph(path, is_linear)
+    circle, doubts = _outline_of([photograph], given if name else "")
+    image = unwrapped(photograph, circle, camera)
+    notes = (*photograph.notes, *doubts, f"{path.name}: taken as a perfect mirror, its outline at {circle}")
+    try:
+        return image, Environment.of(image), notes, clipped_spots(photograph, circle)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
 
 
 def draw_residuals(

@@ -1,5 +1,6 @@
 """Lamps of photographed balls: given, in files, and found in the pictures."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +8,16 @@ import pytest
 
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
+from manifold.colour.lights import environment
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle, given_outline_notes, outlines_in
 from manifold.estimate.lamps import Lamp, lamp_pairs, lamp_picture, parse_lamp
+from manifold.estimate.light import Environment
 from manifold.estimate.light_probe import find_light, given_lamp_notes
+from manifold.estimate.mirror_ball import clipped_spots, unwrapped
 from manifold.estimate.photo_files import Photograph
+from manifold.estimate.photo_material import Sighting, strength_of_spots
 from manifold.estimate.photographs import PhotoRequest, see
 from manifold.estimate.pixels import Camera, block_sums
 from manifold.records import Bands
@@ -124,3 +129,59 @@ def test_a_ball_lit_from_one_side_keeps_its_outline_or_it_is_doubted():
         best, *_ = outlines_in([photograph(direction)])
         off = np.hypot(best.circle.x - CIRCLE.x, best.circle.y - CIRCLE.y) / CIRCLE.radius
         assert off < 0.02 or best.notes
+
+
+# -- mirror balls -----------------------------------------------------------------------------------------------------
+
+
+def mirror_ball(environment, camera, size=300, most=np.inf):
+    """A photograph of a perfect mirror in an environment, clipped where it is brighter than `most`."""
+    circle = Circle(size / 2, size / 2, 0.45 * size)
+    y, x = np.mgrid[:size, :size] + 0.5
+    u, v = (x - circle.x) / circle.radius, (circle.y - y) / circle.radius
+    r2 = u * u + v * v
+    normal = np.stack([u, v, np.sqrt(np.maximum(1.0 - r2, 0.0))], axis=-1)
+    seen, _ = environment.at(
+        (2.0 * normal[..., 2:] * normal - np.array([0.0, 0.0, 1.0])) @ np.array(camera.axes)
+    )
+    seen = np.where(r2[..., None] < 1.0, seen, 0.02)
+    return Photograph(
+        Path("mirror.png"), np.minimum(seen, most).astype(np.float32), (seen >= most).any(axis=2)
+    ), circle
+
+
+@pytest.mark.parametrize("elevation", [0.0, 25.0])
+def test_a_mirror_ball_is_unwrapped_to_its_environment(elevation):
+    image = environment("studio", 256).astype(float)
+    camera = Camera(elevation_deg=elevation)
+    photograph, circle = mirror_ball(Environment.of(image), camera)
+    found = unwrapped(photograph, circle, camera)
+    assert np.median(np.abs(found - image)) < 1e-3
+    assert np.mean(np.abs(found - image)) < 0.02 * image.mean()
+
+
+def test_clipped_spots_are_lamps_where_the_light_is():
+    image = np.full((256, 512, 3), 0.1)
+    image[60:70, 200:215] = 500.0
+    camera = Camera()
+    photograph, circle = mirror_ball(Environment.of(image), camera, most=1.0)
+    (spot,) = clipped_spots(photograph, circle)
+    theta, azimuth = np.pi * 65.0 / 256, 2.0 * np.pi * 207.5 / 512
+    world = np.array([np.sin(theta) * np.sin(azimuth), np.sin(theta) * np.cos(azimuth), np.cos(theta)])
+    assert np.rad2deg(np.arccos(spot.direction @ np.array(camera.axes) @ world)) < 2.0
+    solid_angle = 15 * 10 * (np.pi / 256) ** 2 * np.sin(theta)
+    np.testing.assert_allclose(spot.colour, solid_angle / np.pi, rtol=0.1)
+
+
+@pytest.mark.parametrize("strength", [0.0, 5.0, 40.0])
+def test_how_bright_clipped_spots_are_is_found_from_the_pixels(photo_atoms, strength):
+    lamp = Lamp.towards(np.array([0.5, 0.5, 0.7]), colour=np.full(3, 0.05))
+    blocks = blocks_of(photograph([0.3, 0.2, 1.0]), CIRCLE)
+    sighting = Sighting(blocks, Camera(), Environment.of(environment("overcast", 64).astype(float)), [lamp])
+    lit, spots = sighting.sums(photo_atoms)
+    both = lit + strength * spots
+    own = np.array([0, 1, 2]) + 3 * 2  # the third material of an RGB library
+    seen = np.array([both[k, c] for c, k in enumerate(own)]).T
+    made = replace(sighting, blocks=replace(blocks, values=seen, is_clipped=np.zeros(len(seen), bool)))
+    found = strength_of_spots(photo_atoms, [made], [(lit, spots)], 1.0)
+    assert found == pytest.approx(strength, rel=0.35)

@@ -147,7 +147,7 @@ def test_gloss_counts_beside_pixels(photo_atoms, felt):
 
 
 def test_what_stands_beside_pixels_neither_chooses_the_prior_nor_is_clipped(photo_atoms, felt):
-    pixels = felt[0].rows(photo_atoms)
+    pixels = felt[0].rows(felt[0].sums(photo_atoms)[0])
     level = np.array([0.9])
     read = [Observation(rows.atoms[:, :1], level, np.ones(1), np.zeros(1, bool)) for rows in pixels]
     both = [rows.beside(other) for rows, other in zip(pixels, read, strict=True)]

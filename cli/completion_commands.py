@@ -121,7 +121,8 @@ def complete(
     suggest: Annotated[
         int,
         typer.Option(
-            help="Also suggest this many directions to measure next; without READINGS, to measure first.",
+            help="Also suggest this many directions to measure next, or places of the lamp; without READINGS, to "
+            "measure first, or with --lamp and no picture, where to hold it.",
             metavar="K",
             min=0,
             max=100,
@@ -161,8 +162,6 @@ def complete(
         return completions.parse_lab(text, options.viewing_of(illuminant, observer))
 
     if photo:
-        if suggest:
-            raise UsageError("found --photo with --suggest, which suggests readings; leave one of them out")
         request = photo_options.photo_request(
             photo,
             light,
@@ -188,10 +187,20 @@ def complete(
         with progress.shown("Completing"):
             seen = photographs.complete_photographs(
                 request, library, target, readings=measured, gloss=given,
-                picture=checked(target.with_suffix(".png"), "picture") if picture else None,
+                picture=checked(target.with_suffix(".png"), "picture") if picture else None, count=suggest,
                 options=OutputOptions(physical, terminal.is_strict(), resolution, incidences),
             )  # fmt: skip
         photo_options.show_photographs(results, f"Completed {target}", seen)
+        return
+    if lamp:
+        if readings or lab or not suggest:
+            raise UsageError("--lamp goes with --photo, or before a picture with --suggest K; leave it out")
+        from manifold.estimate.lamp_plan import plan_first
+
+        with progress.shown("Leaving materials out"):
+            plan = plan_first(library, suggest)
+        photo_options.show_plan(results, plan, "")
+        results.document(plan.to_json())
         return
     if not readings and lab is None:
         if not suggest:

@@ -29,7 +29,7 @@ from manifold.library.store import Library
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
 from manifold.model.observation import Observation
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Array, Bands, Mask, evenly_spaced
+from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
 _LEFT_OUT = 16  # materials by which expected errors are calibrated
 _CHANNELS_NM = (
@@ -398,16 +398,9 @@ def calibrated(
 
     Where the exposure is free, pixels alone say theirs, as they say that of the photographs.
     """
-    library, axis = atoms.library, atoms.library.band_axis
-    nm = axis.wavelengths_nm
-    three = (
-        np.arange(3)
-        if nm is None
-        else np.array([np.abs(np.subtract(nm, at)).argmin() for at in _CHANNELS_NM])
-    )
     errors, found = [], []
-    for m in evenly_spaced(len(library.names), _LEFT_OUT):
-        own = m * axis.count + three
+    for m in evenly_spaced(len(atoms.library.names), _LEFT_OUT):
+        own = channel_atoms(atoms, m)
         rows = [seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
         if is_exposure_free and not any(one.n_beside for one in rows):
             t = probable_exposure(atoms, rows, [None] * len(rows), atoms.without(m))
@@ -416,6 +409,15 @@ def calibrated(
         errors.append(errors_of(atoms, own, weights))
         found.append(indicators(rows, weights, priors))
     return Calibration(np.array(errors), np.array(found))
+
+
+def channel_atoms(atoms: PhotoAtoms, material: int) -> Indices:
+    """The three atoms of a material of the library that stand for the channels of a camera."""
+    axis = atoms.library.band_axis
+    nm = axis.wavelengths_nm
+    if nm is None:
+        return material * axis.count + np.arange(3)
+    return material * axis.count + np.array([np.abs(np.subtract(nm, at)).argmin() for at in _CHANNELS_NM])
 
 
 def _cache_key(
@@ -443,7 +445,7 @@ def seen_instead(rows: Observation, seen: Array) -> Observation:
     return replace(rows, seen=np.where(is_bound, level, seen), is_bound=is_bound)
 
 
-def errors_of(atoms: PhotoAtoms, own: Array, weights: Array) -> tuple[float, float, float]:
+def errors_of(atoms: PhotoAtoms, own: Indices, weights: Array) -> tuple[float, float, float]:
     """Errors of weights (3, n) against three atoms `own`: the ball in the judged lights, cube roots, values."""
     truth, made = atoms.on_grid[own].T, (weights @ atoms.on_grid).T
     balls = [srgb_to_xyz(np.clip(ball.T, 0.0, 1.0)) for ball in (atoms.on_ball[own], weights @ atoms.on_ball)]

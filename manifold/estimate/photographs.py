@@ -24,6 +24,7 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle, given_outline_notes, outlines_in
 from manifold.estimate.gloss import gloss_units
+from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.lamps import Lamp, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
 from manifold.estimate.light_probe import find_light, given_lamp_notes
@@ -129,6 +130,7 @@ class FromPhotographs:
         picture: of photographs, predictions and differences, if it was asked for.
         diagnostics: what a user should know before trusting it, in sentences.
         seconds: in all.
+        plan: where to hold the lamp next, where that was asked for.
     """
 
     balls: tuple[SeenBall, ...]
@@ -139,6 +141,7 @@ class FromPhotographs:
     picture: Path | None
     diagnostics: tuple[str, ...]
     seconds: float
+    plan: LampPlan | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -158,6 +161,7 @@ class FromPhotographs:
             "plausibility": self.plausibility and vars(self.plausibility),
             "diagnostics": list(self.diagnostics),
             "seconds": self.seconds,
+            "plan": self.plan and self.plan.to_json(),
         }
 
 
@@ -169,6 +173,7 @@ def complete_photographs(
     readings: Readings | None = None,
     gloss: Mapping[float, float] = MappingProxyType({}),
     picture: Path | None = None,
+    count: int = 0,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> FromPhotographs:
     """Find the material of photographed balls, and readings of it, with a library as prior, and write it.
@@ -180,6 +185,7 @@ def complete_photographs(
         readings: of the same material, if there are any.
         gloss: units of a gloss meter by its angle in degrees, if there are any.
         picture: of photographs, predictions and differences; None draws none.
+        count: how many further pictures to suggest.
         options: of the output.
     Raises:
         MissingFileError, FileFormatError: a picture cannot be read.
@@ -210,8 +216,12 @@ def complete_photographs(
     if picture is not None:
         stages.begin("rendering")
         draw_residuals(balls, output, material, request.exposure, picture)
+    plan = None
+    if count:
+        stages.begin("suggesting")
+        plan = plan_lamps(material.atoms, count, [rows.pixels for rows in material.channels])
     return FromPhotographs(
-        balls, material, None, output, written.plausibility, picture, notes, time.perf_counter() - start
+        balls, material, None, output, written.plausibility, picture, notes, time.perf_counter() - start, plan
     )
 
 
@@ -275,6 +285,7 @@ def _stages(picture: Path | None) -> Stages:
         "comparing pixels": 8,
         "writing": 2,
         "rendering": 3,
+        "suggesting": 3,
     }
     return Stages(shares)
 

@@ -12,6 +12,7 @@ from manifold.colour.lights import environment
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle, given_outline_notes, outlines_in
+from manifold.estimate.lamp_plan import ANGLES_DEG, plan_lamps
 from manifold.estimate.lamps import Lamp, lamp_pairs, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
 from manifold.estimate.light_probe import find_light, given_lamp_notes
@@ -185,3 +186,26 @@ def test_how_bright_clipped_spots_are_is_found_from_the_pixels(photo_atoms, stre
     made = replace(sighting, blocks=replace(blocks, values=seen, is_clipped=np.zeros(len(seen), bool)))
     found = strength_of_spots(photo_atoms, [made], [(lit, spots)], 1.0)
     assert found == pytest.approx(strength, rel=0.35)
+
+
+# -- where to hold the lamp -------------------------------------------------------------------------------------------
+
+
+def test_a_plan_says_what_one_lamp_determines_and_which_to_add(photo_atoms):
+    plan = plan_lamps(photo_atoms, 2)
+    assert [one.angles_deg for one in plan.alone] == [(angle,) for angle in ANGLES_DEG]
+    first, second = plan.next
+    assert first == min(plan.alone, key=lambda one: one.ball)
+    assert second.angles_deg[:1] == first.angles_deg
+    assert second.ball < first.ball
+    # Light from behind says little of the colour at 45/0, light from 45 degrees most.
+    by_angle = {one.angles_deg[0]: one for one in plan.alone}
+    assert by_angle[45.0].colour < 0.5 * by_angle[130.0].colour
+
+
+def test_lamps_are_suggested_before_and_after_the_picture(run, library, tmp_path):
+    status, out, err = run("complete", "--lamp", "found", "--suggest", "1", "-L", library, cwd=tmp_path)
+    assert status == 0, err
+    assert "Hold the lamp next" in out
+    status, _, err = run("complete", "--lamp", "flash", "-L", library, cwd=tmp_path)
+    assert (status, "--lamp goes with --photo" in err) == (2, True)

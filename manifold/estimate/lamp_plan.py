@@ -1,0 +1,156 @@
+"""What pictures of a ball determine, by where their lamp stands, and where to hold it next.
+
+The library's materials are left out, one after the other, and found in pictures of them by the others. Of an isotropic
+material only the angle between lamp and camera matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from manifold import progress
+from manifold.colour.difference import delta_e_2000_lab, lab_values
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.blocks import Blocks
+from manifold.estimate.gloss import gloss_meter
+from manifold.estimate.lamps import Lamp, lamp_pairs
+from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.photo_estimate import estimate
+from manifold.estimate.photo_material import channel_atoms, errors_of, seen_instead
+from manifold.estimate.pixels import Camera, block_sums
+from manifold.formats.readings import aspecular_pair
+from manifold.library.store import Library
+from manifold.model.observation import Observation
+from manifold.records import Array, Bands, evenly_spaced
+
+ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
+"""Between lamp and camera, seen from the ball, that are tried."""
+
+_LEFT_OUT = 10  # materials by which errors are measured
+_ACROSS, _WITHIN = 18, 0.95  # pixels across a ball, and of its radius
+_GLOSS_DEG = 60.0
+_RGB = Bands(None)
+
+
+class Determined(NamedTuple):
+    """Median errors over materials that were left out.
+
+    Attributes:
+        angles_deg: between lamps and camera, of all pictures.
+        ball: CIEDE2000 in the judged lights.
+        colour: CIEDE2000 in the geometry 45/0.
+        gloss: at 60 degrees, relative.
+        flop: of the difference of L* between 15 and 110 degrees from the mirror direction, of light at 45 degrees.
+    """
+
+    angles_deg: tuple[float, ...]
+    ball: float
+    colour: float
+    gloss: float
+    flop: float
+
+
+@dataclass(frozen=True)
+class LampPlan:
+    """Where to hold a lamp.
+
+    Attributes:
+        alone: what one picture determines, beside those there are, by its lamp's angle.
+        next: the pictures to take, each with those before it, in order.
+    """
+
+    alone: tuple[Determined, ...]
+    next: tuple[Determined, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"alone": [one._asdict() for one in self.alone], "next": [one._asdict() for one in self.next]}
+
+
+def plan_lamps(atoms: PhotoAtoms, count: int, known: Sequence[Observation] | None = None) -> LampPlan:
+    """The lamps that make the expected error of the ball least, chosen one after the other.
+
+    Args:
+        atoms: of the library.
+        count: how many.
+        known: rows of pictures there are, channel by channel; None where there are none.
+    """
+    chosen: list[Determined] = []
+    alone: list[Determined] = []
+    for step in range(count):
+        angles = chosen[-1].angles_deg if chosen else ()
+        tried = []
+        for k, angle in enumerate(ANGLES_DEG):
+            progress.report(
+                step * len(ANGLES_DEG) + k, count * len(ANGLES_DEG), f"a lamp at {angle:g} degrees"
+            )
+            tried.append(determined(atoms, (*angles, angle), known))
+        alone = alone or tried
+        chosen.append(min(tried, key=lambda one: one.ball))
+    return LampPlan(tuple(alone), tuple(chosen))
+
+
+def plan_first(library: Path, count: int) -> LampPlan:
+    """`plan_lamps` of a library, before any picture. Raises: as `Library`."""
+    return plan_lamps(PhotoAtoms(LibraryAtoms.of_library(Library(library))), count)
+
+
+def determined(
+    atoms: PhotoAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None = None
+) -> Determined:
+    """What pictures under far lamps at angles from the camera determine; args as of `plan_lamps`."""
+    pictures = [_rows(atoms, angle) for angle in angles_deg]
+    if known is not None:
+        level = float(np.mean(known[0].weights))
+        pictures = [[_weighted(row, level) for row in rows] for rows in pictures]
+        pictures.append(list(known))
+    meter = gloss_meter(_GLOSS_DEG)
+    pairs = [aspecular_pair(45.0, aspecular) for aspecular in (45.0, 15.0, 110.0)]
+    wi, wo = (np.array(ends) for ends in zip(*pairs, strict=True))
+    at, shine = atoms.values(wi, wo), atoms.values(meter.wi, meter.wo) @ meter.weights
+    errors = []
+    for m in evenly_spaced(len(atoms.library.names), _LEFT_OUT):
+        own = channel_atoms(atoms, m)
+        rows = [  # each picture is clipped at its own level
+            Observation.joined([seen_instead(part[c], part[c].atoms[k]) for part in pictures])
+            for c, k in enumerate(own)
+        ]
+        weights, _ = estimate(atoms, rows, atoms.without(m))
+        lab, found = (lab_values(values.T, _RGB) for values in (at[own], weights @ at))
+        units, made = (float(np.mean(of)) for of in (shine[own], weights @ shine))
+        errors.append(
+            (
+                errors_of(atoms, own, weights)[0],
+                float(delta_e_2000_lab(lab[0], found[0])),
+                float(np.expm1(abs(np.log(max(made, 1e-9) / max(units, 1e-9))))),
+                abs(float(np.ptp(lab[1:, 0]) - np.ptp(found[1:, 0]))),
+            )
+        )
+    return Determined(tuple(angles_deg), *np.median(errors, axis=0).tolist())
+
+
+def _weighted(rows: Observation, level: float) -> Observation:
+    return Observation(rows.atoms, rows.seen, level * rows.weights, rows.is_bound)
+
+
+@lru_cache(maxsize=len(ANGLES_DEG))
+def _rows(atoms: PhotoAtoms, angle_deg: float) -> list[Observation]:
+    """Pixels of atoms in a picture under one lamp, channel by channel."""
+    across = _WITHIN * (2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0)
+    x, y = (grid.ravel() for grid in np.meshgrid(across, across))
+    inside = np.hypot(x, y) < _WITHIN
+    x, y = x[inside], y[inside]
+    ones: Array = np.ones(len(x))
+    places = Blocks(
+        x, y, np.arange(len(x)), 2.0 * _WITHIN / _ACROSS, np.zeros((len(x), 3)), np.zeros(len(x), bool)
+    )
+    turn = np.deg2rad(angle_deg)
+    lamp = Lamp(np.array([0.0, np.sin(turn), np.cos(turn)]))
+    sums = block_sums(atoms.values, *lamp_pairs(places, Camera(), [lamp]))
+    return [Observation(sums[:, c], 0.0 * ones, ones, np.zeros(len(x), bool)) for c in range(sums.shape[1])]

@@ -110,6 +110,7 @@ def complete(
     linear: photo_options.LinearOption = False,
     dark: photo_options.DarkOption = None,
     light_ball: photo_options.LightBallOption = None,
+    cylinder: photo_options.CylinderOption = None,
     picture: Annotated[
         bool,
         typer.Option(
@@ -176,6 +177,7 @@ def complete(
             linear,
             dark,
             light_ball,
+            cylinder,
         )
         from manifold.estimate import photographs
 

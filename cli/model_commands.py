@@ -370,6 +370,7 @@ def locate(
     linear: photo_options.LinearOption = False,
     dark: photo_options.DarkOption = None,
     light_ball: photo_options.LightBallOption = None,
+    cylinder: photo_options.CylinderOption = None,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -410,6 +411,7 @@ def locate(
             linear,
             dark,
             light_ball,
+            cylinder,
         )
         from manifold.estimate import photographs
 

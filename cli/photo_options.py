@@ -73,6 +73,14 @@ CircleOption = Annotated[
         "--circle", help="The ball's outline in pixels. [default: found]", metavar="X,Y,R", show_default=False
     ),
 ]
+CylinderOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--cylinder",
+        help="Instead of a ball an upright cylinder, such as a painted tin: centre, radius and height in pixels.",
+        metavar="X,Y,R,H",
+    ),
+]
 TurnOption = Annotated[
     list[float] | None,
     typer.Option(
@@ -126,6 +134,7 @@ def photo_request(
     linear: bool,
     dark: Path | None,
     light_ball: list[str] | None,
+    cylinder: list[str] | None,
 ) -> PhotoRequest:
     """What the options ask for.
 
@@ -142,6 +151,10 @@ def photo_request(
             f"--light ENV.exr, or a name ({', '.join(ENVIRONMENTS)}), --light-ball MIRROR.png, and --lamp X,Y,Z, flash "
             "or found"
         )
+    if circle and cylinder:
+        raise UsageError("--circle and --cylinder, expected one of them")
+    if any(text.count(",") != count for given, count in ((circle, 2), (cylinder, 3)) for text in given or ()):
+        raise UsageError("expected --circle X,Y,R, or --cylinder X,Y,R,H")
     exposure = exposure or ("free" if lamp and grey is None else "1")
     try:
         known = None if exposure == "free" or (exposure == "each" and grey is None) else 1.0
@@ -151,8 +164,8 @@ def photo_request(
         raise UsageError(f"--exposure '{exposure}', expected a number above 0, each or free") from None
     far = float("inf") if distance is None else distance
     return PhotoRequest(
-        photo, light or (), circle or (), turn or (0.0,), elevation, far, known, camera, lamp or (), exposure == "each",
-        grey, linear, dark, light_ball or (),
+        photo, light or (), cylinder or circle or (), turn or (0.0,), elevation, far, known, camera, lamp or (),
+        exposure == "each", grey, linear, dark, light_ball or (),
     )  # fmt: skip
 
 

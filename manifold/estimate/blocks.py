@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.estimate.circle import Circle
+from manifold.estimate.circle import Circle, Cylinder
 from manifold.estimate.photo_files import Photograph, reduced
 from manifold.records import Array, Indices, Mask
 
@@ -16,6 +16,7 @@ _MOST_BLOCKS = 400
 _LARGEST, _SMALLEST, _CLIPPED = 16, 2, 8  # pixels a side
 _DIAMETER = 256  # to which larger balls are reduced
 _RIM = 0.97  # of the radius: beyond, errors of the outline are largest
+_LEAST_SPAN_DEG = 40.0  # of normals; flatter ones gain nothing over two analytic lobes
 _LEAST_SHARE = 0.1  # of the ball that must have been seen
 
 
@@ -29,6 +30,7 @@ class Blocks:
         size: width of a pixel in radii.
         values: mean of every block, shape (K, 3).
         is_clipped: blocks that were at least as bright as their values, shape (K,).
+        is_cylinder: whether they are of an upright cylinder instead of a ball.
     """
 
     x: Array
@@ -37,6 +39,7 @@ class Blocks:
     size: float
     values: Array
     is_clipped: Mask
+    is_cylinder: bool = False
 
     @property
     def counts(self) -> Indices:
@@ -45,13 +48,17 @@ class Blocks:
 
 
 def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
-    """The blocks of a ball.
+    """The blocks of a ball, or of a cylinder.
 
     Raises:
-        UsageError: the circle is not in the picture, the ball is black, or most of it is clipped or unseen.
+        UsageError: the circle is not in the picture, the ball is black, most of it is clipped or unseen, or what is
+            seen of a cylinder is nearly flat.
     """
     path, (H, W) = photograph.path, photograph.values.shape[:2]
-    if not (0.0 <= circle.x <= W and 0.0 <= circle.y <= H and 8.0 <= circle.radius <= np.hypot(W, H)):
+    is_cylinder = isinstance(circle, Cylinder)
+    if is_cylinder:
+        _require_curved(photograph, circle)
+    elif not (0.0 <= circle.x <= W and 0.0 <= circle.y <= H and 8.0 <= circle.radius <= np.hypot(W, H)):
         raise UsageError(
             f"{path}: circle {circle.x:.6g},{circle.y:.6g},{circle.radius:.6g} in a picture of {W} x {H}, expected one "
             "inside it, of a radius from 8 pixels to its diagonal"
@@ -63,7 +70,7 @@ def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
     x = ((np.arange(columns) + 0.5) * factor - circle.x) / circle.radius
     y = (circle.y - (np.arange(rows) + 0.5) * factor) / circle.radius
     x, y = (np.broadcast_to(a, (rows, columns)) for a in (x, y[:, None]))
-    inside = x * x + y * y < _RIM**2
+    inside = circle.contains(x, y, _RIM)
     clipped = inside & np.isfinite(values).all(axis=2) & is_clipped
     seen = inside & np.isfinite(values).all(axis=2) & ~is_clipped
     if not seen.sum() >= max(_LEAST_SHARE * inside.sum(), 1.0):
@@ -81,7 +88,21 @@ def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
     starts = np.cumsum(counts) - counts
     i, j = np.concatenate(parts).T
     means = np.add.reduceat(values[i, j].astype(float), starts) / counts[:, None]
-    return Blocks(x[i, j], y[i, j], starts, factor / circle.radius, means, is_clipped[i, j][starts])
+    return Blocks(
+        x[i, j], y[i, j], starts, factor / circle.radius, means, is_clipped[i, j][starts], is_cylinder
+    )
+
+
+def _require_curved(photograph: Photograph, cylinder: Circle) -> None:
+    """Raise UsageError where the normals that a picture shows of a cylinder differ by little."""
+    edges = (np.array([0.0, photograph.values.shape[1]]) - cylinder.x) / cylinder.radius
+    span = float(np.rad2deg(np.ptp(np.arcsin(np.clip(edges, -_RIM, _RIM)))))
+    if span < _LEAST_SPAN_DEG:
+        raise UsageError(
+            f"{photograph.path}: the normals of what is seen of the cylinder at {cylinder} span {span:.0f} degrees, "
+            f"expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece says little; bend it over a thinner one, or "
+            "give readings"
+        )
 
 
 def _squares(roots: Array, seen: Mask, side: int, most: int) -> list[tuple[int, int, int]]:

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from manifold.colour.conversion import encode_srgb
 from manifold.errors import UsageError
 from manifold.estimate.photo_files import Photograph, reduced
-from manifold.records import Array
+from manifold.records import Array, Mask
 
 _SEARCHED = 800  # pixels of the longer side in which outlines are sought, at least, where pictures have more
 _BRIGHT = 0.995  # quantile of values that is white in what is searched
@@ -47,22 +47,45 @@ class Circle:
         """The same in a picture of so many times the size."""
         return Circle(factor * self.x, factor * self.y, factor * self.radius)
 
+    def contains(self, x: Array, y: Array, rim: float) -> Mask:
+        """Which places, right and up of the centre in radii, lie within a share of the radius."""
+        return np.asarray(x * x + y * y < rim**2)
+
     @classmethod
     def parse(cls, text: str) -> Circle:
-        """A circle of `X,Y,R`.
+        """A circle of `X,Y,R`, or the outline of an upright cylinder, of `X,Y,R,H`.
 
         Raises:
-            UsageError: these are not three finite numbers, or the radius is not positive.
+            UsageError: these are not three or four finite numbers, or radius or height is not positive.
         """
         try:
-            x, y, radius = (float(part) for part in text.split(","))
+            numbers = [float(part) for part in text.split(",")]
         except ValueError:
-            x = y = radius = np.nan
-        if not np.isfinite([x, y, radius]).all() or radius <= 0.0:
+            numbers = []
+        if len(numbers) not in (3, 4) or not np.isfinite(numbers).all() or min(numbers[2:]) <= 0.0:
             raise UsageError(
-                f"circle '{text}', expected X,Y,R: centre and radius in pixels, such as 320,240,150"
+                f"circle '{text}', expected X,Y,R: centre and radius in pixels, such as 320,240,150; of a cylinder "
+                "X,Y,R,H with its height"
             )
-        return cls(x, y, radius)
+        return Circle(*numbers) if len(numbers) == 3 else Cylinder(*numbers)
+
+
+@dataclass(frozen=True)
+class Cylinder(Circle):
+    """The outline of an upright cylinder, of which so much of the height is used.
+
+    Attributes:
+        height: in pixels, half of it above the centre.
+    """
+
+    height: float
+
+    def __str__(self) -> str:
+        return f"{super().__str__()},{self.height:.1f}"
+
+    def contains(self, x: Array, y: Array, rim: float) -> Mask:
+        """As of circles."""
+        return np.asarray((np.abs(x) < rim) & (np.abs(y) < 0.5 * self.height / self.radius))
 
 
 class Outline(NamedTuple):

@@ -22,7 +22,7 @@ from manifold.errors import UsageError
 from manifold.estimate import photo_figure
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle, given_outline_notes, outlines_in
+from manifold.estimate.circle import Circle, Cylinder, given_outline_notes, outlines_in
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.lamps import Lamp, lamp_picture, parse_lamp
@@ -63,7 +63,7 @@ class PhotoRequest:
     Attributes:
         photographs: files.
         lights: environments, files or names of `environments.ENVIRONMENTS`; none where there are lamps.
-        circles: of the balls, as `Circle.parse` reads them; none where they are to be found.
+        circles: of the balls, or of upright cylinders, as `Circle.parse` reads them; none where they are to be found.
         turns_deg: azimuths of what lies straight ahead in the environments.
         elevation_deg, distance: of the camera.
         exposure: of the photographs relative to the light; None where it is not known.
@@ -150,7 +150,7 @@ class FromPhotographs:
             "photographs": [
                 {
                     "path": str(ball.photograph.path),
-                    "circle": [ball.circle.x, ball.circle.y, ball.circle.radius],
+                    "circle": list(vars(ball.circle).values()),
                     "lamps": [lamp.direction.tolist() for lamp in ball.lamps],
                 }
                 for ball in self.balls
@@ -195,6 +195,10 @@ def complete_photographs(
     """
     start = time.perf_counter()
     require_bsdf_output(output)
+    if picture is not None and any(text.count(",") > 2 for text in request.circles):
+        raise UsageError(
+            f"{picture}: a picture of residuals, expected balls, found a cylinder; leave --picture out"
+        )
     stages = _stages(picture)
     balls, material, notes = _found(request, Library(library), readings, gloss, stages)
     stages.begin("writing")
@@ -375,6 +379,12 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         _for_each(n, values, what)
         for values, what in ((request.circles or [""], "circles"), (request.turns_deg, "turns"))
     )
+    has_cylinder = any(isinstance(Circle.parse(text), Cylinder) for text in circles if text)
+    is_plain = not request.elevation_deg and np.isinf(request.distance) and list(request.lamps) != ["found"]
+    if has_cylinder and not is_plain:
+        raise UsageError(
+            "a cylinder with --elevation, --distance or --lamp found, expected a far, level camera and a known light"
+        )
     photographs = [read_photograph(path, request.is_linear) for path in request.photographs]
     if request.dark is not None:
         photographs = _without_dark(photographs, read_photograph(request.dark, request.is_linear))
@@ -432,7 +442,7 @@ def _under_lamps(
         seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
         sighting = Sighting(blocks_of(seen, circle), camera, (lamp,))
         own = photograph.notes + notes + doubts
-        if list(request.lamps) != ["found"]:
+        if list(request.lamps) != ["found"] and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)
         balls.append(SeenBall(seen, circle, None, sighting, own))
     return balls
@@ -492,7 +502,7 @@ def _with_doubts(balls: Sequence[SeenBall], given: Sequence[str]) -> tuple[SeenB
     """Balls with doubts about the outlines that were given."""
     return tuple(
         replace(ball, notes=ball.notes + given_outline_notes([ball.photograph], ball.circle))
-        if text
+        if text and not isinstance(ball.circle, Cylinder)
         else ball
         for ball, text in zip(balls, given, strict=True)
     )

@@ -56,6 +56,16 @@ class Camera:
             np.array([0.0, -np.cos(e), np.sin(e)]),
         )
 
+    def cylinder(self, x: Array) -> tuple[Array, Array]:
+        """The same of an upright cylinder that a far, level camera sees.
+
+        Args:
+            x: right of its middle in radii, any shape, `|x| <= 1`.
+        """
+        right, _, towards = self.axes
+        normal = x[..., None] * right + np.sqrt(np.maximum(1.0 - x * x, 0.0))[..., None] * towards
+        return normal, np.broadcast_to(towards, normal.shape)
+
     def surface(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Normals, and directions to the camera, of points right and up of the centre, in radii of the outline.
 
@@ -120,6 +130,8 @@ def sampled_surface(blocks: Blocks, camera: Camera, samples: int) -> tuple[Array
     shift = (u[..., 0] * blocks.counts[:, None]) % 1.0
     x = blocks.x[chosen] + blocks.size * (shift - 0.5)
     y = blocks.y[chosen] + blocks.size * (u[..., 4] - 0.5)
+    if blocks.is_cylinder:
+        return *camera.cylinder(np.clip(x, -1.0, 1.0)), u
     beyond = np.maximum(np.hypot(x, y), 1.0) * (1.0 + 1e-9)
     normal, view = camera.surface(x / beyond, y / beyond)
     return normal, view, u

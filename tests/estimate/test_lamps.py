@@ -8,10 +8,12 @@ import pytest
 
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.lights import environment
+from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle, given_outline_notes, outlines_in
+from manifold.estimate.circle import Circle, Cylinder, given_outline_notes, outlines_in
 from manifold.estimate.lamp_plan import ANGLES_DEG, plan_lamps
 from manifold.estimate.lamps import Lamp, lamp_pairs, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
@@ -21,6 +23,7 @@ from manifold.estimate.photo_files import Photograph
 from manifold.estimate.photo_material import Sighting, strength_of_spots
 from manifold.estimate.photographs import PhotoRequest, see
 from manifold.estimate.pixels import Camera, block_sums
+from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
 
 PAINT = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))
@@ -209,3 +212,69 @@ def test_lamps_are_suggested_before_and_after_the_picture(run, library, tmp_path
     assert "Hold the lamp next" in out
     status, _, err = run("complete", "--lamp", "flash", "-L", library, cwd=tmp_path)
     assert (status, "--lamp goes with --photo" in err) == (2, True)
+
+
+# -- cylinders --------------------------------------------------------------------------------------------------------
+
+TIN = Cylinder(64.0, 50.0, 40.0, 60.0)
+
+
+def photographed_tin(brdf, direction, cylinder=TIN, size=(100, 128)):
+    """An upright cylinder under a far lamp, relative to a white diffuser that faces it."""
+    y, x = np.mgrid[: size[0], : size[1]] + 0.5
+    u = (x - cylinder.x) / cylinder.radius
+    inside = cylinder.contains(u, (cylinder.y - y) / cylinder.radius, 1.0)
+    normal = np.stack([u, 0.0 * u, np.sqrt(np.maximum(1.0 - u * u, 0.0))], axis=-1)[inside]
+    across = np.stack([normal[:, 2], 0.0 * normal[:, 0], -normal[:, 0]], axis=1)
+    frame = np.stack([across, np.broadcast_to([0.0, 1.0, 0.0], across.shape), normal], axis=1)
+    direction = np.asarray(direction) / np.linalg.norm(direction)
+    wi, wo = frame @ np.array([0.0, 0.0, 1.0]), frame @ direction
+    lit = wo[:, 2] > 0.0
+    values = np.zeros((len(wi), 3))
+    values[lit] = np.pi * brdf.eval(wi[lit], wo[lit]) * wo[lit, 2:]
+    picture = np.zeros((*size, 3), np.float32)
+    picture[inside] = values
+    return Photograph(Path("tin"), picture, np.zeros(size, bool))
+
+
+def test_pixels_of_a_tin_are_those_of_a_cylinder():
+    direction = np.array([0.4, 0.6, 0.7])
+    blocks = blocks_of(photographed_tin(PAINT, direction), TIN)
+    sums = block_sums(
+        lambda a, b: PAINT.eval(a, b).T, *lamp_pairs(blocks, Camera(), [Lamp.towards(direction)])
+    )
+    made = np.array([sums[c, c] for c in range(3)]).T
+    bright = blocks.values.max(axis=1) > 0.05
+    np.testing.assert_allclose(made[bright], blocks.values[bright], rtol=0.12)
+    assert np.mean(made - blocks.values) == pytest.approx(0.0, abs=0.003)
+
+
+def test_a_nearly_flat_piece_of_a_cylinder_is_refused():
+    flat = Cylinder(64.0, 50.0, 400.0, 60.0)
+    with pytest.raises(UsageError, match="span 18 degrees, expected 40"):
+        blocks_of(photographed_tin(PAINT, [0.2, 0.2, 1.0], flat), flat)
+
+
+def test_a_tin_is_completed_and_its_options_are_checked(run, library, tmp_path):
+    import OpenImageIO
+
+    picture = photographed_tin(PAINT, [0.5, 0.5, 0.7]).values
+    out = OpenImageIO.ImageOutput.create(str(tmp_path / "tin.exr"))
+    out.open(str(tmp_path / "tin.exr"), OpenImageIO.ImageSpec(128, 100, 3, "float"))
+    out.write_image(picture)
+    out.close()
+    given = ["complete", "--photo", "tin.exr", "-L", library, "-o", "tin_rgb.bsdf"]
+    where = ["--cylinder", "64,50,40,60"]
+    status, _, err = run(*given, *where, "--lamp", "0.5,0.5,0.7", "--exposure", "1", cwd=tmp_path)
+    assert status == 0, err
+    brdf = MeasuredBRDF(read_bsdf(tmp_path / "tin_rgb.bsdf"))
+    wi, wo = (
+        from_spherical(np.deg2rad(angle), azimuth)[None] for angle, azimuth in ((45.0, np.pi), (0.0, 0.0))
+    )
+    np.testing.assert_allclose(brdf.eval(wi, wo), PAINT.eval(wi, wo), rtol=0.15)
+    for wrong, words in (
+        (["--lamp", "found"], "known light"),
+        (["--lamp", "flash", "--picture"], "found a cylinder"),
+    ):
+        status, _, err = run(*given, *where, *wrong, cwd=tmp_path)
+        assert (status, words in " ".join(err.split())) == (2, True), err

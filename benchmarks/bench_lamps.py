@@ -1,0 +1,465 @@
+"""Photographs under lamps: what is found in real pictures of a ball, and in rendered ones of materials left out.
+
+    python benchmarks/bench_lamps.py --set FOLDER --library library.zarr     # gray/*.png, chrome/*.png, lights.txt
+    python benchmarks/bench_lamps.py --files FOLDER --library library.zarr   # .bsdf files, rendered by Mitsuba
+    python benchmarks/bench_lamps.py --files FOLDER --library library.zarr --wrong --expected --together
+
+A set is one of photometric stereo: pictures of a ball under lamps of known directions. Lamps are found in one, three,
+five pictures of it, and the others predicted; each may have a gain, and is compared in display values within the ball.
+
+Files are photographed in a dark room: 8-bit JPEG of random gain, the ball off the middle. What is found without the
+file is compared as a ball in the judged lights. The analytic fits see the same pixels and the true lamps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+from scipy.stats import spearmanr
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.conversion import encode_srgb
+from manifold.errors import ManifoldError
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.blocks import blocks_of
+from manifold.estimate.circle import Circle
+from manifold.estimate.lamps import Lamp, lamp_pairs, read_lamps
+from manifold.estimate.light_probe import find_light
+from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.photo_files import Photograph, read_photograph
+from manifold.estimate.photo_material import PhotoMaterial, Sighting, find_material
+from manifold.estimate.photographs import PhotoRequest, see
+from manifold.estimate.pixels import Camera, frames
+from manifold.estimate.spectra import band_matrix, srgb_responses
+from manifold.fit.fit_samples import FitSamples
+from manifold.fit.principled import fit_bsdf
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
+from manifold.model.comparison import brdf_errors
+from manifold.model.prediction import ClippedBRDF
+from manifold.records import Array
+from manifold.render import backend, bsdf_parameters
+from manifold.render.fitted_brdf import FittedBRDF
+from manifold.render.image_metrics import ciede2000_map
+
+FAMILIES = ("lambertian", "principled")
+COUNTS = (1, 3, 5)
+DISTANCE = 10.0  # radii: a torch 40 cm from a ball of 8 cm
+SIZE, RADIUS = 240, 80.0  # pixels
+DIRECTIONS = np.array(
+    [[0.5, 0.5, 0.7], [-0.7, 0.5, 0.3], [0.3, -0.8, 0.4], [0.9, -0.1, 0.15], [-0.2, 0.1, 0.95]]
+)
+CARD = (6, 6, 30, 30)  # of the picture; reflectance 0.18
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A kind of photographs, and what is told of them.
+
+    Attributes:
+        name: for the table.
+        light: sun, torch or flash.
+        knows: geometry, card, or nothing.
+    """
+
+    name: str
+    light: str
+    knows: str
+
+
+SHOTS = tuple(
+    Shot(f"{light}, {knows}", light, knows)
+    for light, kinds in (
+        ("sun", ("geometry", "geometry and card", "nothing", "card")),
+        ("torch", ("geometry", "geometry and card", "nothing", "card")),
+        ("flash", ("geometry", "geometry and card")),
+    )
+    for knows in kinds
+)
+
+
+@dataclass(frozen=True)
+class Material:
+    """A library's atoms without a file, and the truth."""
+
+    atoms: PhotoAtoms
+    library: Library
+    truth: MeasuredBRDF
+
+    @property
+    def to_bands(self) -> Array:
+        """See `spectra.band_matrix`."""
+        return band_matrix(self.library, self.atoms.library.names, srgb_responses(self.library.bands))
+
+    def found(
+        self, balls: Sequence[Sighting | Readings], exposure: float | None, each: bool
+    ) -> PhotoMaterial:
+        """What is found without the file."""
+        return find_material(
+            self.atoms, balls, self.library.bands, self.to_bands, exposure=exposure, each=each
+        )
+
+    def ball(self, material: PhotoMaterial) -> float:
+        """Its error in the judged lights."""
+        return brdf_errors(self.truth, ClippedBRDF(material.brdf)).ball
+
+
+# -- a real set -------------------------------------------------------------------------------------------------------
+
+
+def real(folder: Path, library: Path) -> None:
+    """Tables of a set of photometric stereo."""
+    opened = Library(library)
+    atoms = PhotoAtoms(LibraryAtoms.of_library(opened))
+    one = Material(atoms, opened, MeasuredBRDF(opened.read(atoms.library.names[0])))
+    known = read_lamps(folder / "lights.txt")
+    pictures = [read_photograph(folder / "gray" / f"gray.{k}.png", is_linear=True) for k in range(len(known))]
+    every = find_light(pictures)
+    off = [_apart(lamp, true) for lamp, true in zip(every.lamps, known, strict=True)]
+    print(
+        f"all {len(pictures)}: circle {every.circle}; lamps off by {np.median(off):.1f}, at most {max(off):.1f} degrees"
+    )
+    rng = np.random.default_rng(7)
+    for count in COUNTS:
+        errors: dict[str, list[float]] = {name: [] for name in ("found", *FAMILIES)}
+        lamps_off: list[float] = []
+        for _ in range(6):
+            some = np.sort(rng.choice(len(pictures), count, replace=False))
+            probe = find_light([pictures[k] for k in some])
+            lamps_off += [_apart(lamp, known[k]) for lamp, k in zip(probe.lamps, some, strict=True)]
+            seen = [
+                Sighting(blocks_of(pictures[k], probe.circle), Camera(), (lamp,))
+                for lamp, k in zip(probe.lamps, some, strict=True)
+            ]
+            material = one.found(seen, None, True)
+            models = {"found": lambda wi, wo, m=material: np.maximum(m.brdf.eval(wi, wo), 0.0)}
+            gains = np.array(probe.gains)
+            for name in FAMILIES:
+                models[name] = _analytic(name, seen, 1.0 / gains).eval
+            for k in set(range(len(pictures))) - set(some.tolist()):
+                for name, model in models.items():
+                    errors[name].append(_predicted(pictures[k], every.circle, every.lamps[k], model))
+        print(
+            f"{count} pictures: lamps off by {np.median(lamps_off):.1f}, at most {max(lamps_off):.1f} degrees; others "
+            + ", ".join(f"{name} {np.median(of):.2f}" for name, of in errors.items())
+        )
+
+
+def _apart(lamp: Lamp, other: Lamp) -> float:
+    return float(np.rad2deg(np.arccos(np.clip(lamp.direction @ other.direction, -1.0, 1.0))))
+
+
+def _predicted(picture: Photograph, circle: Circle, lamp: Lamp, model) -> float:
+    """CIEDE2000 of a ball that was not seen, its gain free, in display values."""
+    size = 96
+    across = 2.0 * (np.arange(size) + 0.5) / size - 1.0
+    x, y = np.meshgrid(across, -across)
+    inside = np.hypot(x, y) < 0.95
+    rows, columns = (
+        np.floor(centre + sign * circle.radius * at[inside]).astype(int)
+        for centre, sign, at in ((circle.y, -1.0, y), (circle.x, 1.0, x))
+    )
+    seen = picture.values[rows, columns]
+    normal, view = Camera().surface(x[inside], y[inside])
+    frame = frames(normal)
+    towards = np.broadcast_to(lamp.direction @ np.array(Camera().axes), normal.shape)
+    wi, wo = (np.einsum("kij,kj->ki", frame, w) for w in (view, towards))
+    lit = wo[:, 2] > 1e-3
+    made = np.zeros((len(wi), 3))
+    made[lit] = model(wi[lit], wo[lit]) * wo[lit, 2:]
+    used = lit & ~picture.is_clipped[rows, columns]
+    gain = (
+        np.sum(np.cbrt(made[used]) * np.cbrt(seen[used])) / max(np.sum(np.cbrt(made[used]) ** 2), 1e-12)
+    ) ** 3
+    level = float(np.quantile(seen, 0.995))
+    shown = [encode_srgb(np.clip(v / level, 0.0, 1.0))[None] for v in (seen, gain * made)]
+    return float(np.mean(ciede2000_map(*shown)))
+
+
+def _analytic(name: str, seen: Sequence[Sighting], scales: Sequence[float]) -> FittedBRDF:
+    """A BSDF of Mitsuba fitted to the middles of blocks of pixels, whose lamps and gains are known."""
+    wi, wo, f = [], [], []
+    for sighting, scale in zip(seen, scales, strict=True):
+        a, b, light = lamp_pairs(sighting.blocks, sighting.camera, sighting.light)
+        power = light.sum(axis=1).mean(axis=1)
+        mean = [np.einsum("ksi,ks->ki", w, light.mean(axis=2)) for w in (a, b)]
+        mean = [w / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-12) for w in mean]
+        used = (mean[1][:, 2] > 0.05) & (mean[0][:, 2] > 0.05) & ~sighting.blocks.is_clipped & (power > 0.02)
+        wi.append(mean[0][used])
+        wo.append(mean[1][used])
+        f.append(np.maximum(scale * sighting.blocks.values[used] / power[used, None], 0.0))
+    samples = FitSamples.from_arrays(np.vstack(wi), np.vstack(wo), np.vstack(f), weight=np.vstack(wo)[:, 2])
+    family = bsdf_parameters.diffuse() if name == "lambertian" else None
+    made = fit_bsdf(samples, family)
+    return FittedBRDF.of(made.family, made.values, made.bands, made.spectra, 0.0)
+
+
+# -- rendered files ---------------------------------------------------------------------------------------------------
+
+
+def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) -> None:
+    """Tables of files that are left out."""
+    opened = Library(library)
+    atoms = LibraryAtoms.of_library(opened)
+    rows: dict[str, dict[int, list[float]]] = {}
+    fits: dict[str, dict[int, list[float]]] = {}
+    expected: list[tuple[str, float, float]] = []
+    with TemporaryDirectory() as folder:
+        for path in files:
+            name = path.stem.removesuffix("_rgb")
+            m = atoms.names.index(name)
+            one = Material(PhotoAtoms(atoms.without(m)), opened, MeasuredBRDF(read_bsdf(path)))
+            taken = {light: _photographed(path, light, Path(folder)) for light in ("sun", "torch", "flash")}
+            for shot in SHOTS:
+                for count in COUNTS[: 1 if shot.light == "flash" else None]:
+                    balls, exposure = _seen(taken[shot.light][:count], shot)
+                    if balls is None:
+                        continue
+                    free = exposure is None
+                    material = one.found(balls, exposure, free or shot.knows in ("nothing", "geometry"))
+                    error = one.ball(material)
+                    rows.setdefault(shot.name, {}).setdefault(count, []).append(error)
+                    if asked.expected and count == 3 and shot.knows == "nothing":
+                        expected.append((shot.name, error, material.expected["ball"]))
+                    if shot.knows == "geometry and card":
+                        made = _analytic("principled", balls, np.ones(len(balls)))
+                        fits.setdefault(shot.light, {}).setdefault(count, []).append(
+                            brdf_errors(one.truth, made).ball
+                        )
+            print(f"{name}: " + ", ".join(f"{s} {of[max(of)][-1]:.1f}" for s, of in rows.items()), flush=True)
+            if asked.together:
+                _together(one, taken["sun"][0], rows)
+            if asked.wrong:
+                _wrong(one, taken["sun"], rows)
+        print("\nball in the judged lights, median / 90th percentile, of 1, 3, 5 pictures (materials)")
+        for title, table in (("", rows), ("principled, geometry and card, ", fits)):
+            for name, by_count in table.items():
+                cells = [
+                    f"{np.median(of):.2f} / {np.percentile(of, 90):.2f} ({len(of)})"
+                    for of in by_count.values()
+                ]
+                print(f"{title}{name}: " + ", ".join(cells))
+        for name in dict.fromkeys(name for name, _, _ in expected):
+            true, said = np.array([(e, x) for n, e, x in expected if n == name]).T
+            print(
+                f"expected, {name}: {np.mean(true < 2.0 * said):.0%} below twice, rank correlation "
+                f"{spearmanr(true, said).statistic:.2f}"
+            )
+        if asked.json:
+            asked.json.write_text(json.dumps({"ball": rows, "principled": fits}, indent=1) + "\n")
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A photograph in a file, and how it was taken."""
+
+    path: Path
+    lamp: Lamp
+    gain: float
+
+
+CIRCLE = Circle(SIZE / 2 + 9.0, SIZE / 2 - 6.0, RADIUS)
+
+
+def _photographed(path: Path, light: str, folder: Path) -> list[Taken]:
+    """JPEG files of a ball under one lamp each."""
+    rng = np.random.default_rng(3)
+    taken = []
+    for k, direction in enumerate(DIRECTIONS[: 1 if light == "flash" else None]):
+        direction = direction / np.linalg.norm(direction)
+        if light == "flash":
+            direction = np.array([0.0, 0.0, 1.0])
+        lamp = Lamp(direction, np.inf if light == "sun" else DISTANCE)
+        linear = _render(path, lamp)
+        x, y, width, height = CARD
+        linear[y : y + height, x : x + width] = 0.18 * max(float(direction[2]), 0.0)
+        gain = (
+            0.85 / max(float(np.quantile(linear, 0.995)), 1e-6) * float(np.exp(0.3 * rng.standard_normal()))
+        )
+        gain = min(gain, 0.9 / 0.18)  # the card is not clipped
+        noisy = linear * gain * (1.0 + 0.01 * rng.standard_normal(linear.shape))
+        file = folder / f"{light}_{k}.jpg"
+        codes = np.rint(255.0 * encode_srgb(np.clip(noisy, 0.0, 1.0))).astype(np.uint8)
+        Image.fromarray(codes).save(file, quality=92, subsampling=0)
+        taken.append(Taken(file, lamp, gain))
+    return taken
+
+
+def _render(path: Path, lamp: Lamp) -> Array:
+    """The ball of a file under a lamp in black surroundings, relative to a white diffuser that faces the lamp."""
+    mi = backend.mitsuba("rgb")
+    to = lamp.direction.tolist()
+    if np.isinf(lamp.distance):
+        emitter = {
+            "type": "directional",
+            "direction": [-v for v in to],
+            "irradiance": {"type": "rgb", "value": np.pi},
+        }
+    else:
+        place = [lamp.distance * v for v in to]
+        power = np.pi * lamp.distance**2
+        emitter = {"type": "point", "position": place, "intensity": {"type": "rgb", "value": power}}
+    half = SIZE / 2 / RADIUS
+    shift = [(CIRCLE.x - SIZE / 2) / RADIUS, (SIZE / 2 - CIRCLE.y) / RADIUS]
+    T = mi.ScalarTransform4f
+    camera = T().look_at([-shift[0], -shift[1], 50.0], [-shift[0], -shift[1], 0.0], [0, 1, 0]) @ T().scale(
+        [half, half, 1.0]
+    )
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
+            "sensor": {
+                "type": "orthographic", "to_world": camera, "near_clip": 1.0, "far_clip": 100.0,
+                "film": {
+                    "type": "hdrfilm", "width": SIZE, "height": SIZE, "pixel_format": "rgb", "rfilter": {"type": "box"}
+                },
+            },
+            "ball": {"type": "sphere", "bsdf": {"type": "measured", "filename": str(path)}},
+            "lamp": emitter,
+        }
+    )  # fmt: skip
+    picture = np.array(mi.render(scene, spp=32, seed=1), dtype=np.float64)
+    return np.nan_to_num(np.maximum(picture, 0.0))
+
+
+def _seen(taken: Sequence[Taken], shot: Shot) -> tuple[list[Sighting] | None, float | None]:
+    """Balls as `see` finds them with what a shot tells, and the exposure; None where none are found."""
+    paths = [one.path for one in taken]
+    knows_lamps = shot.knows.startswith("geometry")
+    card = "card" in shot.knows
+    grey = f"{CARD[0] + 2},{CARD[1] + 2},{CARD[2] - 4},{CARD[3] - 4},0.18" if card else None
+    if card and any(one.lamp.direction[2] < 0.05 for one in taken):
+        grey, card = None, False  # lit from behind, the card says nothing
+    lamps = (
+        [
+            ",".join(str(v) for v in (*one.lamp.direction, one.lamp.distance) if np.isfinite(v))
+            for one in taken
+        ]
+        if knows_lamps
+        else ["found"]
+    )
+    circle = [str(CIRCLE)] if knows_lamps else []
+    try:
+        balls = see(PhotoRequest(paths, circles=circle, lamps=lamps, grey=grey))
+    except ManifoldError as error:
+        print(f"    {shot.name}, {len(taken)}: {error}")
+        return None, None
+    return [ball.sighting for ball in balls], 1.0 if card else None
+
+
+def _together(one: Material, taken: Taken, rows: dict[str, dict[int, list[float]]]) -> None:
+    """Twelve readings, one picture with a card, and both."""
+    wi, wo = geometry_ma_t12()
+    read = Readings("left out", "twelve", wi, wo, None, np.maximum(one.truth.eval(wi, wo), 0.0))
+    balls, exposure = _seen([taken], Shot("", "sun", "geometry and card"))
+    assert balls is not None
+    from manifold.estimate.complete import complete
+
+    of_readings = complete(one.atoms.library, read)
+    alone = brdf_errors(one.truth, ClippedBRDF(of_readings.brdf)).ball
+    rows.setdefault("twelve readings", {}).setdefault(0, []).append(alone)
+    for name, seen in (("picture", balls), ("readings and picture", [*balls, read])):
+        material = one.found(seen, exposure, False)
+        rows.setdefault(f"together: {name}", {}).setdefault(1, []).append(one.ball(material))
+
+
+def _wrong(one: Material, taken: Sequence[Taken], rows: dict[str, dict[int, list[float]]]) -> None:
+    """One picture with a card, told wrongly: error of the ball, and how often a note says so."""
+    first = taken[0]
+    values = read_photograph(first.path)
+    for name, circle, lamp, change in (
+        ("right", CIRCLE, first.lamp, lambda v: v),
+        ("lamp 10 degrees off", CIRCLE, _turned(first.lamp, 10.0), lambda v: v),
+        ("lamp 30 degrees off", CIRCLE, _turned(first.lamp, 30.0), lambda v: v),
+        ("radius + 5 %", Circle(CIRCLE.x, CIRCLE.y, 1.05 * RADIUS), first.lamp, lambda v: v),
+        ("ambient + 10 %", CIRCLE, first.lamp, lambda v: v + 0.1 * v.mean(axis=(0, 1)) * 4.0),
+        ("tone curve", CIRCLE, first.lamp, lambda v: v / (0.35 + 0.65 * v)),
+        ("two lamps", CIRCLE, first.lamp, lambda v: v + 0.5 * read_photograph(taken[1].path).values),
+    ):
+        changed = np.clip(change(values.values.astype(float)), 0.0, 1.0)
+        file = first.path.with_name("wrong.png")
+        Image.fromarray(np.rint(255.0 * encode_srgb(changed)).astype(np.uint8)).save(file)
+        x, y, w, h = CARD
+        grey = f"{x + 2},{y + 2},{w - 4},{h - 4},0.18"
+        text = ",".join(str(v) for v in lamp.direction)
+        try:
+            (ball,) = see(PhotoRequest([file], circles=[str(circle)], lamps=[text], grey=grey))
+            material = one.found([ball.sighting], 1.0, False)
+        except ManifoldError:
+            continue
+        notes = (*ball.notes, *material.notes)
+        said = any(word in note for note in notes for word in ("was given", "nothing explains", "lie on it"))
+        rows.setdefault(f"wrong: {name}", {}).setdefault(1, []).append(one.ball(material))
+        rows.setdefault(f"noted: {name}", {}).setdefault(1, []).append(float(said))
+
+
+def _turned(lamp: Lamp, degrees: float) -> Lamp:
+    beside = np.cross(lamp.direction, [0.0, 1.0, 0.0])
+    turn = np.deg2rad(degrees)
+    return Lamp(np.cos(turn) * lamp.direction + np.sin(turn) * beside / np.linalg.norm(beside), lamp.distance)
+
+
+def cost(library: Path) -> None:
+    """Seconds and memory of 1 and 10 pictures of 12 megapixels."""
+    from manifold.estimate.photographs import complete_photographs
+
+    with TemporaryDirectory() as folder:
+        paths = []
+        rng = np.random.default_rng(0)
+        y, x = (np.mgrid[:3000, :4000] - np.array([1500, 2000])[:, None, None]) / 1100.0
+        z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+        for k in range(10):
+            lamp = np.array([*rng.uniform(-0.6, 0.6, 2), 0.8])
+            lamp /= np.linalg.norm(lamp)
+            shade = np.where(z > 0.0, np.maximum(x * lamp[0] - y * lamp[1] + z * lamp[2], 0.0), 0.0)
+            path = Path(folder) / f"{k}.png"
+            codes = np.rint(255.0 * encode_srgb(0.8 * shade[..., None] * np.array([0.6, 0.4, 0.3]))).astype(
+                np.uint8
+            )
+            Image.fromarray(codes).save(path, compress_level=1)
+            paths.append(path)
+        for count in (1, 10):
+            start = time.perf_counter()
+            complete_photographs(
+                PhotoRequest(paths[:count], lamps=["found"], exposure=None, each=True),
+                library,
+                Path(folder) / "m.bsdf",
+            )
+            most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+            print(
+                f"{count} pictures of 12 megapixels: {time.perf_counter() - start:.0f} s, {most:.1f} GB at most so far"
+            )
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--library", type=Path, required=True)
+    parser.add_argument("--set", type=Path)
+    parser.add_argument("--files", type=Path)
+    parser.add_argument("--every", type=int, default=1)
+    for name in ("--wrong", "--expected", "--together", "--cost"):
+        parser.add_argument(name, action="store_true")
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    if asked.set:
+        real(asked.set, asked.library)
+    if asked.files:
+        rendered(sorted(asked.files.glob("*_rgb.bsdf"))[:: asked.every], asked.library, asked)
+    if asked.cost:
+        cost(asked.library)
+
+
+if __name__ == "__main__":
+    main()

@@ -347,7 +347,7 @@ def _seen(taken: Sequence[Taken], shot: Shot) -> tuple[list[Sighting] | None, fl
             for one in taken
         ]
         if knows_lamps
-        else ["found"]
+        else ["found" if np.isinf(taken[0].lamp.distance) else f"found,{taken[0].lamp.distance:g}"]
     )
     circle = [str(CIRCLE)] if knows_lamps else []
     try:

@@ -47,8 +47,8 @@ LampOption = Annotated[
         "--lamp",
         help="Instead of --light: where its one lamp is, to the right, up and towards the camera, with its distance in "
         "radii of the ball where it is near; flash, at the camera; a file, a line per picture; or found, in the "
-        "pictures. One, or one per picture.",
-        metavar="X,Y,Z[,D]|flash|FILE|found",
+        "pictures, with its distance where it is near. One, or one per picture.",
+        metavar="X,Y,Z[,D]|flash|FILE|found[,D]",
     ),
 ]
 GreyOption = Annotated[

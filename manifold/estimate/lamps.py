@@ -20,12 +20,13 @@ from manifold.estimate.blocks import Blocks
 from manifold.estimate.pixels import Camera, frames, sampled_surface
 from manifold.records import Array
 
+LEAST_DISTANCE = 1.2
+"""Of a lamp from the middle of a ball, in its radii."""
 SAMPLES = 24
 """Points of a block that are lit."""
 
 _PICTURE_SAMPLES = 4  # points of a lamp's disc
 _RADIUS_DEG = 0.25  # of a lamp of which nothing else is known: that of the sun
-_LEAST_DISTANCE = 1.2  # radii of the ball
 _IRRADIANCE = np.pi  # which makes a white diffuser that faces the lamp 1
 
 
@@ -60,8 +61,8 @@ class Lamp:
         length = float(np.linalg.norm(vector))
         if not (np.isfinite(length) and length > 0.0):
             raise UsageError(f"a lamp at {','.join(f'{v:g}' for v in vector)}, expected a direction")
-        if not distance >= _LEAST_DISTANCE:
-            raise UsageError(f"a lamp at {distance:g} radii of the ball, expected {_LEAST_DISTANCE} or more")
+        if not distance >= LEAST_DISTANCE:
+            raise UsageError(f"a lamp at {distance:g} radii of the ball, expected {LEAST_DISTANCE} or more")
         return cls(vector / length, distance, np.ones(3) if colour is None else colour)
 
 

@@ -63,12 +63,15 @@ class Probe:
         return (f"lamps found: {shown}; outline within {100.0 * self.circle_error:.1f} % of the radius",)
 
 
-def find_light(photographs: Sequence[Photograph], circle: Circle | None = None) -> Probe:
+def find_light(
+    photographs: Sequence[Photograph], circle: Circle | None = None, distance: float = np.inf
+) -> Probe:
     """The outline of a ball that stays where it is, and the one lamp of every photograph.
 
     Args:
         photographs: of one size.
         circle: the outline, where it is known nearly; it is refined.
+        distance: of the lamps from the middle of the ball, in its radii.
     Raises:
         UsageError: the pictures differ in size, no ball is found, or no lamp explains a picture, which is named.
     """
@@ -78,7 +81,7 @@ def find_light(photographs: Sequence[Photograph], circle: Circle | None = None) 
             "photographs of different sizes, expected one camera that stays where it is to find lamps; give the lamps"
         )
     circles = [circle] if circle is not None else [one.circle for one in outlines_in(photographs)]
-    fits = [_fit_to(photographs, one) for one in circles]
+    fits = [_fit_to(photographs, one, distance) for one in circles]
     pixels, best = min(fits, key=lambda fit: fit[1].cost)
     return pixels.probe(best, [one.path for one in photographs])
 
@@ -103,9 +106,9 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     )
 
 
-def _fit_to(photographs: Sequence[Photograph], circle: Circle) -> tuple[_Pixels, _Fit]:
+def _fit_to(photographs: Sequence[Photograph], circle: Circle, distance: float) -> tuple[_Pixels, _Fit]:
     """The best fit of several starts near an outline."""
-    coarse, pixels = (_Pixels.of(photographs, circle, side) for side in _SIDES)
+    coarse, pixels = (_Pixels.of(photographs, circle, distance, side) for side in _SIDES)
     tried = [coarse.fitted(coarse.start(lamps, alpha)) for lamps in coarse.lamps() for alpha in _LOBES]
     return pixels, pixels.fitted(min(tried, key=lambda fit: fit.cost).x)
 
@@ -122,6 +125,7 @@ class _Pixels:
     """Grey pixels of P photographs that are compared: cube roots relative to the largest of each."""
 
     circle: Circle
+    distance: float
     columns: Array
     rows: Array
     roots: Array
@@ -130,7 +134,7 @@ class _Pixels:
     levels: Array
 
     @classmethod
-    def of(cls, photographs: Sequence[Photograph], circle: Circle, side: int) -> _Pixels:
+    def of(cls, photographs: Sequence[Photograph], circle: Circle, distance: float, side: int) -> _Pixels:
         """Evenly spaced pixels within the outline, each a mean over its neighbourhood."""
         step = max(2.0 * circle.radius / side, 1.0)
         across = np.arange(-circle.radius, circle.radius, step)
@@ -156,7 +160,14 @@ class _Pixels:
             clipped.append(one.is_clipped[i, j])
             seen.append(is_seen[i, j])
         return cls(
-            circle, columns, rows, np.array(roots), np.array(clipped), np.array(seen), np.array(levels)
+            circle,
+            distance,
+            columns,
+            rows,
+            np.array(roots),
+            np.array(clipped),
+            np.array(seen),
+            np.array(levels),
         )
 
     def lamps(self) -> list[Array]:
@@ -190,14 +201,19 @@ class _Pixels:
         shift, (diffuse, flatness, specular, log_alpha), slopes, gains = self._split(x)
         n = self._normals(shift)
         lamps = _directions(slopes)
-        cos_lamp = np.maximum(n @ lamps.T, 0.0)
-        half = lamps + np.array([0.0, 0.0, 1.0])
-        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        towards, falloff = lamps[None], 1.0  # [1 or M, P, 3]
+        if np.isfinite(self.distance):
+            away = self.distance * lamps - n[:, None]
+            length = np.linalg.norm(away, axis=2, keepdims=True)
+            towards, falloff = away / length, (self.distance / length[..., 0]) ** 2
+        cos_lamp = np.maximum(np.sum(n[:, None] * towards, axis=2), 0.0)
+        half = towards + np.array([0.0, 0.0, 1.0])
+        half /= np.linalg.norm(half, axis=2, keepdims=True)
         a2 = np.exp(2.0 * log_alpha)
-        cos_half = np.clip(n @ half.T, 0.0, 1.0)
+        cos_half = np.clip(np.sum(n[:, None] * half, axis=2), 0.0, 1.0)
         lobe = a2 / (cos_half**2 * (a2 - 1.0) + 1.0) ** 2 / np.maximum(4.0 * n[:, 2:], 0.1)
         shading = np.exp(diffuse) * cos_lamp ** np.exp(flatness) + np.exp(specular) * lobe * (cos_lamp > 0.0)
-        return np.asarray(np.cbrt(shading * np.exp(gains) + 1e-6).T)
+        return np.asarray(np.cbrt(shading * falloff * np.exp(gains) + 1e-6).T)
 
     def start(self, lamps: Array, alpha: float) -> Array:
         """Parameters from directions of lamps (P, 3) and roughness."""
@@ -259,9 +275,10 @@ class _Pixels:
         # A step of the parameters turns the lamp by about as much in radians: see `_directions`.
         degrees = np.rad2deg(np.hypot(*self._split(deviation)[2].T))
         strength = np.exp(gains) * self.levels
+        lamps = tuple(Lamp(direction, self.distance) for direction in of_lamps)
         return Probe(
-            found, tuple(Lamp(direction) for direction in of_lamps), tuple((strength / strength[0]).tolist()),
-            tuple(degrees.tolist()), float(np.linalg.norm(deviation[:3])), tuple(residual.tolist()),
+            found, lamps, tuple((strength / strength[0]).tolist()), tuple(degrees.tolist()),
+            float(np.linalg.norm(deviation[:3])), tuple(residual.tolist()),
         )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle, Cylinder, given_outline_notes, outlines_in
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
-from manifold.estimate.lamps import Lamp, lamp_picture, parse_lamp
+from manifold.estimate.lamps import LEAST_DISTANCE, Lamp, lamp_picture, parse_lamp
 from manifold.estimate.light import Environment
 from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.mirror_ball import clipped_spots, unwrapped
@@ -380,7 +380,7 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         for values, what in ((request.circles or [""], "circles"), (request.turns_deg, "turns"))
     )
     has_cylinder = any(isinstance(Circle.parse(text), Cylinder) for text in circles if text)
-    is_plain = not request.elevation_deg and np.isinf(request.distance) and list(request.lamps) != ["found"]
+    is_plain = not request.elevation_deg and np.isinf(request.distance) and _found_at(request) is None
     if has_cylinder and not is_plain:
         raise UsageError(
             "a cylinder with --elevation, --distance or --lamp found, expected a far, level camera and a known light"
@@ -419,10 +419,10 @@ def _under_lamps(
     if request.elevation_deg or any(request.turns_deg):
         raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
     is_common = len(set(circles)) == 1 and len({one.values.shape for one in photographs}) == 1
-    if list(request.lamps) == ["found"]:
+    if (apart := _found_at(request)) is not None:
         if len(set(circles)) > 1:
             raise UsageError("different circles, expected one for all photographs to find their lamps")
-        probe = find_light(photographs, Circle.parse(circles[0]) if circles[0] else None)
+        probe = find_light(photographs, Circle.parse(circles[0]) if circles[0] else None, apart)
         lamps, notes = list(probe.lamps), probe.notes
         outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
     else:
@@ -442,10 +442,30 @@ def _under_lamps(
         seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
         sighting = Sighting(blocks_of(seen, circle), camera, (lamp,))
         own = photograph.notes + notes + doubts
-        if list(request.lamps) != ["found"] and not isinstance(circle, Cylinder):
+        if apart is None and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)
         balls.append(SeenBall(seen, circle, None, sighting, own))
     return balls
+
+
+def _found_at(request: PhotoRequest) -> float | None:
+    """The distance of lamps that are to be found, in radii of the ball, far where none is given; None of given lamps.
+
+    Raises:
+        UsageError: it is no distance, or several are given.
+    """
+    if not any(text.partition(",")[0] == "found" for text in request.lamps):
+        return None
+    _, _, distance = request.lamps[0].partition(",")
+    try:
+        apart = float(distance) if distance else np.inf
+    except ValueError:
+        apart = np.nan
+    if len(request.lamps) > 1 or not apart >= LEAST_DISTANCE:
+        raise UsageError(
+            f"lamp '{request.lamps[-1]}', expected found once, or found,D with the lamps' distance in radii of the ball"
+        )
+    return apart
 
 
 def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:

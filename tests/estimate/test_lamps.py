@@ -69,6 +69,24 @@ def test_lamps_outline_and_gains_are_found_in_the_pictures():
     np.testing.assert_allclose(found.gains, gains, rtol=0.1)
 
 
+def test_near_lamps_are_found_at_their_distance():
+    made = [
+        lamp_picture(PAINT, Camera(), [Lamp.towards(d, 4.0)], SIZE, MARGIN).astype(np.float32)
+        for d in DIRECTIONS
+    ]
+    pictures = [Photograph(Path("near"), np.minimum(one, 1.0), (one > 1.0).any(axis=2)) for one in made]
+    near, far = (find_light(pictures, CIRCLE, distance) for distance in (4.0, np.inf))
+
+    def off(found):
+        cosines = [
+            lamp.direction @ d / np.linalg.norm(d) for lamp, d in zip(found.lamps, DIRECTIONS, strict=True)
+        ]
+        return np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0))).max()
+
+    assert off(near) < 4.0 < off(far)
+    assert near.lamps[0].distance == 4.0
+
+
 def test_a_picture_that_no_lamp_explains_is_named():
     stripes = np.broadcast_to((np.arange(SIZE) // 16 % 2)[:, None, None], (SIZE, SIZE, 3)).astype(np.float32)
     bad = Photograph(Path("bad.png"), stripes, np.zeros((SIZE, SIZE), bool))

@@ -76,10 +76,6 @@ def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
     notes = " ".join(json.loads((folder / "together.json").read_text())["diagnostics"])
     assert "readings: cube roots differ by" in notes
     assert f"gloss at 60 degrees: {units:.1f} given" in notes
-    assert (
-        "--suggest"
-        in run("complete", "--photo", "ball.exr", "--light", "studio", "--suggest", 2, cwd=folder)[2]
-    )
 
 
 def test_a_photograph_is_located_near_its_material(run, folder, library):

@@ -25,6 +25,7 @@ HELD_OUT = (
     "blend_2", "blend_3", "nonnegative",
 )  # fmt: skip
 COMMANDS = {
+    "published": "bench_published.py FILES",
     "held_out": "bench_nonnegative.py FILES --numbers 8 12 24 --anchors principled NEURAL --methods "
     + " ".join(HELD_OUT),
     "chart": "manifold chart --library LIBRARY " + " ".join(f"--only {key}" for key in CHARTED),

@@ -20,6 +20,7 @@ from manifold.metrics import RunningErrors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Array, Indices
 
+_HIGHEST_COSINE = float(np.cos(np.deg2rad(80.0)))  # nearer to the horizon values grow as 1 / cos
 _AT_ONCE = 8  # predictions evaluated together
 
 Predictions = Sequence[Sequence[Combination]]
@@ -50,6 +51,8 @@ class PredictionErrors:
         """Take N predictions in the bands of the values to come."""
         self._combinations = combinations
         self._errors = RunningErrors()
+        self._bounded: Array | float = 0.0
+        self._weight, self._n_measured = 0.0, 1
         self._negative, self._count = 0, 0
         self.is_clipped = combinations[0].is_clipped
         self.seconds = 0.0
@@ -64,6 +67,11 @@ class PredictionErrors:
         if self.is_clipped:
             np.maximum(predicted, 0.0, out=predicted)
         self._errors.add(values.f, predicted, values.cosines, values.roots)
+        is_far = np.minimum(values.wi[:, 2], values.wo[:, 2]) >= _HIGHEST_COSINE
+        weight = np.where(is_far, values.cosines, 0.0)
+        self._bounded = self._bounded + np.einsum("p,npb->n", weight, (predicted - values.f) ** 2)
+        self._weight += float(weight.sum())
+        self._n_measured = values.f.shape[2]
 
     @property
     def linear(self) -> Array:
@@ -78,6 +86,10 @@ class PredictionErrors:
     def rmse(self, n_pairs: float) -> Array:
         """Eq. 22 of Hikichi & Iwasaki in 1/sr, the sum divided by `n_pairs`, shape (N,)."""
         return self._errors.rmse(n_pairs)
+
+    def bounded_rmse(self, n_bands: int) -> Array:
+        """The same within 80 degrees, weighted by both cosines, summed over `n_bands` bands, shape (N,)."""
+        return np.sqrt(np.asarray(self._bounded) / self._weight * n_bands / self._n_measured)
 
     @property
     def negative_share(self) -> float:

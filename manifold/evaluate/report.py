@@ -56,6 +56,7 @@ class MethodResult:
         fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
         predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
         rmse: eq. 22 of Hikichi & Iwasaki per material, in 1/sr: summed over all bands, as those of errors have it.
+        rmse_80: the same of directions within 80 degrees, weighted by both cosines.
         relative_error, cube_root_error: linear, cosine-weighted, and of cube roots, per material; see `metrics`.
         ball, ball_itp: CIEDE2000 and Delta E_ITP of the ball, means over the judged lights, per material.
         worst: CIEDE2000 in the light where it is largest, per material.
@@ -77,6 +78,7 @@ class MethodResult:
     encode_seconds: float
     predict_seconds: float
     rmse: tuple[float, ...]
+    rmse_80: tuple[float, ...]
     relative_error: tuple[float, ...]
     median_relative_error: float
     p90_relative_error: float
@@ -277,6 +279,7 @@ def _result(
         encode_seconds=sum(encoded.encode_times) / data.n_materials,
         predict_seconds=errors.seconds / data.n_materials,
         rmse=tuple(errors.rmse(n_counted).tolist()),
+        rmse_80=tuple(errors.bounded_rmse(model.bands.count).tolist()),
         **_summary("relative_error", errors.linear),
         **_summary("cube_root_error", errors.cube_root),
         **_summary("ball", np.array([look.ball for look in looks])),

@@ -66,14 +66,16 @@ where it is largest for each material, median and 90th percentile."""
 
 _PLAUSIBILITY: Columns = (
     ("RMSE", lambda m: f"{np.nanmedian(m.rmse):.3g}"),
+    ("RMSE 80", lambda m: f"{np.nanmedian(m.rmse_80):.3g}"),
     ("negative", lambda m: f"{m.negative_share:.2%}"),
     ("reciprocity", lambda m: f"{m.reciprocity_error:.3f}"),
     ("albedo", lambda m: f"{m.max_albedo:.2f}"),
     ("ball ITP", lambda m: f"{m.median_ball_itp:.1f}"),
 )
 _PLAUSIBILITY_NOTE = """\
-RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr. negative: share of values;
-measured files have some too. reciprocity, albedo: error and largest value of
+RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, which a few directions at the
+horizon decide; RMSE 80: within 80 degrees, weighted by both cosines. negative:
+share of values; measured files have some too. reciprocity, albedo: error and largest value of
 the worst material. ball ITP: mean Delta E_ITP of the ball (ITU-R BT.2124) on a
 display whose white has 100 cd/m2, median."""
 

@@ -46,6 +46,9 @@ _TEMPERED = (
 )
 _STRENGTHS = 4.0 ** np.arange(6)  # of spots in a clipped light, beside what is in its picture
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
+_READING = (
+    0.01  # weight of a reading, of that of all pixels: errors of pixels are alike, those of readings are not
+)
 _ROUNDS = 3  # of gains and weights in turn
 _HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
@@ -320,14 +323,14 @@ def _together(
 
 
 def _of_readings(atoms: PhotoAtoms, readings: Readings, channel: int, pixels: Observation) -> Observation:
-    """Readings of one channel beside pixels: each counts as much as a block of these in the mean.
+    """Readings of one channel beside pixels: each counts as much as a hundredth of these.
 
     They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
     """
     is_read = np.isfinite(readings.values[:, channel]) & (readings.weights > 0.0)
     wi, wo = readings.wi[is_read], readings.wo[is_read]
     weights = readings.weights[is_read]
-    weights = weights * pixels.weights.mean() / max(weights.mean(), np.finfo(float).tiny)
+    weights = weights * pixels.weights.sum() * _READING / max(weights.mean(), np.finfo(float).tiny)
     seen = np.maximum(readings.values[is_read, channel], 0.0)
     scale = cosine_weight(wi, wo) * np.pi
     scale /= np.maximum(scale * seen, 1.0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from manifold.colour.panel import JUDGED
 from manifold.evaluate.report import MethodResult, Report
+from manifold.model.left_out import GUARANTEED, LEVEL
 from manifold.names import counted
 from manifold.text_tables import table_lines
 
@@ -211,11 +212,18 @@ def _expected_errors(report: Report) -> list[str]:
             *(f"{value:.{digits[name]}f}" for value in (*c.true, *c.expected)),
             f"{c.rank_correlation:.2f}",
             f"{c.below_twice:.0%}",
+            "-" if c.bound is None else f"{c.bound:.1f}",
         )
         for name, c in report.expected_errors.items()
     ]
-    columns = ("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x")
-    return _table(columns, rows, _EXPECTED_NOTE)
+    columns = ("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x", "bound")
+    most = next(iter(report.expected_errors.values())).most_level
+    guarantee = (
+        f"bound: {LEVEL:.0%} of new materials err by less than so many times what is expected, as far as\n"
+        f"left-out ones tell; guaranteed, if they are drawn like these, are {GUARANTEED:.0%} (jackknife+,\n"
+        f"Barber et al. 2021). This many materials allow levels up to {most:.0%}."
+    )
+    return _table(columns, rows, f"{_EXPECTED_NOTE}\n{guarantee}")
 
 
 def _materials(report: Report) -> list[str]:

@@ -91,7 +91,9 @@ class Prediction:
     def rows(self) -> dict[str, object]:
         """Labels and values for a terminal."""
         rows: dict[str, object] = {
-            "expected error": in_words(self.expected, self.materials),
+            "expected error": ["none: not supported by the data"]
+            if self.is_extrapolation
+            else in_words(self.expected, self.materials),
             "nearest": [f"{name} ({distance:.2f})" for name, distance in self.nearest],
             "reciprocity error": f"{self.plausibility.reciprocity_error:.2%}",
             "largest albedo": f"{self.plausibility.max_albedo:.3f}",

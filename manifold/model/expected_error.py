@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from manifold.model.blending import blend_weights
+from manifold.model.blending import blend_weights, widest_gap
 from manifold.records import Array
 
 LEAST_MATERIALS = 4
@@ -31,8 +31,9 @@ class ExpectedError:
 
     The logarithms of the leave-one-out errors e_i of the surrounding materials are averaged with the weights u of a
     blend. Errors grow with the distance d to the nearest material, in length scales. The power a shrinks the e_i to
-    their geometric mean m, the more the fewer materials there are. Of a material whose residual r at x is known, the
-    expected error is `c e(x)^(1/4) r^(3/4)`.
+    their geometric mean m, the more the fewer materials there are. Farther from all materials than any of them is from
+    the others, by g, errors are at least m (d / g)^2, up to the largest e_i: nothing is known there. Of a material
+    whose residual r at x is known, the expected error is `c e(x)^(1/4) r^(3/4)`.
 
     Attributes:
         X: places of the materials, shape (N, Q).
@@ -80,7 +81,14 @@ class ExpectedError:
 
     def at(self, x: Array, residual: float | None = None) -> Array:
         """Expected errors at places x (M, Q), of materials of a residual if that is known, shape (M,)."""
-        return np.exp(self._log_at(x, residual))
+        expected = np.exp(self._log_at(x, residual))
+        return expected if residual is not None else np.maximum(expected, self._floor(x))
+
+    def _floor(self, x: Array) -> Array:
+        """What is expected at least at places x (M, Q) that are far from all materials, shape (M,)."""
+        nearest = cdist(x, self.X).min(axis=1)
+        mean, most = np.exp(self.log_errors.mean()), np.exp(self.log_errors.max())
+        return np.asarray(np.minimum(mean * (nearest / widest_gap(self.X)) ** 2, max(most, mean)))
 
     def _log_at(self, x: Array, residual: float | None) -> Array:
         u = blend_weights(x, self.X, self.length_scale)

@@ -124,6 +124,29 @@ def test_far_from_all_materials_the_data_support_nothing(model):
     assert not model.is_extrapolation(model.X[1])
 
 
+def test_far_from_small_errors_large_ones_are_expected(scattered):
+    """The errors at the left are the smallest: beyond them nothing is known, and little would be expected."""
+    X, errors = scattered
+    fitted = ExpectedError.calibrate(X, X, errors, 1.0, 1e-3)
+    left = X[X[:, 0].argmin()]
+    away = fitted.at(left - np.array([[d, 0.0] for d in (0.2, 2.0, 4.0, 8.0, 30.0)]))
+    assert away[0] < np.median(errors) < away[2]
+    assert np.all(np.diff(away) >= 0.0)
+    assert away[-1] == pytest.approx(errors.max())
+
+
+def test_a_place_that_is_not_supported_has_no_expected_error_in_words(model):
+    assert predict(model, model.X[0] + 50.0).rows["expected error"] == ["none: not supported by the data"]
+
+
+def test_the_bound_holds_for_nine_in_ten_and_needs_enough_materials(model):
+    found = model.left_out.calibration()["ball"]
+    n = len(model.left_out.ball)
+    assert found.most_level == n / (n + 1)
+    assert found.bound is None or found.bound > 0.0
+    assert (found.bound is None) == (np.ceil(0.9 * (n + 1)) > n)
+
+
 def test_errors_that_do_not_fit_the_materials_are_refused(model):
     arrays = model.left_out.arrays
     arrays["left_out_in_lights_ball"] = arrays["left_out_in_lights_ball"][:-1]

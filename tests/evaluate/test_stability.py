@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from helpers.paths import REPOSITORY
@@ -145,6 +146,17 @@ def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(wrong_mode
     assert [one["outcome"] for one in written["rows"][0]["results"]] == [FINE, WARNED, WRONG]
     assert written["modes"][0]["advice"] == "Do this."
     assert (tmp_path / "images/s.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_known_to_be_wrong_is_said_and_ends_with_status_0(monkeypatch, capsys):
+    from manifold.cli.main import run
+
+    mode = replace(mode_of(Measurement(0.5), Measurement(3.0)), known=("it",))
+    monkeypatch.setattr("manifold.evaluate.stability.catalogue.MODES", (mode,))
+    with pytest.raises(SystemExit) as left:
+        run(["stability"])
+    assert left.value.code == 0
+    assert "known: it is wrong without a message in made_up" in capsys.readouterr().out
 
 
 def all_fine() -> Stability:

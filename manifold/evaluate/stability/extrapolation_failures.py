@@ -98,5 +98,6 @@ MODES: tuple[Mode, ...] = (
         },
         "Use `interpolate`: a straight path of latents may pass other materials, and an average of a narrow and a "
         "wide lobe has both lobes, not one of intermediate width.",
+        ("blend",),
     ),
 )  # fmt: skip

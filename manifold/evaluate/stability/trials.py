@@ -81,6 +81,7 @@ class Mode:
         limit: of the error.
         methods: what is tried, by name.
         advice: what a user should do, in one sentence.
+        known: methods that are silently wrong at some severity, and are known to be.
     """
 
     key: str
@@ -90,6 +91,7 @@ class Mode:
     limit: Limit
     methods: Mapping[str, Trial]
     advice: str
+    known: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

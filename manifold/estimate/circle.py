@@ -12,10 +12,9 @@ from scipy.optimize import minimize
 
 from manifold.colour.conversion import encode_srgb
 from manifold.errors import UsageError
-from manifold.estimate.photo_files import Photograph, reduced
+from manifold.estimate.photo_files import Photograph
 from manifold.records import Array, Mask
 
-_SEARCHED = 800  # pixels of the longer side in which outlines are sought, at least, where pictures have more
 _BRIGHT = 0.995  # quantile of values that is white in what is searched
 _COARSE = 128  # pixels of the longer side in which circles are searched
 _RADII = 0.08, 0.62  # of circles, relative to that
@@ -145,9 +144,8 @@ def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tu
 
 def _display(photographs: Sequence[Photograph]) -> tuple[Array, int]:
     """The maximum of photographs in display values, and how many times smaller it is."""
-    largest = np.max([np.nan_to_num(one.values) for one in photographs], axis=0)
-    factor = max(1, max(largest.shape[:2]) // _SEARCHED)
-    shown = reduced(largest, factor)
+    factor = photographs[0].factor
+    shown = np.max([np.nan_to_num(one.reduced(factor).values) for one in photographs], axis=0)
     return encode_srgb(shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny)), factor
 
 

@@ -7,7 +7,7 @@ the material's matters little: lamps follow from where pixels are bright, not fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -81,9 +81,12 @@ def find_light(
             "photographs of different sizes, expected one camera that stays where it is to find lamps; give the lamps"
         )
     circles = [circle] if circle is not None else [one.circle for one in outlines_in(photographs)]
-    fits = [_fit_to(photographs, one, distance) for one in circles]
+    factor = photographs[0].factor
+    smaller = [one.reduced(factor) for one in photographs]
+    fits = [_fit_to(smaller, one.scaled(1.0 / factor), distance) for one in circles]
     pixels, best = min(fits, key=lambda fit: fit[1].cost)
-    return pixels.probe(best, [one.path for one in photographs])
+    found = pixels.probe(best, [one.path for one in photographs])
+    return replace(found, circle=found.circle.scaled(factor))
 
 
 def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tuple[str, ...]:

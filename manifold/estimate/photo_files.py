@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from manifold.errors import FileFormatError
 from manifold.records import Array, Mask
 
 _LEAST_SIZE = 16
+_SEARCHED = 800  # pixels of the longer side in which outlines and lamps are sought, at least, where pictures have more
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,18 @@ class Photograph:
     values: Array
     is_clipped: Mask
     notes: tuple[str, ...] = ()
+
+    @property
+    def factor(self) -> int:
+        """By how much to reduce it to what outlines and lamps are sought in."""
+        return max(1, max(self.values.shape[:2]) // _SEARCHED)
+
+    def reduced(self, factor: int) -> Photograph:
+        """The same so many times smaller, where one pixel of a square was clipped as clipped."""
+        if factor == 1:
+            return self
+        clipped = reduced(self.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0
+        return replace(self, values=reduced(self.values, factor), is_clipped=clipped)
 
 
 def read_photograph(path: Path, is_linear: bool = False) -> Photograph:

@@ -29,6 +29,7 @@ _MOST_ROWS = 5000  # of a spectrum
 _MOST_SAMPLE = 200  # characters of a sample's name
 _PIXELS = r"[0-9]{1,6}(\.[0-9]{1,6})?"
 _PHOTO_OPTIONS = ("circle", "turn", "elevation", "distance", "exposure")
+_COORDINATE = r"-?[0-9]{1,3}(\.[0-9]{1,6})?"
 _NUMBER = {"type": "number", "minimum": -sys.float_info.max, "maximum": sys.float_info.max}
 
 
@@ -155,9 +156,10 @@ def photograph(
     Args:
         path: the photograph, followed by its light where that is a file, alone in its folder; its name is that of what
             is written.
-        request: `suffix` of the photograph, `light`, a name, or `light_suffix` and `light_bytes` of the file; and, if
-            known, `circle` of the ball as X,Y,R, `turn` and `elevation` in degrees, `distance` in radii of the ball,
-            and `exposure`, `free` where it is not known; see `manifold locate --photo`.
+        request: `suffix` of the photograph; `light`, a name, or `light_suffix` and `light_bytes` of the file, or
+            `lamp`: `found`, `flash` or X,Y,Z, with a distance; and, if known, `circle` of the ball as X,Y,R, `turn` and
+            `elevation` in degrees, `distance` in radii of the ball, and `exposure`, `free` where it is not known; see
+            `manifold locate --photo`.
         context, is_taken: as of `action`.
     Raises:
         UsageError: it is anything else.
@@ -166,7 +168,7 @@ def photograph(
     picture = path.with_suffix(request["suffix"])
     path.rename(picture)
     light = request.get("light")
-    if light is None:
+    if light is None and "lamp" not in request:
         light = path.with_name(f"{path.name}-light{request['light_suffix']}")
         size = int(request["light_bytes"])  # 100.0 is an integer in JSON
         with picture.open("r+b") as stream:
@@ -175,8 +177,9 @@ def photograph(
             stream.truncate(picture.stat().st_size - size)
     given = [f"--{key}={request[key]}" for key in _PHOTO_OPTIONS if key in request]
     output = _output(path.name, "_photo.png", context, request.get("replace", False), is_taken)
+    lit = f"--light={light}" if light is not None else f"--lamp={request['lamp']}"
     arguments = (
-        "locate", f"--photo={picture}", f"--light={light}", *given, f"--picture={output}", "--json=-",
+        "locate", f"--photo={picture}", lit, *given, f"--picture={output}", "--json=-",
         *_model(context),
     )  # fmt: skip
     return Action(f"locate {path.name}", arguments, output, output, path.parent)
@@ -224,6 +227,10 @@ def _require_photograph(request: Mapping[str, Any], size: int) -> None:
     fields: dict[str, Any] = {
         "suffix": {"enum": list(SUFFIXES)},
         "light": {"enum": list(ENVIRONMENTS)},
+        "lamp": {
+            "type": "string",
+            "pattern": rf"\A(found|flash|{_COORDINATE}(,{_COORDINATE}){{2}})(,{_PIXELS})?\Z",
+        },
         "light_suffix": {"enum": list(SUFFIXES)},
         "light_bytes": {"type": "integer", "minimum": 1, "maximum": size - 1},
         "circle": {"type": "string", "pattern": rf"\A{_PIXELS},{_PIXELS},{_PIXELS}\Z"},
@@ -235,7 +242,7 @@ def _require_photograph(request: Mapping[str, Any], size: int) -> None:
     }
     schema = {
         "type": "object", "properties": fields, "required": ["suffix"], "additionalProperties": False,
-        "oneOf": [{"required": ["light"]}, {"required": ["light_bytes"]}],
+        "oneOf": [{"required": ["light"]}, {"required": ["light_bytes"]}, {"required": ["lamp"]}],
         "dependentRequired": {"light_bytes": ["light_suffix"], "light_suffix": ["light_bytes"]},
     }  # fmt: skip
     for error in Draft202012Validator(schema).iter_errors(request):

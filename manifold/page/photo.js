@@ -19,6 +19,10 @@ export class Photo {
     this.listenToFile("light-file", (file) => this.useLight(file));
     byId("light").addEventListener("change", ({ target }) => target.value || byId("light-file").click());
     byId("circle").addEventListener("change", () => this.readCircle());
+    byId("lamp").addEventListener("change", ({ target }) => {
+      if (target.value.trim()) byId("light").value = "lamp";
+      this.draw();
+    });
     byId("find").addEventListener("click", () => this.find());
     this.canvas.addEventListener("pointerdown", (event) => this.grab(event));
     this.canvas.addEventListener("pointermove", (event) => this.drag(event));
@@ -69,18 +73,47 @@ export class Photo {
     this.draw();
   }
 
+  /** Where the lamp that the field has makes its highlight, in the photograph; null without one. */
+  highlight() {
+    const lamp = this.byId("lamp").value.split(",").map(Number).slice(0, 3), length = Math.hypot(...lamp);
+    if (!this.circle || this.byId("light").value !== "lamp" || lamp.length < 3 || !(length > 0)) return null;
+    const half = [lamp[0] / length, lamp[1] / length, lamp[2] / length + 1], [x, y, radius] = this.circle;
+    const size = Math.hypot(...half);
+    return size > 0 ? [x + radius * half[0] / size, y - radius * half[1] / size] : null;
+  }
+
+  /** The lamp whose highlight is at a place of the photograph. */
+  lampAt(px, py) {
+    const [x, y, radius] = this.circle, within = Math.max(Math.hypot(px - x, py - y) / (0.999 * radius), 1);
+    const nx = (px - x) / radius / within, ny = (y - py) / radius / within, nz = Math.sqrt(1 - nx * nx - ny * ny);
+    return [2 * nz * nx, 2 * nz * ny, 2 * nz * nz - 1];
+  }
+
+  /** What the program found in a photograph: its outline and lamp, to be dragged where they are wrong. */
+  showFound({ circle, lamps }) {
+    this.circle = circle.slice(0, 3);
+    this.byId("circle").value = this.circle.map((v) => v.toFixed(1)).join(",");
+    if (lamps.length) this.byId("lamp").value = lamps[0].map((v) => v.toFixed(3)).join(",");
+    this.draw();
+  }
+
   /** Pixels of the photograph by pixels of the screen, and where a pointer is in the photograph. */
   at(event) {
     const box = this.canvas.getBoundingClientRect(), scale = this.image.width / box.width;
     return { scale, x: (event.clientX - box.left) * scale, y: (event.clientY - box.top) * scale };
   }
 
-  /** Near the outline a drag changes the radius, within it the place; elsewhere it draws an outline from its middle. */
+  /**
+   * A lamp's highlight is dragged; near the outline a drag changes the radius, within it the place; elsewhere it draws an
+   * outline from its middle.
+   */
   grab(event) {
     const { scale, x, y } = this.at(event), [cx, cy, radius] = this.circle ?? [0, 0, 0];
     const away = Math.hypot(x - cx, y - cy);
+    const shine = this.highlight();
     this.canvas.setPointerCapture(event.pointerId);
-    if (this.circle && Math.abs(away - radius) < GRIP * scale) this.grip = { radius: radius - away };
+    if (shine && Math.hypot(x - shine[0], y - shine[1]) < GRIP * scale) this.grip = { lamp: true };
+    else if (this.circle && Math.abs(away - radius) < GRIP * scale) this.grip = { radius: radius - away };
     else if (this.circle && away < radius) this.grip = { dx: cx - x, dy: cy - y };
     else {
       this.circle = [x, y, 1];
@@ -92,6 +125,11 @@ export class Photo {
     if (!this.grip) return;
     const { x, y } = this.at(event), [cx, cy, radius] = this.circle, { width, height } = this.image;
     const within = (v, most) => Math.min(Math.max(v, 0), most);
+    if (this.grip.lamp) {
+      this.byId("lamp").value = this.lampAt(x, y).map((v) => v.toFixed(3)).join(",");
+      this.draw();
+      return;
+    }
     this.circle = "radius" in this.grip
       ? [cx, cy, within(Math.hypot(x - cx, y - cy) + this.grip.radius, Math.max(width, height))]
       : [within(x + this.grip.dx, width), within(y + this.grip.dy, height), radius];
@@ -112,6 +150,11 @@ export class Photo {
       context.lineTo(x + 6, y);
       context.moveTo(x, y - 6);
       context.lineTo(x, y + 6);
+      const shine = this.highlight()?.map((v) => v * scale);
+      if (shine) {
+        context.moveTo(shine[0] + 9, shine[1]);
+        context.arc(shine[0], shine[1], 9, 0, 2 * Math.PI);
+      }
       Object.assign(context, { strokeStyle: style, lineWidth: thick });
       context.stroke();
     }
@@ -127,9 +170,11 @@ export class Photo {
   request(light) {
     const value = (id) => this.byId(id).value.trim(), request = { suffix: suffixOf(this.file) };
     if (light) Object.assign(request, { light_suffix: suffixOf(light), light_bytes: light.size });
+    else if (value("light") === "lamp") request.lamp = value("lamp") || "found";
     else request.light = value("light");
     if (value("circle")) request.circle = value("circle");
-    for (const id of ["turn", "elevation", "distance"]) if (value(id)) request[id] = Number(value(id));
+    const numbers = request.lamp ? ["distance"] : ["turn", "elevation", "distance"]; // lamps are in the camera's frame
+    for (const id of numbers) if (value(id)) request[id] = Number(value(id));
     if (this.byId("exposure").checked) request.exposure = "free";
     return request;
   }

@@ -198,6 +198,8 @@ class Actions {
     details.open = isOpen || job.state === "failed"; // what is done collapses
     if (job.state !== "running") this.explorer.announce([`${job.title}: ${job.state}`, detail].filter((part) => part).join(", "));
     if (job.state === "done" && job.picture) this.showPicture(details, job);
+    const [seen] = job.result?.photographs ?? [];
+    if (job.state === "done" && seen && this.requested.has(job.title)) this.photo.showFound(seen);
     const located = job.result?.located ?? job.result;
     if (job.state === "done" && located?.latent) this.showPlace(details, job.title, located);
   }

@@ -298,9 +298,24 @@ def test_a_dropped_photograph_and_its_light_are_located(serve):
     assert not job.action.inputs.exists()
 
 
+@pytest.mark.parametrize("lamp", ["found", "flash", "0.5,-0.25,1", "0,0,1,12.5", "found,10"])
+def test_a_photograph_under_a_lamp_is_located(serve, lamp):
+    server = serve((sys.executable, "-c", "print('done')"))
+    job = post(
+        server,
+        "/do/photograph",
+        b"pixels",
+        X_Name="ball",
+        X_Request=json.dumps({"suffix": ".jpg", "lamp": lamp}),
+    )
+    assert f"--lamp={lamp}" in job.action.arguments
+    assert not any(argument.startswith("--light") for argument in job.action.arguments)
+
+
 @pytest.mark.parametrize(
     "changed",
     [
+        {"lamp": "found"}, {"light": None, "lamp": "/etc/passwd"}, {"light": None, "lamp": "0,0,1\n"},
         {"suffix": ".sh"}, {"suffix": "/../x.png"}, {"light": "/etc/passwd"}, {"light": "sky", "light_bytes": 2},
         {"light": None}, {"circle": "1,2"}, {"circle": "1,2,--force"}, {"circle": "1,2,3\n"}, {"turn": "1"},
         {"turn": 1e9}, {"elevation": 90}, {"distance": 0.5}, {"exposure": "--force"}, {"camera": "/etc/passwd"},

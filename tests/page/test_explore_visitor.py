@@ -392,6 +392,35 @@ def test_the_circle_of_a_dropped_photograph_is_dragged_and_its_light_chosen(serv
     assert served_page.errors == []
 
 
+def test_a_lamp_s_highlight_is_drawn_on_the_photograph_and_dragged(served_page, served):
+    page = served_page.page
+    drop_picture(page, "lit.png")
+    canvas = page.locator("#photo-canvas")
+    canvas.scroll_into_view_if_needed()
+    page.locator("#photo-circle").fill("100,50,40")
+    page.locator("#photo-circle").dispatch_event("change")
+    page.locator("#photo-lamp").fill("0,0,1")
+    page.locator("#photo-lamp").dispatch_event("change")
+    assert page.locator("#photo-light").input_value() == "lamp"
+    box = canvas.bounding_box()
+    scale = box["width"] / 200
+    page.mouse.move(
+        box["x"] + 100 * scale, box["y"] + 50 * scale
+    )  # a lamp at the camera shines in the middle
+    page.mouse.down()
+    page.mouse.move(box["x"] + 120 * scale, box["y"] + 50 * scale)  # half of the radius: 30 degrees
+    page.mouse.up()
+    settle(page)
+    lamp = [float(v) for v in page.locator("#photo-lamp").input_value().split(",")]
+    assert lamp == pytest.approx([np.sin(np.pi / 3), 0.0, np.cos(np.pi / 3)], abs=0.05)
+    page.locator("#photo-find").click()
+    page.locator("#jobs li[data-state=done]", has_text="locate lit").wait_for()
+    arguments = served.queue.jobs[-1].action.arguments
+    assert f"--lamp={','.join(f'{v:.3f}' for v in lamp)}" in arguments
+    assert not any(argument.startswith(("--light", "--turn")) for argument in arguments)
+    assert served_page.errors == []
+
+
 def test_pictures_that_no_browser_shows_are_located_with_a_picture_of_their_light(served_page, served):
     page = served_page.page
     raw = {"name": "raw.exr", "mimeType": "image/x-exr", "buffer": b"1234567"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -23,7 +24,8 @@ class Command(TyperCommand):
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
         """As Typer's. Raises UsageError where an output cannot be written to."""
-        outputs.check_all(ctx.params)
+        assert self.callback is not None
+        outputs.check_all(inspect.unwrap(self.callback), ctx.params)
         return super().invoke(ctx)
 
 

@@ -12,6 +12,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
+from .outputs import written
 
 if TYPE_CHECKING:
     from manifold.evaluate.budget.budgets import Budget
@@ -57,8 +58,7 @@ def budget(
     seed: Annotated[int, typer.Option(help="Fixes the noise.", metavar="N", min=0)] = 0,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", help="Also draw both renders and the cost of every "
-        "representation.", metavar="FILE"),
+        written("--picture", help="Also draw both renders and the cost of every representation."),
     ] = None,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip

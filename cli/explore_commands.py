@@ -13,6 +13,7 @@ from manifold import progress
 
 from . import options, terminal
 from .application import app
+from .outputs import written
 
 
 @app.command(
@@ -23,9 +24,7 @@ from .application import app
 def explore(
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--html", help="Write the page as one file that needs no network, and stop.", metavar="FILE"
-        ),
+        written("--html", help="Write the page as one file that needs no network, and stop.", metavar="FILE"),
     ] = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,

@@ -13,7 +13,7 @@ from manifold.errors import UsageError
 from . import options, terminal
 from .application import app
 from .batch_options import count_words, raise_failed
-from .outputs import or_default
+from .outputs import or_default, written
 
 if TYPE_CHECKING:
     from manifold.batch import Outcome
@@ -69,7 +69,7 @@ def export(
     ] = False,
     pack: Annotated[
         Path | None,
-        typer.Option(
+        written(
             help="Write a whole library, or folder, here, with index.html: balls measured and exported, and their "
             "differences.",
             metavar="FOLDER",

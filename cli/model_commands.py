@@ -14,7 +14,7 @@ from manifold.errors import ManifoldError, UsageError
 from . import options, photo_options, terminal
 from .application import app
 from .batch_options import PointsOption, folder_or_default, inputs_of, show_batch, show_points
-from .outputs import or_default
+from .outputs import or_default, written
 from .worker_options import OneWorkerOption, SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def embed(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     output: Annotated[
         Path,
-        typer.Option("--model", "-M", "--output", "-o", help="The model, which is written.", metavar="FILE"),
+        written("--model", "-M", "--output", "-o", help="The model, which is written."),
     ] = options.DEFAULT_MODEL,
     kind: Annotated[
         Kind,
@@ -373,11 +373,7 @@ def locate(
     cylinder: photo_options.CylinderOption = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            "--picture",
-            help="Of photographs: these beside their prediction, and differences.",
-            metavar="FILE",
-        ),
+        written("--picture", help="Of photographs: these beside their prediction, and differences."),
     ] = None,
     physical: options.PhysicalOption = False,
     processes: WorkersOption = None,

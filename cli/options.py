@@ -11,6 +11,8 @@ import typer
 
 from manifold.errors import UsageError
 
+from .outputs import written
+
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
     from manifold.formats.readings import Viewing
@@ -19,6 +21,12 @@ if TYPE_CHECKING:
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
 
+
+def output_option(help: str, metavar: str = "FILE") -> Any:
+    """The option `--output`, to stand in an annotation."""
+    return written("--output", "-o", help=help, metavar=metavar)
+
+
 LibraryOption = Annotated[Path, typer.Option("--library", "-L", help="The library.", metavar="FOLDER")]
 MovedLibraryOption = Annotated[
     Path | None,
@@ -26,9 +34,7 @@ MovedLibraryOption = Annotated[
 ]
 JsonOption = Annotated[
     Path | None,
-    typer.Option(
-        "--json", help="Also write the results as JSON; with -, write only JSON to stdout.", metavar="FILE"
-    ),
+    written("--json", help="Also write the results as JSON; with -, write only JSON to stdout."),
 ]
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
 
@@ -94,10 +100,9 @@ ObserverOption = Annotated[
 ]
 ReportOption = Annotated[
     Path | None,
-    typer.Option(
+    written(
         "--report",
         help="Also write a report to hand on: one page of HTML, printable; of many, one each and an index.",
-        metavar="FILE",
     ),
 ]
 UnitOption = Annotated[
@@ -115,11 +120,6 @@ def viewing_of(illuminant: str | None, observer: int | None, usual: Viewing | No
 
     usual = usual or DAYLIGHT
     return Viewing(illuminant or usual.illuminant, observer or usual.observer_deg)
-
-
-def output_option(help: str, metavar: str = "FILE") -> Any:
-    """The option `--output`, to stand in an annotation."""
-    return typer.Option("--output", "-o", help=help, metavar=metavar)
 
 
 def colour_choice(

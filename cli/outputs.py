@@ -3,21 +3,43 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, get_type_hints
+
+import typer
 
 from manifold.errors import UsageError
 
-_OUTPUTS = ("output", "picture", "markdown", "json")  # parameters that are files or folders to be written
-_parameters: ContextVar[Mapping[str, Any]] = ContextVar("_parameters")
+
+class _Running(NamedTuple):
+    """The command that runs: values of its parameters, and which of these are written."""
+
+    parameters: Mapping[str, Any]
+    written: frozenset[str]
 
 
-def check_all(parameters: Mapping[str, Any]) -> None:
-    """Check the outputs among the parameters of the command that begins to run; raises UsageError as `checked`."""
-    _parameters.set(parameters)
-    for name in _OUTPUTS:
+_running: ContextVar[_Running] = ContextVar("_running")
+
+
+def written(*names: str, help: str, metavar: str = "FILE") -> Any:
+    """An option that names a file or folder to be written, to stand in an annotation; see `check_all`."""
+    option = typer.Option(*names, help=help, metavar=metavar)
+    option.is_written = True
+    return option
+
+
+def check_all(command: Callable[..., Any], parameters: Mapping[str, Any]) -> None:
+    """Check the outputs among the parameters of a command that begins to run; raises UsageError as `checked`."""
+    hints = get_type_hints(command, include_extras=True)
+    found = {
+        name
+        for name, hint in hints.items()
+        if any(getattr(each, "is_written", False) for each in getattr(hint, "__metadata__", ()))
+    }
+    _running.set(_Running(parameters, frozenset(found)))
+    for name in sorted(found):
         if isinstance(path := parameters.get(name), Path) and (name, str(path)) != ("json", "-"):
             checked(path, name)
 
@@ -41,11 +63,12 @@ def checked(path: Path, name: str = "output") -> Path:
     if str(path) == "-":
         raise UsageError("-: this command writes a file; name one (only --json takes -)")
     require_outside_libraries(path, into=path.is_dir())
-    for other, values in _parameters.get().items():
+    running = _running.get()
+    for other, values in running.parameters.items():
         for value in values if isinstance(values, list | tuple) else [values]:
-            is_file = isinstance(value, str | Path) and (other in _OUTPUTS or os.path.isfile(value))
+            is_file = isinstance(value, str | Path) and (other in running.written or os.path.isfile(value))
             if other != name and is_file and os.path.realpath(value) == os.path.realpath(path):
-                if other in _OUTPUTS:
+                if other in running.written:
                     raise UsageError(f"{path}: named for --{other} and for --{name}; name two files")
                 raise UsageError(f"{path}: is an input of this command; name another output")
     return path

@@ -12,6 +12,7 @@ from manifold import progress
 from . import options, terminal
 from .application import app
 from .model_commands import show_prediction
+from .outputs import written
 from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 Grid = Literal["default", "hikichi"]
@@ -47,7 +48,8 @@ def report(
         ),
     ] = False,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
+        Path | None,
+        written("--picture", help="Also draw the map of the latents.", metavar="FILE.png"),
     ] = None,
     processes: OneWorkerOption = None,
     scheduler: SchedulerOption = None,

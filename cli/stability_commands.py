@@ -11,6 +11,7 @@ from manifold import progress
 
 from . import options, terminal
 from .application import app
+from .outputs import written
 from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 
@@ -25,9 +26,7 @@ def stability(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            "--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"
-        ),
+        written("--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"),
     ] = None,
     processes: OneWorkerOption = None,
     scheduler: SchedulerOption = None,

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.optimize import Bounds, OptimizeResult
+import scipy
 
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array
@@ -65,11 +65,11 @@ def direct_local_search(
     *,
     initial_step: float | Array = 0.5,
     tolerance: float = 1e-6,
-    bounds: Bounds | Sequence[tuple[float | None, float | None]] | None = None,
+    bounds: scipy.optimize.Bounds | Sequence[tuple[float | None, float | None]] | None = None,
     maxfev: int | None = None,
     max_sweeps: int | None = None,
     callback: Callable[[Array, float], Any] | None = None,
-) -> OptimizeResult:
+) -> scipy.optimize.OptimizeResult:
     """Minimise by exploratory moves along coordinates and pattern moves along what they achieved.
 
     A sweep tries `x_j + step` and `x_j - step` for every j and keeps each improvement at once. After a sweep
@@ -117,7 +117,7 @@ def direct_local_search(
         search.return_to_best()
     if status == CONVERGED and not np.isfinite(search.best):
         status = NOT_FINITE
-    return OptimizeResult(
+    return scipy.optimize.OptimizeResult(
         x=search.best_x.copy(),
         fun=search.best,
         nfev=search.nfev,
@@ -187,12 +187,12 @@ def _per_coordinate(value: float | Array, n: int, name: str) -> Array:
 
 
 def _limits(
-    bounds: Bounds | Sequence[tuple[float | None, float | None]] | None, n: int
+    bounds: scipy.optimize.Bounds | Sequence[tuple[float | None, float | None]] | None, n: int
 ) -> tuple[Array, Array]:
     """Lower and upper limits, shape (n,) each, from either of scipy's forms."""
     if bounds is None:
         return np.full(n, -np.inf), np.full(n, np.inf)
-    if isinstance(bounds, Bounds):
+    if isinstance(bounds, scipy.optimize.Bounds):
         lower, upper = bounds.lb, bounds.ub
     else:
         pairs = list(bounds)
@@ -243,14 +243,14 @@ def hooke_jeeves(
     x0: Array,
     args: tuple[Any, ...] = (),
     *,
-    bounds: Bounds | Sequence[tuple[float | None, float | None]] | None = None,
+    bounds: scipy.optimize.Bounds | Sequence[tuple[float | None, float | None]] | None = None,
     callback: Callable[..., Any] | None = None,
     tol: float | None = None,
     initial_step: float | Array = 0.5,
     maxfev: int | None = None,
     maxiter: int | None = None,
     **unused: Any,
-) -> OptimizeResult:
+) -> scipy.optimize.OptimizeResult:
     """Hooke & Jeeves as `scipy.optimize.minimize(fun, x0, method=hooke_jeeves, options={...})`.
 
     Args:
@@ -296,5 +296,5 @@ def _in_scipy_form(callback: Callable[..., Any] | None) -> Callable[[Array, floa
     if callback is None:
         return None
     if set(inspect.signature(callback).parameters) == {"intermediate_result"}:
-        return lambda x, value: callback(intermediate_result=OptimizeResult(x=x, fun=value))
+        return lambda x, value: callback(intermediate_result=scipy.optimize.OptimizeResult(x=x, fun=value))
     return lambda x, value: callback(x)

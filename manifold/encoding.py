@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
+import scipy
 from scipy.linalg.lapack import dpotrs
-from scipy.optimize import minimize
 
 from manifold.gpr import GaussianProcess
 from manifold.mapping import Mapping
@@ -255,7 +255,7 @@ class Encoder:
 
     def minimise(self, criterion: Criterion, start: Array) -> tuple[Array, float]:
         """The latent (Q,) at the local minimum of criterion plus prior near a start, and its value."""
-        found = minimize(
+        found = scipy.optimize.minimize(
             lambda x: self.value_and_gradient(criterion, x), start, jac=True, method="L-BFGS-B",
             options={"maxiter": _MAX_ITER},
         )  # fmt: skip

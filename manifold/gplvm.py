@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -112,7 +112,9 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
 
     limit, tol = run.max_iter, run.tol
     options = {"maxiter": limit, "maxfun": 10 * limit, "ftol": 1e-2 * tol, "gtol": tol, "maxcor": 20}
-    result = minimize(flat, X.reshape(-1), jac=True, method="L-BFGS-B", callback=report, options=options)
+    result = scipy.optimize.minimize(
+        flat, X.reshape(-1), jac=True, method="L-BFGS-B", callback=report, options=options
+    )
     run.n_evaluations += int(result.nfev)
     if result.status == STOPPED:
         raise StopIteration

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import convolve
+import scipy
 
 from manifold.brdf.warp import Warp
 from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
@@ -130,7 +130,7 @@ def _fill(values: Array, unmeasured: Mask, known: Mask) -> None:
     """Fill the unmeasured cells (H, W) of values (B, H, W) in place, from the cells that are known (H, W)."""
     unmeasured = unmeasured.copy()
     while np.any(unmeasured):
-        weight = convolve(known.astype(float), _NEIGHBOURS, mode="constant")
+        weight = scipy.ndimage.convolve(known.astype(float), _NEIGHBOURS, mode="constant")
         rim = unmeasured & (weight > 0)
         if not np.any(rim):
             return

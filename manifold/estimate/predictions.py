@@ -5,15 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from manifold import __version__
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
-from manifold.estimate.attributes import Attributes, adjust
-from manifold.estimate.gloss import gloss_units
-from manifold.estimate.gloss_change import with_gloss
 from manifold.estimate.sources import MaterialSource, place_of
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.model.diagnostics import Prediction, diagnose
@@ -22,6 +20,9 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_b
 from manifold.model.places import PlaceLike
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array
+
+if TYPE_CHECKING:
+    from manifold.estimate.attributes import Attributes
 
 _RECOATED = (
     "its coat was changed to have the gloss; the expected error is that of the material with its own coat"
@@ -63,10 +64,15 @@ def predict(
     if attributes is None:
         adjusted, chosen = None, choose_colour(model, place, colour)
     else:
+        from manifold.estimate.attributes import adjust  # which loads optimisers
+
         adjusted = adjust(model, place, replace(attributes, gloss={}), colour)
         chosen = ChosenColour(adjusted.colours, str(adjusted), 0.0)
     brdf: BRDF = model.predict(place, chosen.colours).turned(place.rotation_rad)
     if attributes is not None and attributes.gloss:
+        from manifold.estimate.gloss import gloss_units
+        from manifold.estimate.gloss_change import with_gloss
+
         assert adjusted is not None
         units = attributes.units(gloss_units(brdf, attributes.gloss))
         brdf = with_gloss(brdf, units)

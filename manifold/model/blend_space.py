@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import ClassVar, Protocol
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 
@@ -346,7 +346,7 @@ class _BestPlace:
         residuals, Q = self._residuals(bands, norm), self._X.shape[1]
         steps = np.vstack([np.zeros(Q), 0.2 * self._l * np.eye(Q)])
         ends = [
-            minimize(
+            scipy.optimize.minimize(
                 lambda x: float(residuals(x[None])[0]), x, method="Nelder-Mead",
                 options={"initial_simplex": x + steps, "maxfev": _EVALUATIONS},
             )

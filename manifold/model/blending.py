@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 from scipy.spatial import ConvexHull, Delaunay, KDTree, QhullError
 from scipy.spatial.distance import cdist
 
@@ -191,7 +191,7 @@ class LayoutObjective:
             moved = X - start
             return value + held * float(np.sum(moved * moved)), (gradient + 2.0 * held * moved).ravel()
 
-        found = minimize(flat, start.ravel(), jac=True, method="L-BFGS-B", options=limits)
+        found = scipy.optimize.minimize(flat, start.ravel(), jac=True, method="L-BFGS-B", options=limits)
         return np.asarray(found.x).reshape(start.shape)
 
     def unfold(self, start: Array, rng: np.random.Generator) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 from manifold.analytic.free_lobes import cos_theta_d, microfacet_lobe
 from manifold.brdf.measured import BRDF
@@ -91,7 +91,9 @@ def fit_highlight(brdf: BRDF) -> Highlight:
         for band in bands:
             slope = weight * (f[:, band] + _LEAST_VALUE) ** (-2.0 / 3.0)  # of cube roots, up to a factor
             q, r = np.linalg.qr(columns * slope[:, None])
-            found.append(lsq_linear(r, q.T @ (f[:, band] * slope), (0.0, 1.0), method="bvls").x)
+            found.append(
+                scipy.optimize.lsq_linear(r, q.T @ (f[:, band] * slope), (0.0, 1.0), method="bvls").x
+            )
             error += float(np.sum((weight * (np.cbrt(columns @ found[-1]) - np.cbrt(f[:, band]))) ** 2))
         return np.transpose(found), error
 

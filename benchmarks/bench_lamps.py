@@ -256,7 +256,23 @@ def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) ->
                 f"{spearmanr(true, said).statistic:.2f}"
             )
         if asked.json:
-            asked.json.write_text(json.dumps({"ball": rows, "principled": fits}, indent=1) + "\n")
+            tables = {
+                **{name: of for name, of in rows.items() if max(of) in COUNTS},
+                **{f"principled {k}": of for k, of in fits.items()},
+            }
+            asked.json.write_text(
+                json.dumps({_key(k): _summary(of) for k, of in tables.items()}, indent=1) + "\n"
+            )
+
+
+def _key(name: str) -> str:
+    return "_".join(name.replace(",", "").replace(" and ", " ").split())
+
+
+def _summary(of: dict[int, list[float]]) -> dict[str, object]:
+    """Median and 90th percentile, and of how many materials, by the number of pictures."""
+    errors = {f"of_{n}": [float(np.median(e)), float(np.percentile(e, 90))] for n, e in of.items()}
+    return errors | {f"materials_{n}": len(e) for n, e in of.items()}
 
 
 @dataclass(frozen=True)

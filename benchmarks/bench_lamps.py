@@ -256,10 +256,8 @@ def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) ->
                 f"{spearmanr(true, said).statistic:.2f}"
             )
         if asked.json:
-            tables = {
-                **{name: of for name, of in rows.items() if max(of) in COUNTS},
-                **{f"principled {k}": of for k, of in fits.items()},
-            }
+            tables = {name: of for name, of in rows.items() if set(of) <= set(COUNTS) and ":" not in name}
+            tables |= {f"principled {light}": of for light, of in fits.items()}
             asked.json.write_text(
                 json.dumps({_key(k): _summary(of) for k, of in tables.items()}, indent=1) + "\n"
             )

@@ -38,6 +38,7 @@ COMMANDS = {
     "page": "bench_page.py MODEL",
     "compact": "bench_compact.py FILES",
     "photo": "bench_photo.py FILES",
+    "lamps": "bench_lamps.py --files FILES --library LIBRARY",
     "stability": "manifold stability",
     "goniometer": "bench_goniometer.py",
     "render": "bench_render.py",

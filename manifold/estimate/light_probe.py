@@ -18,7 +18,7 @@ from manifold.errors import UsageError
 from manifold.estimate.circle import Circle, outlines_in
 from manifold.estimate.lamps import Lamp
 from manifold.estimate.photo_files import Photograph
-from manifold.records import Array, Mask
+from manifold.records import Array, Indices, Mask, evenly_spaced
 
 _SIDES = (24, 64)  # pixels across a ball that are compared, to choose a start and to refine it
 _RIM = 0.95  # of the radius
@@ -29,6 +29,7 @@ _OUTLINE = 0.003  # standard deviation of the outline that was found, in radii; 
 _NOISE = 0.03  # of cube roots, relative to the picture's largest: where residuals stop to count in full
 _INDEPENDENT = 30.0  # pixels of a picture whose residuals are independent
 _LARGEST_RESIDUAL = 0.12  # of cube roots, relative: beyond, no lamp explains a picture
+_TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # of real pictures of a matte ball, lamps are found alone within 7 degrees
 _BRIGHT = 0.995  # quantile of pixels that are taken for a highlight
 _LOBES = (0.1, 0.35)  # alphas from which the fit starts
@@ -110,17 +111,23 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
 
 
 def _fit_to(photographs: Sequence[Photograph], circle: Circle, distance: float) -> tuple[_Pixels, _Fit]:
-    """The best fit of several starts near an outline."""
-    coarse, pixels = (_Pixels.of(photographs, circle, distance, side) for side in _SIDES)
+    """The best fit of several starts near an outline; of many pictures, some say all but the lamps of the others."""
+    chosen = evenly_spaced(len(photographs), _TOGETHER)
+    some = [photographs[k] for k in chosen]
+    coarse, pixels = (_Pixels.of(some, circle, distance, side) for side in _SIDES)
     tried = [coarse.fitted(coarse.start(lamps, alpha)) for lamps in coarse.lamps() for alpha in _LOBES]
-    return pixels, pixels.fitted(min(tried, key=lambda fit: fit.cost).x)
+    best = pixels.fitted(min(tried, key=lambda fit: fit.cost).x)
+    if len(some) == len(photographs):
+        return pixels, best
+    every = _Pixels.of(photographs, circle, distance, _SIDES[1])
+    return every, every.with_others(best, chosen)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
     x: Array
     cost: float
-    jacobian: Array
+    curvature: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,13 +241,10 @@ class _Pixels:
         scale = np.sqrt(_INDEPENDENT / M) / _NOISE
 
         def residuals(x: Array) -> Array:
-            off = self.predicted(x) - self.roots
-            off = np.where(self.is_clipped, np.minimum(off, 0.0), off)
-            off = np.where(self.is_seen, off, 0.0) * scale
             # Gains and the material have one factor in common.
             return np.concatenate(
                 [
-                    off.ravel(),
+                    scale * self._off(x).ravel(),
                     np.sqrt(P) * x[:3] / _OUTLINE,
                     [np.sum(x[-P:]), x[4] / _FLATNESS],
                     (x[5:7] - start[5:7]) / 3.0,
@@ -254,7 +258,38 @@ class _Pixels:
         found = least_squares(
             residuals, start, loss="soft_l1", x_scale="jac", jac_sparsity=depends, max_nfev=60
         )
-        return _Fit(found.x, float(found.cost), found.jac.toarray())
+        return _Fit(found.x, float(found.cost), (found.jac.T @ found.jac).toarray())
+
+    def _off(self, x: Array) -> Array:
+        """What is predicted of cube roots less what was seen, of clipped pixels what is too dark: (P, M)."""
+        off = self.predicted(x) - self.roots
+        return np.where(self.is_seen, np.where(self.is_clipped, np.minimum(off, 0.0), off), 0.0)
+
+    def with_others(self, fit: _Fit, chosen: Indices) -> _Fit:
+        """A fit of some pictures, with lamp and gain of every other one, whose outline and material are theirs."""
+        P, n = len(self.roots), len(chosen)
+        x, curvature = np.zeros(7 + 3 * P), np.zeros((7 + 3 * P, 7 + 3 * P))
+        own = np.concatenate([np.arange(7), *(7 + 2 * chosen[:, None] + [0, 1]), 7 + 2 * P + chosen]).astype(
+            int
+        )
+        x[own], curvature[np.ix_(own, own)] = fit.x, fit.curvature
+        scale, cost = np.sqrt(_INDEPENDENT / self.roots.shape[1]) / _NOISE, fit.cost * P / n
+        for p in np.setdiff1d(np.arange(P), chosen):
+            one = replace(
+                self, roots=self.roots[p : p + 1], is_clipped=self.is_clipped[p : p + 1],
+                is_seen=self.is_seen[p : p + 1], levels=self.levels[p : p + 1],
+            )  # fmt: skip
+            tried = [
+                least_squares(
+                    lambda y, one=one: scale * one._off(np.concatenate([fit.x[:7], y])).ravel(),
+                    np.append(_slopes(lamps), 0.0), loss="soft_l1", max_nfev=60,
+                )
+                for lamps in one.lamps()
+            ]  # fmt: skip
+            best = min(tried, key=lambda each: each.cost)
+            at = np.array([7 + 2 * p, 8 + 2 * p, 7 + 2 * P + p])
+            x[at], curvature[np.ix_(at, at)] = best.x, best.jac.T @ best.jac
+        return _Fit(x, cost, curvature)
 
     def probe(self, fit: _Fit, paths: Sequence[Path]) -> Probe:
         """What a fit says.
@@ -263,10 +298,9 @@ class _Pixels:
             UsageError: it does not explain a picture.
         """
         shift, _, slopes, gains = self._split(fit.x)
-        off = self.predicted(fit.x) - self.roots
-        off = np.where(self.is_clipped, np.minimum(off, 0.0), off) * self.is_seen
         residual = np.sqrt(
-            np.sum(off**2, axis=1) / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12)
+            np.sum(self._off(fit.x) ** 2, axis=1)
+            / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12)
         )
         lost = [str(path.name) for path, one in zip(paths, residual, strict=True) if one > _LARGEST_RESIDUAL]
         if lost:
@@ -274,7 +308,7 @@ class _Pixels:
                 f"{', '.join(lost)}: no single lamp explains the ball (residual {residual.max():.0%}, expected at most "
                 f"{_LARGEST_RESIDUAL:.0%}); give its --circle, or the lamp by --lamp X,Y,Z or the light by --light"
             )
-        covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian)
+        covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         circle, radius = self.circle, self.circle.radius
         found = Circle(circle.x + shift[0] * radius, circle.y + shift[1] * radius, radius * (1.0 + shift[2]))

@@ -69,6 +69,20 @@ def test_lamps_outline_and_gains_are_found_in_the_pictures():
     np.testing.assert_allclose(found.gains, gains, rtol=0.1)
 
 
+def test_of_many_pictures_some_say_all_but_the_lamps_of_the_others(monkeypatch):
+    monkeypatch.setattr("manifold.estimate.light_probe._TOGETHER", 3)
+    directions = np.vstack([DIRECTIONS, [[-0.3, -0.5, 0.8], [0.7, 0.0, 0.5]]])
+    gains = [1.0, 0.6, 1.5, 0.8, 1.2]
+    found = find_light([photograph(d, g) for d, g in zip(directions, gains, strict=True)])
+    cosines = [
+        lamp.direction @ d / np.linalg.norm(d) for lamp, d in zip(found.lamps, directions, strict=True)
+    ]
+    assert np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0))).max() < 4.0
+    np.testing.assert_allclose(found.gains, gains, rtol=0.1)
+    assert len(found.lamp_deg) == 5
+    assert all(0.0 < one < 10.0 for one in found.lamp_deg)
+
+
 def test_near_lamps_are_found_at_their_distance():
     made = [
         lamp_picture(PAINT, Camera(), [Lamp.towards(d, 4.0)], SIZE, MARGIN).astype(np.float32)

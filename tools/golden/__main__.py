@@ -104,8 +104,9 @@ def _run(names: list[str], work: Path, options: argparse.Namespace) -> int:
     print(f"{len(found)} steps, {count} values, in {time.monotonic() - began:.0f} s")
     print(f"failed: {', '.join(failed) or 'none'}\nmoved: {', '.join(moved) or 'none'}")
     if options.keep:
-        _keep({n: step for n, step in (kept | found).items() if n in (*COMMANDS, *CALLS)}, options.against)
-    return int(bool(moved) and not options.keep)
+        whole = {name: step for name, step in found.items() if "failed" not in step}
+        _keep({n: step for n, step in (kept | whole).items() if n in (*COMMANDS, *CALLS)}, options.against)
+    return int(bool(failed) or (bool(moved) and not options.keep))
 
 
 def _possible(names: list[str], inputs: Path) -> tuple[list[str], list[str]]:

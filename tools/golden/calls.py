@@ -172,7 +172,8 @@ def errors(truth: Any, other: Any) -> Any:
     """The errors of reports between two BRDFs."""
     from manifold.model import brdf_errors
 
-    return vars_or_value(brdf_errors(truth, other))
+    found = brdf_errors(truth, other)
+    return found._asdict() | {"look": found.look.to_json()}
 
 
 def as_parts(value: Any) -> list[Any]:

@@ -12,7 +12,11 @@ from manifold.estimate.circle import Circle, Cylinder
 from manifold.estimate.photo_files import Photograph, reduced
 from manifold.records import Array, Indices, Mask
 
-_MOST_BLOCKS = 400
+_MOST_BLOCKS, _MOST_IN_ALL, _FEWEST_BLOCKS = (
+    400,
+    4000,
+    60,
+)  # of a picture, of all together, and of a picture of many
 _LARGEST, _SMALLEST, _CLIPPED = 16, 2, 8  # pixels a side
 _DIAMETER = 256  # to which larger balls are reduced
 _RIM = 0.97  # of the radius: beyond, errors of the outline are largest
@@ -47,9 +51,13 @@ class Blocks:
         return np.diff(np.append(self.starts, len(self.x)))
 
 
-def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
+def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Blocks:
     """The blocks of a ball, or of a cylinder.
 
+    Args:
+        photograph: of it.
+        circle: its outline.
+        pictures: how many there are of it: each of more than ten has fewer blocks.
     Raises:
         UsageError: the circle is not in the picture, the ball is black, most of it is clipped or unseen, or what is
             seen of a cylinder is nearly flat.
@@ -81,7 +89,8 @@ def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
     if not values[seen].max() > 0.0:
         raise UsageError(f"{path}: the ball at {circle} is black, expected some light")
     roots = np.cbrt(np.maximum(values, 0.0))
-    squares = [(seen, square) for square in _squares(roots, seen, _LARGEST, _MOST_BLOCKS)]
+    most = max(_FEWEST_BLOCKS, min(_MOST_BLOCKS, _MOST_IN_ALL // pictures))
+    squares = [(seen, square) for square in _squares(roots, seen, _LARGEST, most)]
     squares += [(clipped, square) for square in _squares(roots, clipped, _CLIPPED, 0)]
     parts = [np.argwhere(some[r : r + s, c : c + s]) + np.array([r, c]) for some, (r, c, s) in squares]
     counts = np.array([len(part) for part in parts])

@@ -406,7 +406,7 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         circle, doubts = _outline_of([photograph], text)
         image, made, notes, spots = read[light]
         camera = Camera(turn_deg, request.elevation_deg, request.distance)
-        sighting = Sighting(blocks_of(photograph, circle), camera, made, spots)
+        sighting = Sighting(blocks_of(photograph, circle, n), camera, made, spots)
         balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes + doubts))
     return _with_doubts(balls, circles)
 
@@ -440,7 +440,7 @@ def _under_lamps(
     balls = []
     for photograph, lamp, (circle, doubts) in zip(photographs, lamps, outlines, strict=True):
         seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
-        sighting = Sighting(blocks_of(seen, circle), camera, (lamp,))
+        sighting = Sighting(blocks_of(seen, circle, len(photographs)), camera, (lamp,))
         own = photograph.notes + notes + doubts
         if apart is None and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)

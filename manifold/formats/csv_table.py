@@ -64,7 +64,8 @@ def read(path: Path) -> list[Readings]:
         version = f"'{own['format']}', expected '{_FORMAT}'"
         raise context.error(version, remedy="read it with a newer version of manifold")
     table, columns = _table(["" if line.startswith("#") else line for line in lines], context)
-    columns = replace(columns, comments=tuple(line for line in lines if line.startswith("#")))
+    comments = tuple(line for line in lines if line.startswith("#"))
+    columns = replace(columns, comments=comments, kind="f" if own.get("format") == _FORMAT else None)
     is_spectro = columns.geometry is not None
     instrument = own.get("instrument") or f"{'spectrophotometer' if is_spectro else 'goniometer'} (CSV)"
     found = read_table(table, columns, context, own.get("name") or path.stem, instrument)

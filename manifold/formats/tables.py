@@ -91,6 +91,7 @@ class Columns:
         gloss: columns of gloss, with its angle in degrees.
         comments: lines of the file that may name a wavelength.
         viewing: of CIELAB values, which are linear sRGB relative to it in these columns; None of other values.
+        kind: what the file says of its values elsewhere than in heads; None where it says nothing.
     """
 
     row: int
@@ -102,6 +103,7 @@ class Columns:
     gloss: dict[int, float]
     comments: tuple[str, ...] = ()
     viewing: Viewing | None = None
+    kind: Quantity | None = None
 
     @property
     def band_heads(self) -> list[str]:
@@ -421,7 +423,7 @@ def read_table(
         for one in samples.values():
             _require_one_condition(table, one, columns, context)
         pairs = {key: _geometry_pairs(table, s, angles, columns, context) for key, s in samples.items()}
-    kind = column_heads.quantity(columns.band_heads)
+    kind = columns.kind or column_heads.quantity(columns.band_heads)
     if is_percent or (columns.geometry is None and set(columns.heads) >= _BLACK_LAB):
         kind = "factor"
     if columns.viewing is not None:

@@ -338,6 +338,14 @@ def test_any_readings_survive_tables(pairs, bands, seed, writer, tmp_path):
     assert (found.wavelengths_nm is None) == (nm is None)
 
 
+def test_tables_that_this_program_wrote_are_brdf_however_bright(tmp_path):
+    wi, wo = from_spherical(np.full(8, 0.7), np.pi), from_spherical(np.linspace(0.0, 1.0, 8), 1.5)
+    csv_table.write(tmp_path / "bright.csv", Readings("bright", "test", wi, wo, None, np.full((8, 3), 20.0)))
+    found = registry.read_readings(tmp_path / "bright.csv")
+    np.testing.assert_allclose(found.values, 20.0)
+    assert not any("no unit" in note for note in found.notes)
+
+
 def zemax_text(rows, azimuths=(0, 90, 180), radials=(0, 30, 50, 90), comment="# a scatterometer") -> str:
     """A Zemax file of one incidence of 30 degrees, as its users' scripts write them: tabs, half a plane."""
     lists = (

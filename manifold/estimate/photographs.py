@@ -195,11 +195,7 @@ def complete_photographs(
     """
     start = time.perf_counter()
     require_bsdf_output(output)
-    if picture is not None and any(text.count(",") > 2 for text in request.circles):
-        raise UsageError(
-            f"{picture}: a picture of residuals, expected balls, found a cylinder; leave --picture out"
-        )
-    stages = _stages(picture)
+    stages = _stages(picture, request)
     balls, material, notes = _found(request, Library(library), readings, gloss, stages)
     stages.begin("writing")
     description = (
@@ -247,7 +243,7 @@ def locate_photographs(
     start = time.perf_counter()
     if output is not None:
         require_bsdf_output(output)
-    stages = _stages(picture)
+    stages = _stages(picture, request)
     loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
     balls, material, notes = _found(request, loaded.library, None, {}, stages)
     seen = ClippedBRDF(material.brdf)
@@ -280,9 +276,14 @@ def locate_photographs(
     )
 
 
-def _stages(picture: Path | None) -> Stages:
+def _stages(picture: Path | None, request: PhotoRequest) -> Stages:
+    """Stages of the work, whose picture can be drawn. Raises: UsageError."""
     if picture is not None:
         figures.require_writable(picture)
+        if any(isinstance(Circle.parse(text), Cylinder) for text in request.circles):
+            raise UsageError(
+                f"{picture}: residuals are drawn of balls, found a cylinder; leave --picture out"
+            )
     shares = {
         "reading pictures": 1,
         "reading materials": 4,

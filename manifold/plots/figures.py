@@ -26,8 +26,8 @@ _FALLBACK_FONTS = (
     "Microsoft YaHei", "Malgun Gothic", "Noto Emoji", "Segoe UI Symbol", "Arial Unicode MS", "Unifont",
 )  # fmt: skip
 _GAPS, _ANGLES = (
-    np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0, 17.0, 24.0]),
-    24,
+    np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0, 17.0, 24.0, 34.0]),
+    36,
 )  # rings of places around a point, in dots
 _COVERED_POINT, _COVERED_NAME = (
     4.0,

@@ -125,7 +125,7 @@ def ranges(rows: dict[str, dict[str, Array]]) -> dict[str, dict[str, object]]:
         wins = [
             int(np.sum(r["eq. 22"] < own["eq. 22"])) for title, r in rows.items() if title.startswith(prefix)
         ]
-        found[rule]["wins_of_20"] = [min(wins), max(wins)]
+        found[rule]["wins"] = [min(wins), max(wins)]
     return found
 
 

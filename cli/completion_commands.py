@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +20,8 @@ from .outputs import checked, or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
+    from manifold.estimate.coat import Coated
+    from manifold.estimate.completions import Completed
     from manifold.estimate.suggest import Suggested
     from manifold.records import Array
 
@@ -140,7 +143,8 @@ def complete(
     """Complete readings of a material to a full BRDF, with a library of materials as prior.
 
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
-    samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept.
+    samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept. Their
+    --report is an index of one page each.
     """
     from manifold.estimate import completions, inputs, reports
     from manifold.estimate.attributes import readings_of_colour
@@ -248,10 +252,9 @@ def complete(
                     renders.render(
                         FileSource(target), checked(target.with_suffix(".png"), "picture"), RenderSettings()
                     )
-            results.rows(f"Completed {coated.path}", coated.rows)
             if report is not None:
                 reports.write_coat(report, coated)
-                results.text(f"  report: {report}\n")
+            _show_completed(results, coated, coated.rows, report)
             results.document(coated.to_json())
             return
     if readings and sample is None and not merge and unit is None:
@@ -299,10 +302,10 @@ def complete(
             options=written,
         )  # fmt: skip
     source = ", ".join(path.name for path in readings) if readings else "a colour"
-    results.rows(f"Completed {made.path}", {"from": source, **made.rows})
     if report is not None:
         reports.write_completion(report, made, readings or [])
-        results.text(f"  report: {report}\n")
+    rows = {"from": source, **made.rows} | ({} if made.picture is None else {"picture": made.picture})
+    _show_completed(results, made, rows, report)
     results.text("\nMixtures of materials that explain the readings, before they are adjusted to these:\n")
     results.table(
         ("materials", "probability", "residual", "difference of the ball"),
@@ -372,6 +375,7 @@ def calibrate(
     notes = completions.calibration_notes(learned, samples)
     if report is not None:
         reports.write_calibration(report, learned, samples, notes)
+        results.text(f"Report: {report}\n")
     for note in notes:
         results.sentence(f"note: {note}")
     results.document(
@@ -384,6 +388,17 @@ def calibrate(
             },
             "notes": list(notes),
         }
+    )
+
+
+def _show_completed(
+    results: terminal.Results, made: Completed | Coated, rows: Mapping[str, object], report: Path | None
+) -> None:
+    shown = dict(rows) | ({} if report is None else {"report": report})
+    shown["time"] = f"{made.seconds:.1f} s"
+    results.rows(
+        f"Completed {made.path}",
+        shown | {f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
     )
 
 

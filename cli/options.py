@@ -102,7 +102,7 @@ ReportOption = Annotated[
     Path | None,
     written(
         "--report",
-        help="Also write a report to hand on: one page of HTML, printable; of many, one each and an index.",
+        help="Also write a report to hand on: one page of HTML, printable.",
     ),
 ]
 UnitOption = Annotated[

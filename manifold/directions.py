@@ -118,6 +118,13 @@ def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
     return theta_h, theta_d, phi_d, phi_h
 
 
+def angles_from_mirror(wi: Array, wo: Array) -> Array:
+    """Elevations of wi and wo (P, 3), and the azimuth of wo from that of the mirror direction; degrees, (P, 3)."""
+    theta = [np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (wi, wo)]
+    phi = [np.degrees(np.arctan2(w[:, 1], w[:, 0])) for w in (wi, wo)]
+    return np.column_stack([*theta, np.abs((phi[1] - phi[0]) % 360.0 - 180.0)])
+
+
 def _rotate_y(w: Array, angle: Array) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0]], axis=-1)

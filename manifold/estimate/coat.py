@@ -107,8 +107,6 @@ class Coated:
             ],
             "expected error": expected_words(self.expected),
             "albedo": f"at most {self.plausibility.max_albedo:.2f}",
-            "time": f"{self.seconds:.1f} s",
-            **{f"note {k}": note for k, note in enumerate(self.diagnostics, start=1)},
         }
 
     def to_json(self) -> dict[str, Any]:

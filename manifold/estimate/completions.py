@@ -103,10 +103,7 @@ class Completed:
             ]
         rows["combination of"] = [f"{name} {weight:.2f}" for name, weight in found.made_of]
         rows["albedo"] = f"at most {self.plausibility.max_albedo:.2f}"
-        if self.picture is not None:
-            rows["picture"] = self.picture
-        rows["time"] = f"{self.seconds:.1f} s"
-        return rows | {f"note {k}": note for k, note in enumerate(self.diagnostics, start=1)}
+        return rows
 
     def _beside(self, ciede2000: float) -> str:
         """What stands beside an error that is less than measurements of the sample differ."""

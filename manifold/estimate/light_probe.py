@@ -222,10 +222,8 @@ class _Pixels:
         a2 = np.exp(2.0 * log_alpha)
         cos_half = np.clip(np.sum(n[:, None] * half, axis=2), 0.0, 1.0)
         lobe = a2 / (cos_half**2 * (a2 - 1.0) + 1.0) ** 2 / np.maximum(4.0 * n[:, 2:], 0.1)
-        exponent, strength = (
-            np.exp(np.clip(flatness, -5.0, 5.0)),
-            np.exp(min(specular, 50.0)),
-        )  # of a lost fit
+        # A fit that is lost does not overflow.
+        exponent, strength = np.exp(np.clip(flatness, -5.0, 5.0)), np.exp(min(specular, 50.0))
         shading = np.exp(diffuse) * cos_lamp**exponent + strength * lobe * (cos_lamp > 0.0)
         return np.asarray(np.cbrt(shading * falloff * np.exp(gains) + 1e-6).T)
 

@@ -57,7 +57,7 @@ def clipped_spots(photograph: Photograph, circle: Circle) -> tuple[Lamp, ...]:
         z = np.sqrt(np.maximum(1.0 - x[own] ** 2 - y[own] ** 2, 0.0))
         normal = np.stack([x[own], y[own], z], axis=1)
         towards = 2.0 * z[:, None] * normal - [0.0, 0.0, 1.0]
-        # Pixels at a distance r from the centre reflect 4 times their own solid angle's area, whatever r is.
+        # A pixel shows 4 times its area over the square of the radius, wherever on the ball it is.
         solid_angle = 4.0 * len(z) / circle.radius**2
         strength = solid_angle / np.pi * np.nan_to_num(photograph.values[own]).mean(axis=0)
         radius_deg = float(np.rad2deg(np.sqrt(solid_angle / np.pi)))

@@ -92,6 +92,11 @@ class PhotoRequest:
     dark: Path | None = None
     light_balls: Sequence[str] = ()
 
+    @property
+    def has_cylinder(self) -> bool:
+        """Whether an outline is that of a cylinder. Raises: UsageError, of what is no outline."""
+        return any(isinstance(Circle.parse(text), Cylinder) for text in self.circles)
+
 
 @dataclass(frozen=True, eq=False)
 class SeenBall:
@@ -280,7 +285,7 @@ def _stages(picture: Path | None, request: PhotoRequest) -> Stages:
     """Stages of the work, whose picture can be drawn. Raises: UsageError."""
     if picture is not None:
         figures.require_writable(picture)
-        if any(isinstance(Circle.parse(text), Cylinder) for text in request.circles):
+        if request.has_cylinder:
             raise UsageError(
                 f"{picture}: residuals are drawn of balls, found a cylinder; leave --picture out"
             )
@@ -380,9 +385,8 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         _for_each(n, values, what)
         for values, what in ((request.circles or [""], "circles"), (request.turns_deg, "turns"))
     )
-    has_cylinder = any(isinstance(Circle.parse(text), Cylinder) for text in circles if text)
     is_plain = not request.elevation_deg and np.isinf(request.distance) and _found_at(request) is None
-    if has_cylinder and not is_plain:
+    if request.has_cylinder and not is_plain:
         raise UsageError(
             "a cylinder with --elevation, --distance or --lamp found, expected a far, level camera and a known light"
         )

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from manifold.formats.readings import Readings
 from manifold.plots.figures import new_figure
-from manifold.records import Array
+from manifold.records import Array, evenly_spaced
 
 _MOST_INCIDENCES, _MOST_SPECTRA = 4, 6
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
@@ -17,7 +17,7 @@ def colours(angles: Array, read: Array, found: Array) -> Figure | None:
     """CIELAB of readings and completion over the aspecular angle, a line per incidence; None out of the plane.
 
     Args:
-        angles: as `reports` has them, in degrees, shape (P, 4).
+        angles: see `reports.angles_of`, shape (P, 4).
         read, found: CIELAB, shape (P, 3).
     """
     incidences = np.round(angles[:, 0])
@@ -27,7 +27,7 @@ def colours(angles: Array, read: Array, found: Array) -> Figure | None:
         return None
     figure = new_figure(8.5, 2.7)
     axes = figure.subplots(1, 3)
-    picked = np.unique(np.linspace(0, len(common) - 1, _MOST_INCIDENCES).astype(int))
+    picked = evenly_spaced(len(common), _MOST_INCIDENCES)
     for colour, incidence in zip(_COLOURS, np.array(common)[picked], strict=False):
         own = np.flatnonzero(in_plane & (incidences == incidence))
         own = own[np.argsort(angles[own, 3])]
@@ -55,7 +55,7 @@ def spectra(readings: Readings, found: Array, angles: Array) -> Figure:
     figure = new_figure(8.5, 3.0)
     axes = figure.subplots()
     nm = np.asarray(readings.wavelengths_nm)
-    picked = np.unique(np.linspace(0, len(readings) - 1, _MOST_SPECTRA).astype(int))
+    picked = evenly_spaced(len(readings), _MOST_SPECTRA)
     for colour, k in zip(_COLOURS, picked, strict=False):
         label = f"{angles[k, 0]:.0f} / {angles[k, 1]:.0f}°, azimuth {angles[k, 2]:.0f}°"
         axes.plot(nm, np.pi * found[k], color=colour, linewidth=1.4, label=label)

@@ -11,6 +11,7 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
+from manifold.directions import angles_from_mirror
 from manifold.estimate.gloss import gloss_units
 from manifold.formats.readings import GLOSS_ANGLES_DEG
 from manifold.io_rgl import read_bsdf
@@ -49,8 +50,6 @@ def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> No
     readings = completion.readings
     rows: dict[str, object] = {"from": [source.name for source in sources], **made.rows}
     rows["repeats within"] = f"{100 * readings.repeatability:g} % of a value"
-    notes = [str(rows.pop(label)) for label in list(rows) if label.startswith("note ")]
-    del rows["time"]
     sections = [
         Section("Sample", rows),
         balls(brdf),
@@ -67,7 +66,7 @@ def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> No
                 for one in completion.alternatives
             ],
         ),
-        Section("Notes", notes=notes),
+        Section("Notes", notes=made.diagnostics),
     ]  # fmt: skip
     html_page.write(path, readings.name, f"{made.path.name}, completed from readings.", sections)
 
@@ -75,7 +74,12 @@ def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> No
 def write_coat(path: Path, made: Coated) -> None:
     """Write the report of a colour and gloss made a material. Raises: UsageError."""
     brdf = MeasuredBRDF(read_bsdf(made.path))
-    sections = [Section("Sample", made.rows), balls(brdf), gloss(brdf, made.sample.gloss)]
+    sections = [
+        Section("Sample", made.rows),
+        balls(brdf),
+        gloss(brdf, made.sample.gloss),
+        Section("Notes", notes=made.diagnostics),
+    ]
     html_page.write(path, made.sample.name, f"{made.path.name}, made of a colour and gloss.", sections)
 
 
@@ -179,9 +183,7 @@ def angles_of(wi: Array, wo: Array) -> Array:
 
     The aspecular angle is counted from the mirror direction towards the light; NaN out of the plane of incidence.
     """
-    theta_i, theta_o = (np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (wi, wo))
-    azimuth = np.degrees(np.arctan2(wo[:, 1], wo[:, 0]) - np.arctan2(wi[:, 1], wi[:, 0]))
-    azimuth = np.abs(azimuth % 360.0 - 180.0)
+    theta_i, theta_o, azimuth = angles_from_mirror(wi, wo).T
     azimuth[(theta_i < 0.5) | (theta_o < 0.5)] = 0.0
     signed = np.where(azimuth < 90.0, theta_o, -theta_o)
     in_plane = np.minimum(azimuth, 180.0 - azimuth) < 1.0

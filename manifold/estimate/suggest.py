@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from manifold.colour import panel
-from manifold.directions import from_spherical
+from manifold.directions import angles_from_mirror, from_spherical
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
 from manifold.estimate.complete import Completion
@@ -115,10 +115,7 @@ class Suggested:
     @property
     def angles_deg(self) -> Array:
         """theta_i, theta_o and the azimuth between the mirror direction and wo, in degrees, shape (K, 3)."""
-        theta = [np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (self.wi, self.wo)]
-        phi = [np.degrees(np.arctan2(w[:, 1], w[:, 0])) for w in (self.wi, self.wo)]
-        turned = np.abs((phi[1] - phi[0] - 180.0 + 180.0) % 360.0 - 180.0)
-        return np.column_stack([*theta, turned])
+        return angles_from_mirror(self.wi, self.wo)
 
 
 def suggest(

@@ -114,8 +114,8 @@ class CalibrationResult:
     expected: tuple[float, float]
     rank_correlation: float
     below_twice: float
-    bound: float | None = None
-    most_level: float = 0.0
+    bound: float | None
+    most_level: float
 
 
 @dataclass(frozen=True, eq=False)

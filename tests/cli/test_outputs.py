@@ -44,23 +44,17 @@ def test_a_dash_is_no_file_s_name(run, folder, arguments):
 def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folder):
     (folder / "link").symlink_to("model.h5")
     before = _content(folder)
-    for words, arguments in {
-        "is an input of this command": ("info", "model.h5", "--json", "model.h5"),
-        "an input of this": ("info", "model.h5", "--json", "link"),
-        "in the library ": ("info", "library.zarr", "--json", "library.zarr/zarr.json"),
-        "in the": ("info", "library.zarr", "--json", "library.zarr/materials/new.json"),
-        "name two files": ("report", "--picture", "x.png", "--json", "x.png"),
-        "an input": ("explore", "--html", "model.h5"),
-        "input of this": (
-            "convert",
-            f"files/{NAMES[0]}_rgb.bsdf",
-            "-o",
-            "x.csv",
-            "--report",
-            f"files/{NAMES[0]}_rgb.bsdf",
-        ),
-        "in the library": ("embed", "-o", "library.zarr/model.h5"),
-    }.items():
+    file = f"files/{NAMES[0]}_rgb.bsdf"
+    for words, arguments in (
+        ("is an input of this command", ("info", "model.h5", "--json", "model.h5")),
+        ("is an input of this command", ("info", "model.h5", "--json", "link")),
+        ("in the library", ("info", "library.zarr", "--json", "library.zarr/zarr.json")),
+        ("in the library", ("info", "library.zarr", "--json", "library.zarr/materials/new.json")),
+        ("name two files", ("report", "--picture", "x.png", "--json", "x.png")),
+        ("is an input of this command", ("explore", "--html", "model.h5")),
+        ("is an input of this command", ("convert", file, "-o", "x.csv", "--report", file)),
+        ("in the library", ("embed", "-o", "library.zarr/model.h5")),
+    ):
         status, _, err = run(*arguments, cwd=folder)
         assert status == 2, arguments
         assert words in one_line(err)

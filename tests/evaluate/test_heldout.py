@@ -290,5 +290,7 @@ def test_held_out_errors_on_the_real_files():
     median, p90 = errors_on_the_real_files(("gplvm_6", "published", "pca_6_identity", "oracle"))
     assert median["gplvm_6"] <= 0.21
     assert p90["gplvm_6"] <= 0.52
-    assert median["gplvm_6"] <= 0.35 * median["published"]
+    assert (
+        median["gplvm_6"] <= 0.3 * median["published"]
+    )  # measured: 0.28, where both are found by cube roots
     assert median["gplvm_6"] <= median["pca_6_identity"]

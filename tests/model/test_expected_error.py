@@ -139,7 +139,7 @@ def test_a_place_that_is_not_supported_has_no_expected_error_in_words(model):
     assert predict(model, model.X[0] + 50.0).rows["expected error"] == ["none: not supported by the data"]
 
 
-def test_the_bound_holds_for_nine_in_ten_and_needs_enough_materials(model):
+def test_the_bound_needs_enough_materials(model):
     found = model.left_out.calibration()["ball"]
     n = len(model.left_out.ball)
     assert found.most_level == n / (n + 1)

@@ -17,7 +17,7 @@ from manifold.cli.main import app
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE / "examples")]
-from figures import RESULTS, figures  # noqa: E402  # beside this file
+from figures import RESULTS  # noqa: E402  # beside this file
 
 SAMPLE = "corpus/syn_satin_rose_rgb.bsdf"  # of which tutorials take readings
 WORK = HERE / "_work"  # libraries and models of the tutorials, kept between builds
@@ -60,7 +60,7 @@ html_theme_options = {
     "footer_end": [],
 }
 
-myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "substitution"]
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"
 nb_execution_timeout = 600
@@ -88,9 +88,6 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "min_reported_time": 1e9,
 }
-
-
-myst_substitutions = figures()
 
 
 def _write_commands(*_: object) -> None:

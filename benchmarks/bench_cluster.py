@@ -35,10 +35,10 @@ import numpy as np
 import psutil
 from bench_scale import write_materials
 
+from manifold import cluster as dask
 from manifold.analytic.ggx import GGX
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.analytic.microfacet import Plastic
-from manifold.cluster import Cluster
 from manifold.estimate.inputs import find_inputs
 from manifold.estimate.samples import find_samples
 from manifold.estimate.sources import FileSource
@@ -287,14 +287,16 @@ def speed(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[str, A
                 for what, first in (("warm", 4), ("measured", None)):
                     out = folder / f"{what}_{k}_{count}"
                     shutil.rmtree(out, ignore_errors=True)
-                    workers = Cluster(cluster.address)
-                    start = time.monotonic()
-                    fits.fit_all(files[:first], fits.fits_in(out / "a"), fits.FitSettings(), workers=workers)
-                    middle = time.monotonic()
-                    tasks.complete_all(
-                        samples[:first], inputs / "small.zarr", tasks.completions_in(out / "b"),
-                        options=OutputOptions(), workers=workers,
-                    )  # fmt: skip
+                    with dask.workers(cluster.address) as workers:
+                        start = time.monotonic()
+                        fits.fit_all(
+                            files[:first], fits.fits_in(out / "a"), fits.FitSettings(), workers=workers
+                        )
+                        middle = time.monotonic()
+                        tasks.complete_all(
+                            samples[:first], inputs / "small.zarr", tasks.completions_in(out / "b"),
+                            options=OutputOptions(), workers=workers,
+                        )  # fmt: skip
                     if what == "measured":
                         seconds["fits"][count].append(round(middle - start, 2))
                         seconds["completions"][count].append(round(time.monotonic() - middle, 2))

@@ -73,7 +73,6 @@ def chart(
     from manifold.library.store import Library
     from manifold.model.manifold import Manifold
     from manifold.plots import figures
-    from manifold.work import HERE
 
     results = terminal.Results(json)
     if output is not None:
@@ -89,12 +88,9 @@ def chart(
     else:
         loaded = Manifold.load(model, library)
         opened, names = loaded.library, loaded.names
-    with progress.shown("Chart"):
+    with progress.shown("Chart"), workers_of(processes, scheduler, 1) as workers:
         files = [opened.read(name) for name in names]
-        made = make_chart(
-            files, only or (), library=opened,
-            workers=workers_of(processes, scheduler, HERE),
-        )  # fmt: skip
+        made = make_chart(files, only or (), library=opened, workers=workers)
     _write_chart(made, results, output)
 
 

@@ -230,10 +230,11 @@ def complete(
                 raise UsageError("--report goes with readings or one colour, found a list; leave it out")
             colours = coat.read_colours(Path(lab), units, options.viewing_of(illuminant, observer))
             batch = tasks.coats_in(folder_or_default(output, "completions", f"{len(colours)} colours"))
-            made_of = tasks.complete_colours(
-                colours, library, batch, is_mixture=mixture, options=written,
-                workers=workers_of(processes, scheduler),
-            )  # fmt: skip
+            with workers_of(processes, scheduler) as workers:
+                made_of = tasks.complete_colours(
+                    colours, library, batch, is_mixture=mixture, options=written,
+                    workers=workers,
+                )  # fmt: skip
             if into is not None:
                 tasks.import_all(made_of, into)
             show_batch(results, batch, made_of)
@@ -272,10 +273,11 @@ def complete(
             folder = folder_or_default(output, "completions", f"{found}, or a folder")
             batch = tasks.completions_in(folder)
             inputs.require_apart(readings, batch.folder)
-            outcomes = tasks.complete_all(
-                samples, library, batch, correction=correction, count=suggest, instrument=instrument,
-                options=written, workers=workers_of(processes, scheduler), report=report,
-            )  # fmt: skip
+            with workers_of(processes, scheduler) as workers:
+                outcomes = tasks.complete_all(
+                    samples, library, batch, correction=correction, count=suggest, instrument=instrument,
+                    options=written, workers=workers, report=report,
+                )  # fmt: skip
             if into is not None:
                 tasks.import_all(outcomes, into)
             show_batch(results, batch, outcomes)

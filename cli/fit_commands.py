@@ -113,13 +113,9 @@ def fit(
     several = None if sample else inputs_of(materials, output, samples=True)
     if several is not None:
         batch = fits.fits_in(folder_or_default(output, "fits"))
-        show_batch(
-            results,
-            batch,
-            fits.fit_all(
-                several, batch, settings, with_pictures=picture, workers=workers_of(processes, scheduler),
-            ),
-        )  # fmt: skip
+        with workers_of(processes, scheduler) as workers:
+            fitted = fits.fit_all(several, batch, settings, with_pictures=picture, workers=workers)
+        show_batch(results, batch, fitted)
         return
     source = materials[0]
     if picture and isinstance(source, FileSource) and (known := registry.identify(source.path)) is not None:

@@ -101,10 +101,11 @@ def convert(
         from manifold.many import tasks
 
         batch = tasks.conversions_in(folder_or_default(output, "conversions"))
-        all_made = tasks.convert_all(
-            found, to or "rgl", batch, correction=correction, options=Options(resolution, incidences),
-            workers=workers_of(processes, scheduler),
-        )  # fmt: skip
+        with workers_of(processes, scheduler) as workers:
+            all_made = tasks.convert_all(
+                found, to or "rgl", batch, correction=correction, options=Options(resolution, incidences),
+                workers=workers,
+            )  # fmt: skip
         show_batch(results, batch, all_made)
         return
     with progress.shown("Converting"), conversion.conversion_input(sources) as given:

@@ -169,7 +169,6 @@ def import_(
     """
     from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.importing import import_files
-    from manifold.work import THREADS
 
     if tolerance is not None and not compact:
         raise UsageError(
@@ -178,10 +177,9 @@ def import_(
     if compact and tolerance is None:
         tolerance = DEFAULT_TOLERANCE
     results = terminal.Results(json)
-    with progress.shown("Importing"):
+    with progress.shown("Importing"), workers_of(processes, scheduler, 1) as workers:
         result = import_files(
-            library, sources, replace=replace, tolerance=tolerance, rotation_rad=_rotation(rotation),
-            workers=workers_of(processes, scheduler, THREADS),
+            library, sources, replace=replace, tolerance=tolerance, rotation_rad=_rotation(rotation), workers=workers
         )  # fmt: skip
     results.rows(
         f"Library {library}",

@@ -130,7 +130,6 @@ def embed(
     """
     from manifold.evaluate import pipeline
     from manifold.model.manifold import Settings
-    from manifold.work import HERE
 
     results = terminal.Results(json)
     given = {
@@ -149,10 +148,11 @@ def embed(
         chosen["mapping"] = mapping
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
-    fitted, candidates = pipeline.embed(
-        library, output, Settings(kind=kind, **chosen), without=without or (),
-        auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=workers_of(None, scheduler, HERE),
-    )  # fmt: skip
+    with workers_of(None, scheduler, 1) as workers:
+        fitted, candidates = pipeline.embed(
+            library, output, Settings(kind=kind, **chosen), without=without or (),
+            auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=workers,
+        )  # fmt: skip
     settings = fitted.settings
     if candidates:
         from manifold.evaluate.selection import PAYS
@@ -280,7 +280,6 @@ def predict(
     from manifold.estimate.attributes import Attributes
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.model.output_file import OutputOptions
-    from manifold.work import HERE
 
     results = terminal.Results(json)
     colour, attributes = (
@@ -302,10 +301,11 @@ def predict(
         from manifold.many import places, point_table
 
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
-        outcomes = places.predict_all(
-            model, table, folder, library=library, options=written,
-            workers=workers_of(processes, scheduler, HERE),
-        )  # fmt: skip
+        with workers_of(processes, scheduler, 1) as workers:
+            outcomes = places.predict_all(
+                model, table, folder, library=library, options=written,
+                workers=workers,
+            )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
     if latent is None:
@@ -435,9 +435,10 @@ def locate(
         from manifold.many import tasks
 
         batch = tasks.locations_in(folder_or_default(output, "locations"))
-        located = tasks.locate_all(
-            several, model, batch, library=library, options=written, workers=workers_of(processes, scheduler),
-        )  # fmt: skip
+        with workers_of(processes, scheduler) as workers:
+            located = tasks.locate_all(
+                several, model, batch, library=library, options=written, workers=workers,
+            )  # fmt: skip
         show_batch(results, batch, located)
         return
     source = sources[0]
@@ -496,10 +497,11 @@ def reconstruct(
         from manifold.many import tasks
 
         batch = tasks.reconstructions_in(folder_or_default(output, "reconstructions"))
-        all_made = tasks.reconstruct_all(
-            several, library, batch, without=without or (), numbers=numbers, options=written,
-            workers=workers_of(processes, scheduler),
-        )  # fmt: skip
+        with workers_of(processes, scheduler) as workers:
+            all_made = tasks.reconstruct_all(
+                several, library, batch, without=without or (), numbers=numbers, options=written,
+                workers=workers,
+            )  # fmt: skip
         show_batch(results, batch, all_made)
         return
     source, target = sources[0], or_default(output, "reconstructed.bsdf")

@@ -85,7 +85,6 @@ def render(
     """
     from manifold.pictures import renders
     from manifold.render.ball import make_settings
-    from manifold.work import HERE
 
     results = terminal.Results(json)
     settings = make_settings(
@@ -97,10 +96,11 @@ def render(
         from manifold.many import places, point_table
 
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
-        outcomes = places.render_all(
-            model, table, folder, settings, library=library, direct=direct,
-            workers=workers_of(processes, scheduler, HERE),
-        )  # fmt: skip
+        with workers_of(processes, scheduler, 1) as workers:
+            outcomes = places.render_all(
+                model, table, folder, settings, library=library, direct=direct,
+                workers=workers,
+            )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
     from manifold.estimate.inputs import is_rendered
@@ -120,7 +120,8 @@ def render(
         from manifold.many import tasks
 
         batch = tasks.renders_in(folder_or_default(output, "renders"))
-        all_made = tasks.render_all(several, settings, batch, workers=workers_of(processes, scheduler, HERE))
+        with workers_of(processes, scheduler, 1) as workers:
+            all_made = tasks.render_all(several, settings, batch, workers=workers)
         show_batch(results, batch, all_made)
         return
     with progress.shown("Rendering"):

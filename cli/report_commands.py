@@ -60,13 +60,12 @@ def report(
     """
     from manifold.evaluate import pipeline
     from manifold.evaluate.report_text import format_report
-    from manifold.work import HERE
 
     results = terminal.Results(json)
-    with progress.shown("Evaluating"):
+    with progress.shown("Evaluating"), workers_of(processes, scheduler, 1) as workers:
         made = pipeline.report(
             model, library=library, grid=grid, compare=compare, all_bands=all_bands, principled=principled,
-            picture=picture, workers=workers_of(processes, scheduler, HERE),
+            picture=picture, workers=workers,
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made.to_json())

@@ -42,14 +42,13 @@ def stability(
     from manifold.evaluate.stability.catalogue import MODES
     from manifold.evaluate.stability.trials import run_modes, select_modes
     from manifold.plots import figures
-    from manifold.work import HERE
 
     results = terminal.Results(json)
     modes = select_modes(MODES, only or ())
     if picture is not None:
         figures.require_writable(picture)
-    with progress.shown("Failure modes"):
-        made = run_modes(modes, workers_of(processes, scheduler, HERE))
+    with progress.shown("Failure modes"), workers_of(processes, scheduler, 1) as workers:
+        made = run_modes(modes, workers)
     if picture is not None:
         figures.save(stability_figure.panels(made, modes), picture)
     results.sentence(conclusions.conclusion(made))

@@ -9,7 +9,8 @@ import typer
 from manifold.errors import UsageError
 
 if TYPE_CHECKING:
-    from manifold.work import Workers
+    from concurrent.futures import Executor
+    from contextlib import AbstractContextManager
 
 
 def workers_option(by_default: str) -> Any:
@@ -35,18 +36,20 @@ SchedulerOption = Annotated[
 ]
 
 
-def workers_of(count: int | None, scheduler: str | None, default: Workers | None = None) -> Workers:
-    """The workers of `--workers` or `--scheduler`; by default a process per core.
+def workers_of(
+    count: int | None, scheduler: str | None, default: int | None = None
+) -> AbstractContextManager[Executor | None]:
+    """The workers of `--workers` or `--scheduler`, to enter; by default a process per core, or so many.
 
     Raises:
         UsageError: both are given, or Dask is not installed.
     """
-    from manifold.work import Processes
+    from manifold import work
 
     if scheduler is None:
-        return Processes(count) if count is not None or default is None else default
+        return work.processes(count or default)
     if count is not None:
         raise UsageError(f"found --workers {count} and --scheduler {scheduler}, expected one of them")
-    from manifold.cluster import Cluster
+    from manifold import cluster
 
-    return Cluster(scheduler)
+    return cluster.workers(scheduler)

@@ -12,15 +12,16 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 from filelock import FileLock, Timeout
 
-from manifold import __version__, disk, progress
+from manifold import __version__, disk, progress, work
 from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.attributes import lab_of
@@ -30,7 +31,6 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.names import printable
 from manifold.render import backend, thumbnails
-from manifold.work import HERE, Workers
 
 _MOST = 1 << 30  # bytes of an index: a row has about two thousand
 _ENTRY = '{"file": '  # every line of an index begins so
@@ -114,16 +114,16 @@ class Batch:
         make: Callable[[S, Path], dict[str, Any]],
         made_of: Callable[[S], dict[str, Any]],
         *,
-        workers: Workers = HERE,
+        workers: Executor | None = None,
         prepare: Callable[[], None] | None = None,
     ) -> list[Outcome[S]]:
         """Make the files that an earlier run has not made of the same; one that fails does not stop the others.
 
         Args:
             todo: a task per file.
-            make: writes the file of a source and says what is known of it; pickled, but for workers that are `HERE`.
+            make: writes the file of a source and says what is known of it; pickled where there are workers.
             made_of: all that the file of a source depends on, plain values.
-            workers: who makes them.
+            workers: see `work.run`.
             prepare: called once in this process, if anything is to be made in it.
         Returns:
             An outcome per task, in their order.
@@ -137,13 +137,13 @@ class Batch:
             index = OutputIndex(self.folder, self.what)
             outcomes, keys = self._known(index, todo, made_of)
             missing = list(keys)
-            if missing and prepare is not None and workers == HERE:
+            if missing and prepare is not None and workers is None:
                 with progress.shown("Reading materials"):
                     prepare()
             at_end.callback(self._conclude, outcomes)  # also when it is interrupted
             at_end.enter_context(progress.shown("Writing files"))
-            begin = _begin if self.has_balls else None
-            finished = workers.run(partial(_make, make), [todo[k] for k in missing], begin)
+            begin = self.has_balls and workers is not None
+            finished = work.run(partial(_make, make, begin), [todo[k] for k in missing], workers)
             for done, (i, made, failure) in enumerate(finished, start=1):
                 k = missing[i]
                 name, path, source = todo[k].name, todo[k].path, todo[k].source
@@ -307,11 +307,14 @@ class _Made(NamedTuple):
     sha256: str | None
 
 
-def _make(make: Callable[[S, Path], dict[str, Any]], task: Task[S]) -> _Made:
+def _make(make: Callable[[S, Path], dict[str, Any]], begin: bool, task: Task[S]) -> _Made:
+    if begin:
+        _begin()
     content = make(task.source, task.path)
     return _Made(content, file_sha256(task.path) if content.get("refusal") is None else None)
 
 
+@lru_cache
 def _begin() -> None:
     """In a process beside others, Dr.Jit keeps to one thread."""
     if backend.is_available():

@@ -13,22 +13,20 @@ import queue
 import re
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from manifold.errors import ManifoldError, UsageError
-from manifold.work import Finished, attempt
 
 if TYPE_CHECKING:
     from distributed import Client
 
-T = TypeVar("T")
+P = ParamSpec("P")
 R = TypeVar("R")
 
 _PACKAGES = ("brdf-manifold", "numpy", "scipy", "numba", "mitsuba")  # on which results depend
@@ -38,64 +36,42 @@ _ADDRESS = re.compile(r"inproc://\S+|((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.%]+\]|[^
 _one_at_a_time = threading.Lock()
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """The workers of a Dask scheduler; those that join later take part. Dask runs the tasks of lost workers again.
+@contextmanager
+def workers(address: str) -> Iterator[Executor]:
+    """The workers of a Dask scheduler, for `work.run`; those that join later take part.
 
-    Tasks run in the folder of this process, in which relative paths mean the same there.
+    Dask runs the tasks of lost workers again. Tasks run in the folder of this process, in which relative paths mean the
+    same there.
 
-    Attributes:
+    Args:
         address: of the scheduler, such as `tcp://10.0.0.1:8786`.
     Raises:
         UsageError: Dask is not installed.
+        ManifoldError: the scheduler does not answer, lacks this package, or was lost; several workers were lost at
+            one task; or a worker has other versions of packages, or not the folder.
     """
+    if find_spec("distributed") is None:
+        raise UsageError(f"{address}: needs Dask, which is not installed; pip install brdf-manifold[cluster]")
+    from distributed import KilledWorker
 
-    address: str
-
-    def __post_init__(self) -> None:
-        if find_spec("distributed") is None:
-            raise UsageError(
-                f"{self.address}: needs Dask, which is not installed; pip install brdf-manifold[cluster]"
-            )
-
-    def run(
-        self, function: Callable[[T], R], tasks: Sequence[T], begin: Callable[[], object] | None = None
-    ) -> Iterator[Finished[R]]:
-        """Run tasks, see `Workers`.
-
-        Raises:
-            ManifoldError: the scheduler does not answer, lacks this package, or was lost; several workers were lost at
-                one task; or a worker has other versions of packages, or not the folder.
-        """
-        if not tasks:
-            return
-        from distributed import KilledWorker, as_completed
-
-        order = _Order(os.getcwd(), versions(), pickle.dumps(begin), pickle.dumps(function))
-        with _connected(self.address) as client:
-            pickled = [pickle.dumps(task) for task in tasks]
-            waiting = set(client.map(partial(_run, order), range(len(tasks)), pickled, pure=False))
-            try:
-                for future in as_completed(set(waiting), loop=client.loop):
-                    yield future.result()
-                    waiting.remove(future)  # results are not collected here
-            except KilledWorker:
-                raise ManifoldError(
-                    f"{self.address}: several workers were lost at one task (out of memory?); give them more, and run "
-                    "again: finished results are kept"
-                ) from None
-            except CancelledError:
-                raise ManifoldError(
-                    f"{self.address}: the scheduler was lost; run again: finished results are kept"
-                ) from None
-            except RuntimeError as error:
-                if "deserialization of the task graph" not in str(error):
-                    raise
-                raise ManifoldError(
-                    f"{self.address}: the scheduler lacks this package; start it in the environment of this command"
-                ) from error
-            finally:
-                client.cancel(list(waiting))
+    with _connected(address) as client:
+        try:
+            yield _Workers(client)
+        except KilledWorker:
+            raise ManifoldError(
+                f"{address}: several workers were lost at one task (out of memory?); give them more, and run again: "
+                "finished results are kept"
+            ) from None
+        except CancelledError:
+            raise ManifoldError(
+                f"{address}: the scheduler was lost; run again: finished results are kept"
+            ) from None
+        except RuntimeError as error:
+            if "deserialization of the task graph" not in str(error):
+                raise
+            raise ManifoldError(
+                f"{address}: the scheduler lacks this package; start it in the environment of this command"
+            ) from error
 
 
 @contextmanager
@@ -127,20 +103,16 @@ def _connected(address: str) -> Iterator[Client]:
         yield client
 
 
-@dataclass(frozen=True)
-class _Order:
-    """What all tasks of a run have in common.
+class _Workers(Executor):
+    """Dask's executor, whose tasks travel pickled, with the folder and the versions of packages here."""
 
-    Attributes:
-        folder: in which they run.
-        versions: of packages.
-        begin, function: pickled.
-    """
+    def __init__(self, client: Client) -> None:
+        self._executor = client.get_executor(pure=False)
+        self._run = partial(_run, os.getcwd(), versions())
 
-    folder: str
-    versions: dict[str, str]
-    begin: bytes
-    function: bytes
+    def submit(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """As `Executor.submit`."""
+        return self._executor.submit(self._run, pickle.dumps(partial(function, *args, **kwargs)))
 
 
 @lru_cache
@@ -153,33 +125,25 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _run(order: _Order, index: int, task: bytes) -> Finished[Any]:
-    """Run one task in a worker."""
+def _run(folder: str, expected: dict[str, str], task: bytes) -> Any:
+    """Run one task in a worker, in a folder, where packages have the expected versions."""
     from distributed import get_worker
 
     worker = get_worker()
     for package, known in versions().items():
-        if order.versions.get(package) != known:
+        if expected.get(package) != known:
             raise ManifoldError(
-                f"worker {worker.address}: found {package} {known}, expected {order.versions.get(package)}; install "
-                "the same versions everywhere"
+                f"worker {worker.address}: found {package} {known}, expected {expected.get(package)}; install the same "
+                "versions everywhere"
             )
     if "numba" not in sys.modules:
         os.environ.setdefault("NUMBA_NUM_THREADS", str(worker.state.nthreads))
     with _one_at_a_time:
         try:
-            with contextlib.chdir(order.folder):
-                _begin(order.begin)
-                return attempt(pickle.loads(order.function), index, pickle.loads(task))
+            with contextlib.chdir(folder):
+                return pickle.loads(task)()
         except OSError as error:  # not of the task, whose failures are results
             raise ManifoldError(
-                f"worker {worker.address}: cannot work in {order.folder} ({error.strerror}); start in a folder "
-                "that all machines share"
+                f"worker {worker.address}: cannot work in {folder} ({error.strerror}); start in a folder that all "
+                "machines share"
             ) from error
-
-
-@lru_cache
-def _begin(pickled: bytes) -> None:
-    begin: Any = pickle.loads(pickled)
-    if begin is not None:
-        begin()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Hashable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import progress
+from manifold import progress, work
 from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate import chart_fits, stopwatch
 from manifold.evaluate.cross_validation import Method
@@ -24,7 +25,6 @@ from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 from manifold.names import counted, names_like
 from manifold.records import Array, BsdfFile
-from manifold.work import HERE, Workers
 
 ERRORS = {
     "ball": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
@@ -104,7 +104,7 @@ def make_chart(
     grid: RusinkiewiczGrid | None = None,
     fitted: int = 3,
     library: Library | None = None,
-    workers: Workers = HERE,
+    workers: Executor | None = None,
 ) -> Chart:
     """Measure settings on materials, left out in at most ten folds.
 
@@ -115,10 +115,10 @@ def make_chart(
         fitted: how many materials the fits of `fits.METHODS` represent.
         library: of the files, where settings that are done are kept until all are, so that an interrupted run is
             continued on the same machine.
-        workers: who measure settings; others than this process read the files from the library. Times are relative to
+        workers: see `work.run`; they read the files from the library. Times are relative to
             a reference in the same process.
     Raises:
-        UsageError: a key is unknown, there are fewer than four materials, or other workers are asked for
+        UsageError: a key is unknown, there are fewer than four materials, or there are workers
             without a library.
         ManifoldError: a setting cannot be measured, or a worker was lost.
     """
@@ -140,18 +140,16 @@ def make_chart(
     how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted)
     todo = [key for key in only or known if key not in rows]
     tasks: list[list[str]]
-    if workers == HERE:
+    if workers is None:
         measure = _Measuring(files, how).measure
         tasks = [[key] for key in sorted(todo, key=lambda key: _storage_key(known[key]))]
     else:
         if library is None:
-            raise UsageError(
-                "found no library, expected that of the files, from which other workers read them"
-            )
+            raise UsageError("found no library, expected that of the files, from which workers read them")
         measure = partial(_measure_there, library=library.path, names=names, how=how)
         tasks = _that_share_fits(todo, known)
     reference_seconds, scaled = 0.0, dict[str, float]()
-    for k, measured, failure in workers.run(measure, tasks):
+    for k, measured, failure in work.run(measure, tasks, workers):
         if measured is None:
             if isinstance(known[tasks[k][0]], Method):
                 raise ManifoldError(failure)

@@ -6,11 +6,12 @@ Reports, figures and choices are imported where they are used: with scikit-learn
 from __future__ import annotations
 
 from collections.abc import Collection
+from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from manifold import disk, progress
+from manifold import disk, progress, work
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import ManifoldError, UsageError
@@ -19,7 +20,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.materials import names_without
 from manifold.model.settings import Settings
 from manifold.names import counted
-from manifold.work import HERE, Workers
 
 if TYPE_CHECKING:
     from manifold.evaluate.report import Report
@@ -34,27 +34,27 @@ def embed(
     without: Collection[str] = (),
     auto_mapping: bool = False,
     auto_latent_dim: bool = False,
-    workers: Workers = HERE,
+    workers: Executor | None = None,
 ) -> tuple[Manifold, list[Candidate]]:
     """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `selection.choose`.
 
-    The whole is one task: others than this process run it without telling its progress.
+    The whole is one task, whose progress workers do not tell.
 
     Returns:
         The manifold, and the settings that were tried, where any was to be chosen.
     Raises:
         ManifoldError: it failed where it ran, or the worker was lost.
     """
-    if workers != HERE:
+    if workers is not None:
         task = partial(
             _embed_there, library, settings=settings, without=tuple(without), auto_mapping=auto_mapping,
             auto_latent_dim=auto_latent_dim,
         )  # fmt: skip
         with progress.shown("Embedding"):
-            (done,) = workers.run(task, [model])
-        if done.value is None:
-            raise ManifoldError(done.failure)
-        return Manifold.load(model, library), done.value
+            ((_, tried, failure),) = work.run(task, [model], workers)
+        if tried is None:
+            raise ManifoldError(failure)
+        return Manifold.load(model, library), tried
     disk.require_writable(model)
     opened = Library(library)
     names = names_without(opened, without)
@@ -88,7 +88,7 @@ def report(
     all_bands: bool = False,
     principled: bool = False,
     picture: Path | None = None,
-    workers: Workers = HERE,
+    workers: Executor | None = None,
 ) -> Report:
     """Evaluate a model and other methods, see `make_report`; with `picture`, also draw the map of its latents."""
     from manifold.evaluate.report import make_report

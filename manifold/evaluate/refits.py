@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from manifold import progress
+from manifold import progress, work
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ManifoldError
 from manifold.evaluate.cross_validation import Encoded, Method, cross_validate, leave_out
@@ -22,7 +23,6 @@ from manifold.gpr import IsolatedLatentsWarning
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.manifold import Manifold
 from manifold.records import evenly_spaced
-from manifold.work import Workers
 
 _PARTS = 8  # tasks of a method
 
@@ -43,12 +43,12 @@ def tabulate(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Data:
 
 
 def refit_there(
-    workers: Workers, methods: Sequence[Method], n_materials: int, model: Path, library: Path | None,
+    workers: Executor, methods: Sequence[Method], n_materials: int, model: Path, library: Path | None,
 ) -> dict[str, Encoded]:  # fmt: skip
     """Predictions of every material by methods that are fitted without it, by their keys.
 
     Args:
-        workers: who read the materials, and fit.
+        workers: see `work.run`; they read the materials, and fit.
         methods: those of a model and standard ones.
         n_materials: of the model.
         model: its file.
@@ -60,7 +60,7 @@ def refit_there(
     starts = range(0, n_materials, size)
     tasks = [_Refits(method.key, first, first + size) for method in methods for first in starts]
     parts: dict[_Refits, Encoded] = {}
-    for k, encoded, failure in workers.run(partial(_refit, model=model, library=library), tasks):
+    for k, encoded, failure in work.run(partial(_refit, model=model, library=library), tasks, workers):
         if encoded is None:
             raise ManifoldError(failure)
         parts[tasks[k]] = encoded

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,6 @@ from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
 from manifold.records import Array, Indices
-from manifold.work import HERE, Workers
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
 _BYTES_PER_NUMBER = 8
@@ -153,7 +153,7 @@ def make_report(
     compare: bool = False,
     all_bands: bool = False,
     principled: bool = False,
-    workers: Workers = HERE,
+    workers: Executor | None = None,
     file: Path | None = None,
 ) -> Report:
     """Evaluate a model and other methods on a grid of direction pairs.
@@ -167,8 +167,8 @@ def make_report(
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
         principled: also fit Mitsuba's principled to the evaluated materials, for comparison.
-        workers: who fit models without each material.
-        file: of the model, from which others than this process read it.
+        workers: see `work.run`; they fit models without each material.
+        file: of the model, from which workers read it.
     Raises:
         UsageError: the grid is unknown.
         LibraryError: a material cannot be read.
@@ -188,7 +188,7 @@ def make_report(
     materials, load = wall_clock(lambda: model.materials.with_negative_values())
     data, tabulate = wall_clock(lambda: refits.tabulate(model, materials))
     refitted: dict[str, Encoded] = {}
-    if file is not None and workers != HERE:
+    if file is not None and workers is not None:
         long = [m for m in chosen if m.refits and m.fits_model]
         library = model.library.path
         refitted = refits.refit_there(workers, long, len(model.names), file, library)

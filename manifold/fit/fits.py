@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,7 +35,6 @@ from manifold.render import backend, fit_json
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fit_json import Source
 from manifold.render.fitted_brdf import FittedBRDF
-from manifold.work import HERE, Workers
 
 Measured = FileSource | LibrarySource
 """A file, or a material of a library."""
@@ -140,7 +140,7 @@ def fits_in(folder: Path) -> Batch:
 
 def fit_all(
     sources: Sequence[Input], batch: Batch, settings: FitSettings, *, with_pictures: bool = False,
-    workers: Workers = HERE,
+    workers: Executor | None = None,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Fit many materials, one JSON each; up-to-date fits are kept.
 
@@ -149,7 +149,7 @@ def fit_all(
         batch: see `fits_in`.
         settings: how.
         with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
-        workers: who makes them.
+        workers: see `work.run`.
     Returns:
         One outcome per source, in order; one that cannot be fitted does not stop the others.
     Raises:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from dataclasses import replace as changed
 from functools import partial
@@ -13,7 +14,7 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from manifold import progress
+from manifold import progress, work
 from manifold.brdf.orientation import rotation_of
 from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
 from manifold.io_rgl import read_bsdf
@@ -27,7 +28,6 @@ from manifold.library.identity import (
 from manifold.library.staging import make_store, write_material
 from manifold.library.store import Library
 from manifold.records import Bands
-from manifold.work import THREADS, Workers
 
 _MANY_TASKS = 64  # from which on tasks have several files
 _MOST_TOGETHER = 16  # files of a task
@@ -73,7 +73,7 @@ def import_files(
     replace: bool = False,
     tolerance: float | None = None,
     rotation_rad: Rotation = None,
-    workers: Workers = THREADS,
+    workers: Executor | None = None,
 ) -> ImportResult:
     """Import RGL files into a library, which is made with the bands of the first file if there is none.
 
@@ -87,7 +87,7 @@ def import_files(
         tolerance: store them in compact form, within so much CIEDE2000 of the ball; by default as they are.
         rotation_rad: azimuth by which anisotropic samples lay turned, from -pi to pi, which whatever evaluates them
             undoes; "auto" finds it from the normals, see `manifold.brdf.orientation`.
-        workers: who check files, and write materials.
+        workers: who check files, and write materials; threads of this process if None.
     Returns:
         What became of each file; `failed` must be looked at.
     Raises:
@@ -107,14 +107,16 @@ def import_files(
     is_new = not library.exists() or (os.path.ismount(library) and not staging.contents(library))
     expected = None if is_new else Library(library).bands
     report = _Report(2 * len(paths))
-    loaded = _load(paths, rotation_rad, workers, report)
-    _require_one_grid(loaded, expected, library)
-    if loaded:
-        with staging.writing(library) as staged:
-            if is_new:
-                make_store(library, loaded[0].bands, staged)
-            chosen = _choose(Library(library), loaded, replace, tolerance, report)
-            _store_all(library, chosen, staged, tolerance, workers, report)
+    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
+        workers = workers or threads
+        loaded = _load(paths, rotation_rad, workers, report)
+        _require_one_grid(loaded, expected, library)
+        if loaded:
+            with staging.writing(library) as staged:
+                if is_new:
+                    make_store(library, loaded[0].bands, staged)
+                chosen = _choose(Library(library), loaded, replace, tolerance, report)
+                _store_all(library, chosen, staged, tolerance, workers, report)
     return report.result()
 
 
@@ -180,11 +182,11 @@ class _Report:
         return ImportResult(names("imported"), names("skipped"), names("replaced"), failed)
 
 
-def _load(paths: Sequence[Path], rotation_rad: Rotation, workers: Workers, report: _Report) -> list[_Source]:
+def _load(paths: Sequence[Path], rotation_rad: Rotation, workers: Executor, report: _Report) -> list[_Source]:
     """Check and hash every file; the bad ones are reported and left out."""
     tasks = _in_groups(paths)
     loaded: dict[int, list[_Source]] = {}
-    for k, checked, _ in workers.run(partial(_check, rotation_rad=rotation_rad), tasks):
+    for k, checked, _ in work.run(partial(_check, rotation_rad=rotation_rad), tasks, workers):
         assert checked is not None
         for path, source in zip(tasks[k], checked, strict=True):
             if isinstance(source, str):
@@ -259,15 +261,13 @@ def _choose(
 
 
 def _store_all(
-    library: Path, chosen: dict[Outcome, list[_Source]], staged: Path, tolerance: float | None, workers: Workers,
+    library: Path, chosen: dict[Outcome, list[_Source]], staged: Path, tolerance: float | None, workers: Executor,
     report: _Report,
 ) -> None:  # fmt: skip
     tasks = _in_groups([(outcome, source) for outcome, sources in chosen.items() for source in sources])
     stopped = None
-    for k, failures, stop in workers.run(
-        partial(_store, library=library, staged=staged, tolerance=tolerance),
-        [[s for _, s in t] for t in tasks],
-    ):
+    store = partial(_store, library=library, staged=staged, tolerance=tolerance)
+    for k, failures, stop in work.run(store, [[s for _, s in t] for t in tasks], workers):
         stopped = stopped or stop
         for (outcome, source), failure in zip(tasks[k], failures or (), strict=False):
             if failure is None:

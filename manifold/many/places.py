@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -18,12 +19,11 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.pictures import renders
 from manifold.render import images
 from manifold.render.render import RenderSettings, require_d65
-from manifold.work import HERE, Workers
 
 
 def predict_all(
     model: Path, table: PointTable, folder: Path, *, library: Path | None = None,
-    options: OutputOptions = DEFAULT_OPTIONS, workers: Workers = HERE,
+    options: OutputOptions = DEFAULT_OPTIONS, workers: Executor | None = None,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Write the `.bsdf` of every row into a folder; what an earlier run made of the same row is kept.
 
@@ -31,7 +31,7 @@ def predict_all(
         model, library, options: as of `estimate.predict`.
         table: the rows.
         folder: where to; made if missing. Its `predictions.jsonl` says what each file was made of.
-        workers: who makes them.
+        workers: see `work.run`.
     Returns:
         One outcome per row; one that fails does not stop the others.
     Raises:
@@ -55,7 +55,7 @@ def _predict(
 
 def render_all(
     model: Path, table: PointTable, folder: Path, settings: RenderSettings, *, library: Path | None = None,
-    direct: bool = False, workers: Workers = HERE,
+    direct: bool = False, workers: Executor | None = None,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Render the ball of every row into a folder; what an earlier run made of the same row is kept.
 

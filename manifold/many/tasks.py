@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -31,7 +32,6 @@ from manifold.model.manifold import load_model
 from manifold.model.output_file import OutputOptions
 from manifold.pictures import renders
 from manifold.render.render import RenderSettings
-from manifold.work import HERE, Workers
 
 _ERRORS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "CIEDE2000": lambda content: content["ball"],
@@ -57,7 +57,7 @@ def completions_in(folder: Path) -> Batch:
 
 def complete_all(
     samples: Sequence[Sample], library: Path, batch: Batch, *, correction: Path | None = None, count: int = 0,
-    instrument: str | None = None, options: OutputOptions, workers: Workers = HERE, report: Path | None = None,
+    instrument: str | None = None, options: OutputOptions, workers: Executor | None = None, report: Path | None = None,
 ) -> list[Outcome[Sample]]:  # fmt: skip
     """Complete samples through a library, each into a `.bsdf` file; see `completions.complete_readings`.
 
@@ -67,7 +67,7 @@ def complete_all(
         batch: see `completions_in`.
         correction: of colours, a file.
         count, instrument, options: as there.
-        workers: who makes them.
+        workers: see `work.run`.
         report: page that lists a report of each, which lie in a folder beside it; None for none.
     Raises: as `Batch.run`; `UsageError` also where the library cannot be used.
     """
@@ -142,7 +142,7 @@ def coats_in(folder: Path) -> Batch:
 
 def complete_colours(
     samples: Sequence[ColourSample], library: Path, batch: Batch, *, is_mixture: bool = False,
-    options: OutputOptions, workers: Workers = HERE,
+    options: OutputOptions, workers: Executor | None = None,
 ) -> list[Outcome[ColourSample]]:  # fmt: skip
     """Make materials of colours and gloss, each into a `.bsdf` file; see `coat.complete_colour`.
 
@@ -152,7 +152,7 @@ def complete_colours(
         batch: see `coats_in`.
         is_mixture: of the library's materials, as those without gloss always are.
         options: of the files.
-        workers: who makes them.
+        workers: see `work.run`.
     Raises: as `Batch.run`; `UsageError` also where the library cannot be used.
     """
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
@@ -201,7 +201,7 @@ def locations_in(folder: Path) -> Batch:
 
 def locate_all(
     sources: Sequence[Input], model: Path, batch: Batch, *, library: Path | None = None, options: OutputOptions,
-    workers: Workers = HERE,
+    workers: Executor | None = None,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Find the latents of measured files, and write the predictions there; see `reconstruction.locate`."""
     how = {
@@ -227,7 +227,7 @@ def reconstructions_in(folder: Path) -> Batch:
 
 def reconstruct_all(
     sources: Sequence[Input], library: Path, batch: Batch, *, without: Sequence[str] = (), numbers: int | None = None,
-    options: OutputOptions, workers: Workers = HERE,
+    options: OutputOptions, workers: Executor | None = None,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Reconstruct measured files from a library; see `reconstruction.reconstruct`."""
     how = {
@@ -273,7 +273,7 @@ def conversions_in(folder: Path) -> Batch:
 
 def convert_all(
     sources: Sequence[Input], to: str, batch: Batch, *, correction: Path | None = None, options: Options,
-    workers: Workers = HERE,
+    workers: Executor | None = None,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Convert files, or every sample of those with several, into one of `TARGETS`; see `conversion.convert`."""
     if to not in TARGETS:
@@ -305,7 +305,7 @@ def renders_in(folder: Path) -> Batch:
 
 
 def render_all(
-    sources: Sequence[Input], settings: RenderSettings, batch: Batch, *, workers: Workers = HERE,
+    sources: Sequence[Input], settings: RenderSettings, batch: Batch, *, workers: Executor | None = None,
     ) -> list[Outcome[Input]]:  # fmt: skip
     """Render the balls of materials; see `renders.render`."""
     how = renders.settings_key(settings)

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from manifold import cluster
+from manifold import cluster, work
 from manifold.cli.worker_options import workers_of
-from manifold.cluster import Cluster
 from manifold.errors import ManifoldError, UsageError
-from manifold.work import HERE, Processes, Threads
 
 distributed = pytest.importorskip("distributed")
 
@@ -57,6 +56,10 @@ def written(name):
     return str(Path(name).resolve())
 
 
+def pid_of(_):
+    return os.getpid()
+
+
 def lost_once(marker):
     """A task whose worker ends the first time."""
     if not Path(marker).exists():
@@ -65,20 +68,35 @@ def lost_once(marker):
     return "done"
 
 
-def by_task(finished):
-    return [one.value if one.failure is None else one.failure for one in sorted(finished)]
+def results(function, tasks, workers=None):
+    """Of each task its result, or why it failed."""
+    return [
+        value if failure is None else failure
+        for _, value, failure in sorted(work.run(function, tasks, workers))
+    ]
+
+
+def there(address, function, tasks):
+    """The same by the workers of a scheduler."""
+    with cluster.workers(address) as workers:
+        return results(function, tasks, workers)
 
 
 def test_everyone_has_the_same_results_and_a_failure_stops_no_other(local_cluster):
-    first = by_task(HERE.run(squared, range(6)))
+    first = results(squared, range(6))
     assert first[:5] == [0, 1, "two is refused", "three.bsdf: No such file; check the path", 16]
-    for workers in (Processes(2), Threads(2), Cluster(local_cluster.scheduler_address)):
-        assert by_task(workers.run(squared, range(6))) == first
+    for executor in (
+        work.processes(2),
+        ThreadPoolExecutor(2),
+        cluster.workers(local_cluster.scheduler_address),
+    ):
+        with executor as workers:
+            assert results(squared, range(6), workers) == first
 
 
 def test_relative_paths_mean_the_same_in_workers(local_cluster, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found = by_task(Cluster(local_cluster.scheduler_address).run(written, ["a", "b"]))
+    found = there(local_cluster.scheduler_address, written, ["a", "b"])
     assert found == [str(tmp_path / "a"), str(tmp_path / "b")]
     assert str(os.getpid()) not in {(tmp_path / name).read_text() for name in "ab"}
 
@@ -86,19 +104,19 @@ def test_relative_paths_mean_the_same_in_workers(local_cluster, tmp_path, monkey
 def test_a_folder_that_workers_lack_is_one_line(local_cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster.os, "getcwd", lambda: str(tmp_path / "missing"))
     with pytest.raises(ManifoldError, match=r"cannot work in .*missing.*start in a folder"):
-        list(Cluster(local_cluster.scheduler_address).run(squared, [1]))
+        there(local_cluster.scheduler_address, squared, [1])
 
 
 def test_tasks_of_a_lost_worker_run_again(local_cluster, tmp_path):
     markers = [str(tmp_path / str(k)) for k in range(3)]
-    assert by_task(Cluster(local_cluster.scheduler_address).run(lost_once, markers)) == ["done"] * 3
+    assert there(local_cluster.scheduler_address, lost_once, markers) == ["done"] * 3
 
 
 def test_a_worker_with_other_versions_is_one_line(threads_cluster, monkeypatch):
     answers = iter([{"numpy": "1.0"}, {"numpy": "2.0"}])
     monkeypatch.setattr(cluster, "versions", lambda: next(answers))
     with pytest.raises(ManifoldError, match=r"found numpy 2\.0, expected 1\.0; install the same"):
-        list(Cluster(threads_cluster.scheduler_address).run(squared, [1]))
+        there(threads_cluster.scheduler_address, squared, [1])
 
 
 @contextmanager
@@ -123,7 +141,7 @@ def test_a_scheduler_that_is_lost_is_one_line(tmp_path):
     with scheduler_alone(tmp_path) as (scheduler, address):
         threading.Timer(1.0, scheduler.kill).start()
         with pytest.raises(ManifoldError, match=r"the scheduler was lost; run again"):
-            list(Cluster(address).run(squared, [1]))
+            there(address, squared, [1])
 
 
 def test_a_scheduler_without_the_package_is_one_line(tmp_path):
@@ -132,13 +150,13 @@ def test_a_scheduler_without_the_package_is_one_line(tmp_path):
         scheduler_alone(tmp_path, PYTHONPATH=str(tmp_path)) as (_, address),
         pytest.raises(ManifoldError, match=r"the scheduler lacks this package; start it in the environment"),
     ):
-        list(Cluster(address).run(squared, [1]))
+        there(address, squared, [1])
 
 
 def test_no_scheduler_is_one_line(monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.2)
     with pytest.raises(ManifoldError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers .*; start one"):
-        list(Cluster("tcp://127.0.0.1:1").run(squared, [1]))
+        there("tcp://127.0.0.1:1", squared, [1])
 
 
 def test_a_peer_that_says_nothing_is_no_scheduler(monkeypatch):
@@ -146,7 +164,7 @@ def test_a_peer_that_says_nothing_is_no_scheduler(monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(ManifoldError, match=f"{address}: no Dask scheduler answers"):
-            list(Cluster(address).run(squared, [1]))
+            there(address, squared, [1])
 
 
 @pytest.mark.parametrize(
@@ -154,22 +172,40 @@ def test_a_peer_that_says_nothing_is_no_scheduler(monkeypatch):
 )
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(UsageError, match=r"expected an address such as tcp://10\.0\.0\.1:8786"):
-        list(Cluster(address).run(squared, [1]))
+        there(address, squared, [1])
 
 
 def test_without_dask_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setattr(cluster, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pip install brdf-manifold\[cluster\]"):
-        workers_of(None, "tcp://127.0.0.1:8786")
+        there("tcp://127.0.0.1:8786", squared, [1])
 
 
 def test_workers_and_a_scheduler_are_one_too_many():
     with pytest.raises(UsageError, match=r"--workers 2 and --scheduler here, expected one of them"):
         workers_of(2, "here")
-    assert workers_of(None, None) == Processes()
-    assert workers_of(3, None, HERE) == Processes(3)
-    assert workers_of(None, None, HERE) == HERE
+    for count, default, expected in ((3, 1, 3), (None, 3, 3), (1, None, None), (None, 1, None)):
+        with workers_of(count, None, default) as workers:
+            assert getattr(workers, "_max_workers", None) == expected
 
 
-def test_more_workers_than_tasks_are_not_started():
-    assert by_task(Processes(8).run(functools.partial(pow, 2), [3])) == [8]
+def test_a_single_task_starts_no_process():
+    with work.processes(8) as workers:
+        assert results(pid_of, [None], workers) == [os.getpid()]
+
+
+def test_an_interruption_cancels_what_waits_and_keeps_what_runs():
+    end = threading.Event()
+
+    def wait_for(name):
+        end.wait(60)
+        return name
+
+    with ThreadPoolExecutor(1) as workers:
+        found = work.run(wait_for, ["first", "second"], workers)
+        interruption = signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)
+        threading.Timer(0.2, *interruption).start()
+        threading.Timer(0.5, end.set).start()
+        assert next(found) == (0, "first", None)
+        with pytest.raises(KeyboardInterrupt):
+            next(found)

@@ -14,6 +14,7 @@ import pytest
 from helpers.small_library import measured, small_model
 from typer.testing import CliRunner
 
+from manifold import work
 from manifold.analytic.base import Lambert
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
@@ -32,7 +33,6 @@ from manifold.render import backend, fit_json
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import diffuse, principled
 from manifold.render.fitted_brdf import FittedBRDF
-from manifold.work import Processes
 
 SETTINGS = FitSettings(principled(["base_color", "roughness", "metallic"]))
 
@@ -171,9 +171,10 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
     for name in ("syn_satin_gold", "syn_felt_green"):
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
     (folder / "broken.bsdf").write_bytes(b"not a tensor file")
-    outcomes = fits.fit_all(
-        find_inputs([FileSource(folder)]), fits.fits_in(tmp_path / "fits"), SETTINGS, workers=Processes(2)
-    )
+    with work.processes(2) as workers:
+        outcomes = fits.fit_all(
+            find_inputs([FileSource(folder)]), fits.fits_in(tmp_path / "fits"), SETTINGS, workers=workers
+        )
     assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]
     assert [o.failure is None for o in outcomes] == [False, True, True]
     assert sorted(p.name for p in (tmp_path / "fits").glob("*.fit.json")) == [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from concurrent.futures import Executor, Future
 
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ from manifold.estimate.samples import find_samples
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.model.colours import ColourChoice
 from manifold.plots import figures
-from manifold.work import Finished
 
 COLUMNS = {"letters": lambda content: content["letters"]}
 
@@ -33,6 +33,12 @@ def run(folder, names, make):
 def written(name, path):
     path.write_text(name)
     return {"letters": len(name)}
+
+
+def done(result):
+    future = Future()
+    future.set_result(result)
+    return future
 
 
 @pytest.mark.parametrize("moment", range(5))
@@ -54,9 +60,9 @@ def test_what_was_made_before_an_interruption_is_not_made_again(tmp_path, moment
 
 
 def test_a_file_that_a_worker_wrote_elsewhere_is_one_failure(tmp_path):
-    class Elsewhere:
-        def run(self, function, tasks, begin=None):
-            yield Finished(0, _Made({"letters": 4}, "0" * 64))
+    class Elsewhere(Executor):
+        def submit(self, function, *args):
+            return done((0, _Made({"letters": 4}, "0" * 64), None))
 
     batch = Batch(tmp_path, "words", COLUMNS)
     todo = [Task("word", tmp_path / "word.txt", "word")]
@@ -130,12 +136,11 @@ def test_a_folder_is_one_runs_at_a_time(tmp_path):
 def test_a_file_that_another_program_replaces_at_once_is_made_again(tmp_path):
     """The index holds the hash of what a run wrote, not of what is there when it notes it."""
 
-    class Slow:
-        def run(self, function, tasks, begin=None):
-            for k, task in enumerate(tasks):
-                made = function(task)
-                task.path.write_text("of another program")
-                yield Finished(k, made)
+    class Slow(Executor):
+        def submit(self, function, *args):
+            made = done(function(*args))
+            args[-1].path.write_text("of another program")
+            return made
 
     todo = [Task("word", tmp_path / "word.txt", "word")]
     Batch(tmp_path, "words", COLUMNS).run(todo, written, lambda name: {"name": name}, workers=Slow())

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from helpers.sample_files import write_samples
 from helpers.small_library import small_library
 
-from manifold import metrics
+from manifold import cluster, metrics
 from manifold.analytic.base import Lambert
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
-from manifold.cluster import Cluster
 from manifold.convert.targets import Options
 from manifold.errors import ManifoldError
 from manifold.estimate.inputs import find_inputs
@@ -28,7 +28,6 @@ from manifold.library.store import Library
 from manifold.many import tasks
 from manifold.model.manifold import Settings
 from manifold.model.output_file import OutputOptions
-from manifold.work import HERE
 
 distributed = pytest.importorskip("distributed")
 
@@ -36,8 +35,11 @@ distributed = pytest.importorskip("distributed")
 @pytest.fixture(scope="module")
 def workers():
     """Two workers in threads of this process."""
-    with distributed.LocalCluster(n_workers=2, processes=False, dashboard_address=":0") as made:
-        yield Cluster(made.scheduler_address)
+    with (
+        distributed.LocalCluster(n_workers=2, processes=False, dashboard_address=":0") as made,
+        cluster.workers(made.scheduler_address) as executor,
+    ):
+        yield executor
 
 
 def contents(folder, pattern="*"):
@@ -51,7 +53,7 @@ def contents(folder, pattern="*"):
 def test_an_import_makes_the_same_library(tmp_path, workers, tolerance):
     library = small_library(tmp_path)
     found = {}
-    for name, someone in (("here", HERE), ("there", workers)):
+    for name, someone in (("here", None), ("there", workers)):
         made = import_files(tmp_path / name, tmp_path / "files", tolerance=tolerance, workers=someone)
         assert len(made.imported) == len(Library(library).names)
         found[name] = contents(tmp_path / name)
@@ -74,16 +76,17 @@ def test_a_material_that_is_stored_again_is_the_same(tmp_path, monkeypatch):
             assert store(*arguments[:2], tmp_path / "staged", arguments[3]) is None
             shutil.rmtree(tmp_path / "staged")
 
-    import_files(tmp_path / "once", tmp_path / "files", workers=HERE)
+    import_files(tmp_path / "once", tmp_path / "files")
     monkeypatch.setattr(importing, "_stored", twice)
-    made = import_files(tmp_path / "twice", tmp_path / "files", workers=HERE)
+    with ThreadPoolExecutor(1) as one:
+        made = import_files(tmp_path / "twice", tmp_path / "files", workers=one)
     assert made.imported == ("m00", "m01")
     assert contents(tmp_path / "twice") == contents(tmp_path / "once")
 
 
 def test_an_embedding_is_the_same(tmp_path, workers):
     library, models = small_library(tmp_path), {}
-    for name, someone in (("here", HERE), ("there", workers)):
+    for name, someone in (("here", None), ("there", workers)):
         model, _ = pipeline.embed(library, tmp_path / f"{name}.h5", Settings(), workers=someone)
         models[name] = model
     here, there = models.values()
@@ -113,10 +116,10 @@ def numbers_of(made):
 @pytest.mark.slow
 def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
     monkeypatch.setitem(metrics.NAMED_GRIDS, "default", metrics.RusinkiewiczGrid(20, 11, 6))
-    sent, run = [], Cluster.run
-    monkeypatch.setattr(Cluster, "run", lambda self, f, tasks: (sent.extend(tasks), run(self, f, tasks))[1])
+    sent, submit = [], workers.submit
+    monkeypatch.setattr(workers, "submit", lambda f, *args: (sent.append(args[-1]), submit(f, *args))[1])
     pipeline.embed(small_library(tmp_path), tmp_path / "model.h5", Settings(kind="material"))
-    here, there = (pipeline.report(tmp_path / "model.h5", workers=who) for who in (HERE, workers))
+    here, there = (pipeline.report(tmp_path / "model.h5", workers=who) for who in (None, workers))
     assert {task.method for task in sent} >= {"published", "gp_refitted"}
     assert numbers_of(there) == numbers_of(here)
 
@@ -126,7 +129,7 @@ def test_a_chart_has_the_same_errors(tmp_path, workers):
     files, keys = [library.read(name) for name in library.names], ["nearest", "linear", "pca_2_cube-root"]
     grid = metrics.RusinkiewiczGrid(20, 11, 6)
     here, there = (
-        make_chart(files, keys, grid=grid, library=library, workers=who) for who in (HERE, workers)
+        make_chart(files, keys, grid=grid, library=library, workers=who) for who in (None, workers)
     )
     for a, b in zip(here.rows, there.rows, strict=True):
         for name in ("key", "ball", "cube_root_error", "rmse", "p90", "bytes"):
@@ -151,7 +154,7 @@ def test_completions_and_conversions_are_the_same(tmp_path, workers, rng):
         write_ma_t12(samples / f"s{k}.xlsx", grey, f"s{k}", rng)
     files = find_inputs([FileSource(tmp_path / "files")])[:2]
     found = {}
-    for name, someone in (("here", HERE), ("there", workers)):
+    for name, someone in (("here", None), ("there", workers)):
         out = tmp_path / name
         outcomes = [
             *tasks.complete_all(

@@ -12,13 +12,13 @@ import time
 import pytest
 from helpers.small_library import measured
 
+from manifold import work
 from manifold.errors import ManifoldError
 from manifold.estimate.inputs import find_inputs
 from manifold.estimate.sources import FileSource
 from manifold.fit import fits
 from manifold.fit.fits import FitSettings
 from manifold.io_rgl import write_bsdf
-from manifold.work import Processes
 
 pytestmark = pytest.mark.slow
 
@@ -56,10 +56,13 @@ def killed(source, target, *, settings, with_pictures):
 
 def test_a_killed_process_is_one_error(folder, monkeypatch):
     monkeypatch.setattr(fits, "_fit_input", killed)
-    with pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"):
+    with (
+        pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"),
+        work.processes(2) as workers,
+    ):
         fits.fit_all(
             find_inputs([FileSource(folder / "files")]),
             fits.fits_in(folder / "out"),
             FitSettings(),
-            workers=Processes(2),
+            workers=workers,
         )

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from typing import Any
 
-from manifold import progress
+from manifold import progress, work
 from manifold.errors import ManifoldError, RendererError, UsageError
 from manifold.evaluate.stability.testbed import TestBed
 from manifold.names import names_like
-from manifold.work import HERE, Workers
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 
@@ -205,20 +205,20 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
     return tuple(mode for mode in modes if not only or mode.key in only)
 
 
-def run_modes(modes: Sequence[Mode], workers: Workers = HERE) -> Stability:
+def run_modes(modes: Sequence[Mode], workers: Executor | None = None) -> Stability:
     """Run every method of every mode at every severity.
 
     Args:
         modes: what to try.
-        workers: who run methods; others than this process make test beds of their own.
+        workers: see `work.run`; they make test beds of their own.
     Raises:
         ManifoldError: a worker was lost.
     """
     tasks = [(mode, method) for mode in modes for method in mode.methods]
     found: dict[int, Row | str] = {}
     with TestBed() as bed:
-        run = partial(_run_method, bed=bed) if workers == HERE else _run_method
-        for k, row, failure in workers.run(run, tasks):
+        run = partial(_run_method, bed=bed) if workers is None else _run_method
+        for k, row, failure in work.run(run, tasks, workers):
             found[k] = str(failure) if row is None else row
             progress.report(len(found), len(tasks), f"{tasks[k][0].key}: {tasks[k][1]}")
     rows = tuple(row for _, row in sorted(found.items()) if isinstance(row, Row))

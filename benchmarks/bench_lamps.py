@@ -18,7 +18,7 @@ import json
 import resource
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -34,7 +34,6 @@ from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle
 from manifold.estimate.lamps import Lamp, lamp_pairs, read_lamps
 from manifold.estimate.light_probe import find_light
-from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, Sighting, find_material
 from manifold.estimate.photographs import PhotoRequest, see
@@ -92,14 +91,14 @@ SHOTS = tuple(
 class Material:
     """A library's atoms without a file, and the truth."""
 
-    atoms: PhotoAtoms
+    atoms: LibraryAtoms
     library: Library
     truth: MeasuredBRDF
 
     @property
     def to_bands(self) -> Array:
         """See `spectra.band_matrix`."""
-        return band_matrix(self.library, self.atoms.library.names, srgb_responses(self.library.bands))
+        return band_matrix(self.library, self.atoms.names, srgb_responses(self.library.bands))
 
     def found(
         self, balls: Sequence[Sighting | Readings], exposure: float | None, each: bool
@@ -120,8 +119,8 @@ class Material:
 def real(folder: Path, library: Path) -> None:
     """Tables of a set of photometric stereo."""
     opened = Library(library)
-    atoms = PhotoAtoms(LibraryAtoms.of_library(opened))
-    one = Material(atoms, opened, MeasuredBRDF(opened.read(atoms.library.names[0])))
+    atoms = LibraryAtoms.of_library(opened).in_values
+    one = Material(atoms, opened, MeasuredBRDF(opened.read(atoms.names[0])))
     known = read_lamps(folder / "lights.txt")
     pictures = [read_photograph(folder / "gray" / f"gray.{k}.png", is_linear=True) for k in range(len(known))]
     every = find_light(pictures)
@@ -218,7 +217,7 @@ def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) ->
         for path in files:
             name = path.stem.removesuffix("_rgb")
             m = atoms.names.index(name)
-            one = Material(PhotoAtoms(atoms.without(m)), opened, MeasuredBRDF(read_bsdf(path)))
+            one = Material(atoms.without(m).in_values, opened, MeasuredBRDF(read_bsdf(path)))
             taken = {light: _photographed(path, light, Path(folder)) for light in ("sun", "torch", "flash")}
             for shot in SHOTS:
                 for count in COUNTS[: 1 if shot.light == "flash" else None]:
@@ -380,7 +379,7 @@ def _together(one: Material, taken: Taken, rows: dict[str, dict[int, list[float]
     assert balls is not None
     from manifold.estimate.complete import complete
 
-    of_readings = complete(one.atoms.library, read)
+    of_readings = complete(replace(one.atoms, is_linear=False), read)
     alone = brdf_errors(one.truth, ClippedBRDF(of_readings.brdf)).ball
     rows.setdefault("twelve readings", {}).setdefault(0, []).append(alone)
     for name, seen in (("picture", balls), ("readings and picture", [*balls, read])):

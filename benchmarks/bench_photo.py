@@ -35,7 +35,6 @@ from manifold.estimate.circle import Circle
 from manifold.estimate.complete import complete
 from manifold.estimate.expected import KINDS
 from manifold.estimate.light import Environment
-from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph
 from manifold.estimate.photo_material import PhotoMaterial, Sighting, errors_of, find_material
 from manifold.estimate.pixels import Camera
@@ -116,23 +115,23 @@ def rendered(files: list[Path], light: Array) -> Iterator[Array]:
             )  # fmt: skip
 
 
-def found(atoms: PhotoAtoms, m: int, seen: Sighting, shot: Shot) -> PhotoMaterial:
+def found(atoms: LibraryAtoms, m: int, seen: Sighting, shot: Shot) -> PhotoMaterial:
     """Material m, found by all others."""
-    without = PhotoAtoms(atoms.library.without(m))
+    without = atoms.without(m)
     exposure = 1.0 if shot.is_exposure_known else None
-    return find_material(without, [seen], atoms.library.bands, np.eye(3), exposure=exposure)
+    return find_material(without, [seen], atoms.bands, np.eye(3), exposure=exposure)
 
 
-def errors(atoms: PhotoAtoms, m: int, weights: Array) -> tuple[float, float, float]:
+def errors(atoms: LibraryAtoms, m: int, weights: Array) -> tuple[float, float, float]:
     """Of weights of the atoms without material m."""
     every = np.zeros((3, len(atoms)))
-    every[:, atoms.without(m)] = weights
+    every[:, atoms.material_of != m] = weights
     return errors_of(atoms, 3 * m + np.arange(3), every)
 
 
-def nearest(atoms: PhotoAtoms, m: int) -> tuple[float, float, float]:
+def nearest(atoms: LibraryAtoms, m: int) -> tuple[float, float, float]:
     """Errors of the material whose ball is nearest: what a perfect search among the others would find."""
-    others = [k for k in range(len(atoms.library.names)) if k != m]
+    others = [k for k in range(len(atoms.names)) if k != m]
     tried = []
     for k in others:
         weights = np.zeros((3, len(atoms)))
@@ -141,31 +140,29 @@ def nearest(atoms: PhotoAtoms, m: int) -> tuple[float, float, float]:
     return min(tried)
 
 
-def reconstructed(atoms: PhotoAtoms, m: int) -> tuple[float, float, float]:
+def reconstructed(atoms: LibraryAtoms, m: int) -> tuple[float, float, float]:
     """Errors of `reconstruct` from all measured directions, among them the light in which balls are compared."""
-    library, compared = atoms.library, ComparedValues.default(True)
-    others = [material for k, material in enumerate(library.materials[: len(library.names)]) if k != m]
-    without = PhotoAtoms(library.without(m))
+    compared, without = ComparedValues.default(True), atoms.without(m)
+    others = without.materials[: len(without.names)]
     is_used = np.ones(len(without), bool)
-    is_used[without.library.n_measured : len(without.library.material_of) - 1] = False  # coats
+    is_used[without.n_measured : len(without.mixed) - 1] = False  # coats
     weights = np.zeros((3, len(without)))
-    weights[:, is_used] = compared.weights(compared.of_atoms(others), library.materials[m])
+    weights[:, is_used] = compared.weights(compared.of_atoms(others), atoms.materials[m])
     return errors(atoms, m, weights)
 
 
 def together(
-    atoms: PhotoAtoms, m: int, seen: Sighting
+    atoms: LibraryAtoms, m: int, seen: Sighting
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
     """Errors of material m from the twelve readings of an MA-T12, from one photograph, and from both."""
-    library, truth = atoms.library, atoms.library.materials[m]
+    truth, without = atoms.materials[m], atoms.without(m)
     wi, wo = geometry_ma_t12()
     values = np.maximum(truth.eval(wi, wo), 0.0)
     readings = Readings("sample", "MA-T12", wi, wo, None, values)
-    without = PhotoAtoms(library.without(m))
     made = [
-        complete(without.library, readings).brdf,
+        complete(replace(without, is_linear=False), readings).brdf,
         *(
-            find_material(without, observed, library.bands, np.eye(3)).brdf
+            find_material(without, observed, atoms.bands, np.eye(3)).brdf
             for observed in ([seen], [seen, readings])
         ),
     ]
@@ -222,9 +219,9 @@ def real(folder: Path, options: argparse.Namespace) -> None:
     with TemporaryDirectory() as temporary:
         library = Path(temporary) / "library.zarr"
         import_files(library, files)
-        atoms = PhotoAtoms(LibraryAtoms.of_library(Library(library)))
+        atoms = LibraryAtoms.of_library(Library(library)).in_values
     by_name = {read_bsdf(path).name: path for path in files}
-    files = [by_name[name] for name in atoms.library.names]
+    files = [by_name[name] for name in atoms.names]
     chosen = range(0, len(files), options.every)
     table, part = Table(options.json), f", one file in {options.every}" if options.every > 1 else ""
     if options.others:

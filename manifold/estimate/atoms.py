@@ -1,4 +1,4 @@
-"""The atoms of completion: cube roots of single bands of a library's materials, dielectric coats, and a Lambertian."""
+"""What a material is estimated from: single bands of a library's materials, dielectric coats, and analytic lobes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.residual import coordinates
 from manifold.library.store import Library
-from manifold.mapping import CubeRoot
+from manifold.mapping import CubeRoot, Identity
 from manifold.model.appearance import roots_at
 from manifold.model.combination import Combination
 from manifold.model.dictionary import Dictionary
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
+from manifold.model.reconstruction import DICTIONARY
 from manifold.names import counted
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
@@ -36,7 +37,7 @@ COAT_INDICES = (1.42, 1.58)
 _COAT_BASE = 0.9  # largest reflectance of what is below a coat
 _LEAST_COAT = 0.05  # mean prior weight from which a coat is fitted to the readings
 LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
-"""The only analytic lobe among the atoms."""
+"""The only analytic lobe among atoms of cube roots."""
 _MOST_SHOWN, _LEAST_SHOWN = 6, 0.005  # materials of a mixture, and share of all of one
 _BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
@@ -64,18 +65,24 @@ def shown_shares(names: Sequence[str], weights: Array) -> tuple[tuple[str, float
 
 @dataclass(frozen=True, eq=False)
 class LibraryAtoms:
-    """Cube roots of n atoms and, last, of a Lambertian on a grid of all directions and on a ball.
+    """n atoms whose non-negative combinations explain observations, all in one band.
+
+    Their cube roots are combined, as mixtures of materials are: single bands of m materials, then a Lambertian. Or,
+    `in_values`, they are, as pixels see sums of light; roots of the library's bands and lobes with free Fresnel terms
+    follow then, which have broader lobes, and colours that change with incidence.
 
     Attributes:
-        names: of the materials of the library, n of N.
+        names: of the materials of the library.
         coats: names of the other materials: dielectric coats, see `dielectric_coats`.
         bands: of the library.
-        atom_bands: which of them are atoms, shape (B_s,); atom m * B_s + s is band s of material m.
-        materials: N, in these bands alone.
-        directions: cube roots at the encoding grid, then at some pairs that light a ball, shape (n + 1, P).
+        atom_bands: which of them are atoms, shape (B_s,); atom k * B_s + s is band s of material k.
+        materials: m, in these bands alone.
+        directions: cube roots of bands and Lambertian at the encoding grid, then at some pairs that light a ball,
+            shape (m B_s + 1, P).
         weights: of these pairs; grid and ball have the same energy, shape (P,).
         grid: the encoding grid.
-        ball: cube roots at all pairs that light a ball in the judged lights, shape (n + 1, P_b).
+        ball: cube roots at all pairs that light a ball in the judged lights, shape (m B_s + 1, P_b).
+        is_linear: whether values are combined, not cube roots.
     """
 
     names: tuple[str, ...]
@@ -87,6 +94,10 @@ class LibraryAtoms:
     weights: Array
     grid: EncodingPairs
     ball: Array
+    is_linear: bool = False
+
+    def __len__(self) -> int:
+        return len(self.material_of)
 
     @classmethod
     def of_library(cls, library: Library) -> LibraryAtoms:
@@ -136,15 +147,32 @@ class LibraryAtoms:
         """The spectral axis of the atoms of one material."""
         return self.bands.select(self.atom_bands)
 
+    @property
+    def in_values(self) -> LibraryAtoms:
+        """The same materials as atoms of values."""
+        return replace(self, is_linear=True)
+
+    @property
+    def dictionary(self) -> Dictionary:
+        """Powers of the library's bands, and lobes."""
+        return DICTIONARY if self.is_linear else LAMBERTIAN
+
     @cached_property
     def material_of(self) -> Indices:
-        """Index of each atom's material, shape (n + 1,); the Lambertian's is N."""
-        N = len(self.materials)
-        return np.append(np.repeat(np.arange(N), len(self.atom_bands)), N)
+        """Index of each atom's material, shape (n,); that of lobes is m."""
+        own = np.repeat(np.arange(len(self.materials)), len(self.atom_bands))
+        powers = np.tile(own[: self.n_measured], len(self.dictionary.exponents) - 1)
+        return np.concatenate([own, powers, np.full(len(self.dictionary.lobes), len(self.materials))])
+
+    @property
+    def mixed(self) -> Indices:
+        """Atoms of which two are mixed: bands of materials, then the Lambertian, shape (m B_s + 1,)."""
+        lambertian = len(self) - len(self.dictionary.lobes)
+        return np.append(np.arange(len(self.directions) - 1), lambertian)
 
     @cached_property
     def gram(self) -> Array:
-        """Inner products of atoms, averaged over the grid, shape (n + 1, n + 1)."""
+        """Inner products of atoms, averaged over the grid, shape (n, n)."""
         roots, weights = self.directions[:, : self.n_grid], self.weights[: self.n_grid]
         return (roots * weights) @ roots.T / self.n_grid
 
@@ -154,14 +182,14 @@ class LibraryAtoms:
         return len(self.names) * len(self.atom_bands)
 
     def usable(self, prior: Array) -> Mask:
-        """Which are atoms of the library, of coats of some prior weight (B, n + 1), or the Lambertian: (n + 1,)."""
+        """Which are atoms of the library, of coats of some prior weight (B, n), or the Lambertian: (n,)."""
         totals = np.bincount(self.material_of, prior.mean(axis=0))
         totals[: len(self.names)] = totals[-1] = np.inf
         return np.asarray(totals[self.material_of] > _LEAST_COAT)
 
     def without(self, material: int) -> LibraryAtoms:
         """The atoms of all materials but one of the library."""
-        rows = np.flatnonzero(self.material_of != material)
+        rows = np.flatnonzero(self.material_of[self.mixed] != material)
         left = replace(
             self,
             names=tuple(name for m, name in enumerate(self.names) if m != material),
@@ -179,19 +207,46 @@ class LibraryAtoms:
         return same
 
     def at(self, wi: Array, wo: Array) -> Array:
-        """Cube roots of atoms and Lambertian at direction pairs (P, 3), shape (n + 1, P)."""
-        return _roots_at(self.materials, wi, wo)
+        """Atoms at direction pairs (P, 3): cube roots, or f in 1/sr, shape (n, P)."""
+        return self._from_roots(_roots_at(self.materials, wi, wo), wi, wo)
+
+    def _from_roots(self, roots: Array, wi: Array, wo: Array) -> Array:
+        """From cube roots of bands and Lambertian at direction pairs (P, 3), shape (n, P)."""
+        if not self.is_linear:
+            return roots
+        measured = roots[: self.n_measured]
+        powers = [measured ** (3.0 * exponent) for exponent in self.dictionary.exponents[1:]]
+        return np.vstack([roots[:-1] ** 3, *powers, self.dictionary.lobes.values(wi, wo)])
+
+    @cached_property
+    def on_grid(self) -> Array:
+        """Atoms of values times both cosines at the encoding grid, shape (n, P_g)."""
+        grid = self.grid
+        return self._from_roots(self.directions[:, : self.n_grid], grid.wi, grid.wo) * grid.cosines
+
+    @cached_property
+    def on_ball(self) -> Array:
+        """Pixels of a ball in the judged lights, of atoms of values, shape (n, K)."""
+        lights = panel.judged()
+        return lights.pixels(self._from_roots(self.ball, lights.wi, lights.wo))
 
     def gloss(self, angles_deg: Sequence[float]) -> Array:
-        """Cube roots of their means over the apertures of gloss meters at G angles, shape (n + 1, G)."""
-        roots = np.empty((len(self.material_of), len(angles_deg)))
+        """Means of atoms over the apertures of gloss meters at G angles: cube roots, or f in 1/sr, shape (n, G)."""
+        means = np.empty((len(self), len(angles_deg)))
         for k, meter in enumerate(map(gloss_meter, angles_deg)):
-            roots[:, k] = np.cbrt(meter.mean(self.at(meter.wi, meter.wo).T ** 3))
-        return roots
+            atoms = self.at(meter.wi, meter.wo).T
+            means[:, k] = meter.mean(atoms) if self.is_linear else np.cbrt(meter.mean(atoms**3))
+        return means
 
     def predicted(self, weights: Array, bands: Bands | None = None) -> PredictedBRDF:
-        """The BRDF of weights (B, n + 1) of atoms in some bands, those of the library by default."""
-        combination = Combination(CubeRoot(), weights, self.atom_bands, dictionary=LAMBERTIAN)
+        """The BRDF of weights (B, n) of atoms in some bands, those of the library by default."""
+        m, measured = len(self.mixed) - 1, self.n_measured
+        powers = range(m, m + (len(self.dictionary.exponents) - 1) * measured, measured)
+        no_coats = np.zeros((len(weights), m - measured))
+        blocks = [part for k in powers for part in (weights[:, k : k + measured], no_coats)]
+        columns = [weights[:, :m], *blocks, weights[:, m + len(powers) * measured :]]
+        mapping = Identity() if self.is_linear else CubeRoot()
+        combination = Combination(mapping, np.hstack(columns), self.atom_bands, dictionary=self.dictionary)
         return PredictedBRDF(self.materials, combination, bands or self.bands)
 
 

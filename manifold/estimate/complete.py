@@ -12,10 +12,10 @@ from manifold.brdf.measured import BRDF
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
-from manifold.estimate.band_mixtures import Hypotheses, band_mixtures
-from manifold.estimate.gloss import GlossReadings, gloss_differences, gloss_units
-from manifold.estimate.mixtures import ReadingRoots, posterior
+from manifold.estimate.gloss import gloss_differences, gloss_units
+from manifold.estimate.mixtures import Hypotheses
 from manifold.estimate.reading_bands import bands_of, beyond, for_library, in_all_bands
+from manifold.estimate.reading_mixtures import GlossReadings, ReadingRoots, band_mixtures, posterior
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 from manifold.metrics import cosine_weight
@@ -223,11 +223,7 @@ class Completion:
     @cached_property
     def spread(self) -> float:
         """Standard deviation of hypotheses over all directions and the ball, relative to their mean, in cube roots."""
-        probability, weights = self.hypotheses.probability, self.hypotheses.weights
-        curves = weights @ self.atoms.directions
-        mean = probability @ curves
-        variance = probability @ ((curves - mean) ** 2 @ self.atoms.weights)
-        return float(np.sqrt(variance / max(float(mean**2 @ self.atoms.weights), np.finfo(float).tiny)))
+        return self.hypotheses.spread(self.hypotheses.weights @ self.atoms.directions, self.atoms.weights)
 
     def spread_at(self, wi: Array, wo: Array) -> Array:
         """Standard deviation of hypotheses about f at direction pairs (P, 3), relative to their mean, shape (P,)."""

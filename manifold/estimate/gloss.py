@@ -1,4 +1,4 @@
-"""Specular gloss: what a gloss meter shows of a BRDF at 20, 60 or 85 degrees, and as readings of a material.
+"""Specular gloss: what a gloss meter shows of a BRDF at 20, 60 or 85 degrees.
 
 Light through a narrow aperture falls on the sample, and a wider one around the mirror direction collects it; the same
 from polished black glass is 100 gloss units.
@@ -19,9 +19,7 @@ from manifold.brdf.measured import EvaluableBRDF
 from manifold.colour.conversion import luminance
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.estimate.mixtures import MODEL_ERROR, NOISE
-from manifold.estimate.residual import coordinates
-from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings
+from manifold.formats.readings import GLOSS_ANGLES_DEG
 from manifold.records import Array
 
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # in the plane of incidence, and across it
@@ -99,50 +97,6 @@ def gloss_differences(made: Array, read: Array) -> Array:
     nearest = np.clip(made, np.maximum(read - 1.0, 0.0), read + 1.0)
     root, near = np.cbrt(made), np.cbrt(nearest)
     return np.asarray(np.abs(root - near) / np.maximum(np.maximum(root, near), np.finfo(float).tiny))
-
-
-@dataclass(frozen=True, eq=False)
-class GlossReadings:
-    """G readings of gloss beside those of a material: means over apertures around mirror directions.
-
-    Attributes:
-        atoms: cube roots of these means of n atoms and, last, of the Lambertian, shape (n + 1, G).
-        roots: cube roots of the material's luminance there, shape (G,).
-        luminance: what the bands of the readings contribute to it, shape (B,).
-        where: coordinates of the mirror directions, see `residual.coordinates`, shape (G, 3).
-        unit: mean of f over the apertures that makes one gloss unit, in 1/sr, shape (G,).
-    """
-
-    atoms: Array
-    roots: Array
-    luminance: Array
-    where: Array
-    unit: Array
-
-    @classmethod
-    def of(cls, readings: Readings, atoms: Array) -> GlossReadings:
-        """The gloss of a material, with that of atoms as cube roots (n + 1, G)."""
-        unit = np.array([gloss_meter(angle).mean_value(1.0) for angle in readings.gloss])
-        mean = unit * list(readings.gloss.values())
-        theta = np.deg2rad(list(readings.gloss), dtype=float)
-        where = coordinates(from_spherical(theta, np.pi), from_spherical(theta, 0.0))
-        return cls(atoms, np.cbrt(mean), luminance(np.eye(readings.bands.count), readings.bands), where, unit)
-
-    def misfit(self, weights: Array, level: float) -> float:
-        """Squared error of weights (B, n + 1) over its variance; `level`: root mean square of the other readings."""
-        variance = (NOISE**2 + MODEL_ERROR**2) * (self.roots**2 + level**2)
-        return float(np.sum((self._luminous(weights @ self.atoms) - self.roots) ** 2 / variance))
-
-    def differences(self, roots: Array) -> Array:
-        """Relative differences of cube roots in bands, shape (B, G), from what was read within a gloss unit: (G,)."""
-        return gloss_differences(self._luminous(roots) ** 3 / self.unit, self.roots**3 / self.unit)
-
-    def scaled(self, roots: Array) -> Array:
-        """Cube roots in bands, shape (B, G), scaled to have the luminance that was read."""
-        return np.asarray(roots * self.roots / np.maximum(self._luminous(roots), np.finfo(float).tiny))
-
-    def _luminous(self, roots: Array) -> Array:
-        return np.cbrt(np.maximum(self.luminance @ roots**3, 0.0))
 
 
 def _aperture(

@@ -20,7 +20,6 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.blocks import Blocks
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.lamps import Lamp, lamp_pairs
-from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_estimate import estimate
 from manifold.estimate.photo_material import channel_atoms, errors_of, seen_instead
 from manifold.estimate.pixels import Camera, block_sums
@@ -73,7 +72,7 @@ class LampPlan:
         return {"alone": [one._asdict() for one in self.alone], "next": [one._asdict() for one in self.next]}
 
 
-def plan_lamps(atoms: PhotoAtoms, count: int, known: Sequence[Observation] | None = None) -> LampPlan:
+def plan_lamps(atoms: LibraryAtoms, count: int, known: Sequence[Observation] | None = None) -> LampPlan:
     """The lamps that make the expected error of the ball least, chosen one after the other.
 
     Args:
@@ -98,11 +97,11 @@ def plan_lamps(atoms: PhotoAtoms, count: int, known: Sequence[Observation] | Non
 
 def plan_first(library: Path, count: int) -> LampPlan:
     """`plan_lamps` of a library, before any picture. Raises: as `Library`."""
-    return plan_lamps(PhotoAtoms(LibraryAtoms.of_library(Library(library))), count)
+    return plan_lamps(LibraryAtoms.of_library(Library(library)).in_values, count)
 
 
 def determined(
-    atoms: PhotoAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None = None
+    atoms: LibraryAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None = None
 ) -> Determined:
     """What pictures under far lamps at angles from the camera determine; args as of `plan_lamps`."""
     pictures = [_rows(atoms, angle) for angle in angles_deg]
@@ -113,15 +112,15 @@ def determined(
     meter = gloss_meter(_GLOSS_DEG)
     pairs = [aspecular_pair(45.0, aspecular) for aspecular in (45.0, 15.0, 110.0)]
     wi, wo = (np.array(ends) for ends in zip(*pairs, strict=True))
-    at, shine = atoms.values(wi, wo), atoms.values(meter.wi, meter.wo) @ meter.weights
+    at, shine = atoms.at(wi, wo), atoms.at(meter.wi, meter.wo) @ meter.weights
     errors = []
-    for m in evenly_spaced(len(atoms.library.names), _LEFT_OUT):
+    for m in evenly_spaced(len(atoms.names), _LEFT_OUT):
         own = channel_atoms(atoms, m)
         rows = [  # each picture is clipped at its own level
             Observation.joined([seen_instead(part[c], part[c].atoms[k]) for part in pictures])
             for c, k in enumerate(own)
         ]
-        weights, _ = estimate(atoms, rows, atoms.without(m))
+        weights, _ = estimate(atoms, rows, atoms.material_of != m)
         lab, found = (lab_values(values.T, _RGB) for values in (at[own], weights @ at))
         units, made = (float(np.mean(of)) for of in (shine[own], weights @ shine))
         errors.append(
@@ -140,7 +139,7 @@ def _weighted(rows: Observation, level: float) -> Observation:
 
 
 @lru_cache(maxsize=len(ANGLES_DEG))
-def _rows(atoms: PhotoAtoms, angle_deg: float) -> list[Observation]:
+def _rows(atoms: LibraryAtoms, angle_deg: float) -> list[Observation]:
     """Pixels of atoms in a picture under one lamp, channel by channel."""
     across = _WITHIN * (2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0)
     x, y = (grid.ravel() for grid in np.meshgrid(across, across))
@@ -152,5 +151,5 @@ def _rows(atoms: PhotoAtoms, angle_deg: float) -> list[Observation]:
     )
     turn = np.deg2rad(angle_deg)
     lamp = Lamp(np.array([0.0, np.sin(turn), np.cos(turn)]))
-    sums = block_sums(atoms.values, *lamp_pairs(places, Camera(), [lamp]))
+    sums = block_sums(atoms.at, *lamp_pairs(places, Camera(), [lamp]))
     return [Observation(sums[:, c], 0.0 * ones, ones, np.zeros(len(x), bool)) for c in range(sums.shape[1])]

@@ -1,32 +1,23 @@
-"""Posterior over mixtures of two atoms, given a few readings of a material.
+"""Mixtures of two atoms and a Lambertian, with prior and posterior probabilities.
 
-A dozen readings do not determine which atoms a material resembles, and thus its highlight between the readings: many
-mixtures fit them. All are evaluated, and averaged by their posterior probability.
+A few readings, or pixels of one picture, do not determine which materials a material resembles, and thus its highlight
+where nothing was seen: many mixtures fit. All are evaluated, and averaged by their posterior probability.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
 
-from manifold.estimate.residual import cells, covariance
-from manifold.records import Array, Indices, Mask
+from manifold.records import Array, Indices
 
 SHARES = (0.5, 0.2, 0.8)  # of the first atom, besides 1
 _MOST_PAIRS = 40_000  # pairs of atoms of two materials; of larger libraries as many at random
-_REACH = 2.0  # correlation length of the residual of mixtures, in lengths of `residual`
 _FREEDOM = 3.0  # degrees of freedom of Student's t: the variances of noise and residual are estimates
 _TWO_COATS = 0.8  # share of mixtures of two coats among those that a coat is part of
-_RELATIVE = 5.0  # exponent of the norm
-
-NOISE = 0.02
-"""Standard deviation of the noise of cube roots, relative to them and their root mean square."""
-
-MODEL_ERROR = 0.04
-"""Standard deviation of the residual of the best mixture, relative to the same."""
 
 LIKE_ONE = 0.8
 """Prior probability that a material is like a single one of the library, in one band or between two."""
@@ -42,57 +33,18 @@ LAMBERTIAN_SPREAD = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class ReadingRoots:
-    """Cube roots of a material and of atoms at P readings.
-
-    Attributes:
-        atoms: of n atoms and, last, of the Lambertian, shape (n + 1, P).
-        material: in B bands, NaN where not measured, shape (B, P).
-        weights: of the readings, shape (P,).
-        where: coordinates of their directions, see `residual.coordinates`, shape (P, 3).
-    """
-
-    atoms: Array
-    material: Array
-    weights: Array
-    where: Array
-
-    def part(self, bands: Indices, readings: Mask) -> ReadingRoots:
-        """Some bands, by index, at some readings, by mask."""
-        material = self.material[bands][:, readings]
-        return ReadingRoots(self.atoms[:, readings], material, self.weights[readings], self.where[readings])
-
-    def whitened(self) -> tuple[Array, Array]:
-        """Atoms (n + 1, C) and material (B, C): their differences are independent and of variance 1.
-
-        C is the number of readings, or of averages of those that share a cell.
-        """
-        cell = cells(self.where)
-        total = np.bincount(cell, self.weights)
-
-        def averaged(rows: Array) -> Array:
-            return np.array([np.bincount(cell, row * self.weights) for row in rows]) / total
-
-        atoms, material, where = averaged(self.atoms), averaged(self.material), averaged(self.where.T).T
-        square = np.mean(material**2, axis=0)
-        level = np.sqrt(square + np.average(square, weights=total) + 1e-12)
-        noise = np.diag(NOISE**2 / total) + MODEL_ERROR**2 * covariance(where / _REACH, where / _REACH)
-        L = np.linalg.cholesky(noise)
-        white = [solve_triangular(L, (rows / level).T, lower=True).T for rows in (atoms, material)]
-        return white[0], white[1]
-
-
-@dataclass(frozen=True, eq=False)
 class Mixtures:
-    """H mixtures `a (x g_i + (1 - x) g_j) + l L` of two atoms and a Lambertian, in cube roots.
+    """H mixtures `a (x g_i + (1 - x) g_j) + l L` of two of n atoms and a Lambertian.
 
     Attributes:
         first, second: i and j, shape (H,).
         share: x, shape (H,).
-        scale: a, shape (H,).
-        lambertian: l, shape (H,).
-        probability: posterior, shape (H,), of sum 1.
+        scale, lambertian: a and l, shape (H,).
+        log_prior: logarithm of their probability before anything is seen, shape (H,).
+        misfit: their squared error over its variance, shape (H,).
         n_atoms: n; the Lambertian is atom n.
+        log_posterior: logarithm of their probability, shape (H,); up to `evidence`, that of what was seen.
+        evidence: likewise, up to a constant.
     """
 
     first: Indices
@@ -100,76 +52,105 @@ class Mixtures:
     share: Array
     scale: Array
     lambertian: Array
-    probability: Array
+    log_prior: Array
+    misfit: Array
     n_atoms: int
+    log_posterior: Array
+    evidence: float = 0.0
 
-    def weights(self, k: int) -> Array:
-        """Weights of atoms and Lambertian in mixture k, shape (n + 1,)."""
-        weights = np.zeros(self.n_atoms + 1)
-        weights[self.first[k]] += self.scale[k] * self.share[k]
-        weights[self.second[k]] += self.scale[k] * (1.0 - self.share[k])
-        weights[-1] += self.lambertian[k]
+    @classmethod
+    def fitted(cls, X: Array, y: Array, material_of: Indices, n_library: int | None = None) -> Mixtures:
+        """All mixtures of atoms, with the scale and Lambertian of each that are of largest posterior density.
+
+        Args:
+            X: what atoms and, last, the Lambertian were seen to be, whitened: errors have variance 1; shape (n + 1, R).
+            y: what was seen, shape (R,).
+            material_of, n_library: as of `posterior`.
+        """
+        N = int(material_of[-1])
+        first, second, share = atom_pairs(N, (len(material_of) - 1) // N)
+        log_prior = log_prior_of(material_of[first], material_of[second], material_prior(N, n_library))
+        with_seen, inner = X @ y, _products(X @ X.T, first, second, share)
+        # Gaussian priors of scale and Lambertian, as terms of the normal equations.
+        of_scale, of_lambertian = SCALE_SPREAD**-2, LAMBERTIAN_SPREAD**-2
+        aa, al, ll = inner[0] + of_scale, inner[1], inner[2] + of_lambertian
+        of_mixture = share * with_seen[first] + (1.0 - share) * with_seen[second] + of_scale
+        scale, lambertian = two_nonnegative(aa, al, ll, of_mixture, float(with_seen[-1]))
+        misfit = scale**2 * aa + 2.0 * scale * lambertian * al + lambertian**2 * ll
+        misfit -= 2.0 * (of_mixture * scale + with_seen[-1] * lambertian)
+        misfit = np.maximum(misfit + y @ y + of_scale, 0.0)
+        return cls(first, second, share, scale, lambertian, log_prior, misfit, len(X) - 1, log_prior)
+
+    def weighed(self, count: float, norm: Array, exponent: float) -> Mixtures:
+        """The same with posterior probabilities: the likelihood is Student's t, divided by a power of the norm.
+
+        Errors are relative: a mixture as dark as possible would be the best, if what it misses did not count as light,
+        too.
+
+        Args:
+            count: how many independent errors the misfit is the sum of.
+            norm: squared norm of the mixtures over all directions and of what they do not explain, above 0, (H,).
+            exponent: of the norm.
+        """
+        log = self.log_prior + log_likelihood(self.misfit, count) - 0.5 * exponent * np.log(norm)
+        evidence = float(logsumexp(log))
+        return replace(self, log_posterior=log - evidence, evidence=evidence)
+
+    @property
+    def probability(self) -> Array:
+        """Posterior, of sum 1, shape (H,)."""
+        return np.exp(self.log_posterior)
+
+    def of(self, values: Array) -> Array:
+        """A linear functional of the mixtures, from that of atoms and Lambertian (n + 1,): shape (H,)."""
+        of_pair = self.share * values[self.first] + (1.0 - self.share) * values[self.second]
+        return self.scale * of_pair + self.lambertian * values[-1]
+
+    def norm(self, inner: Array) -> Array:
+        """Squared norms of the mixtures, from inner products of atoms and Lambertian (n + 1, n + 1): shape (H,)."""
+        aa, al, ll = _products(inner, self.first, self.second, self.share)
+        return self.scale**2 * aa + 2.0 * self.scale * self.lambertian * al + self.lambertian**2 * ll
+
+    def weights(self, chosen: Indices) -> Array:
+        """Weights of atoms and Lambertian in h of the mixtures, shape (h, n + 1)."""
+        weights, k = np.zeros((len(chosen), self.n_atoms + 1)), np.arange(len(chosen))
+        weights[k, self.first[chosen]] += self.scale[chosen] * self.share[chosen]
+        weights[k, self.second[chosen]] += self.scale[chosen] * (1.0 - self.share[chosen])
+        weights[:, -1] += self.lambertian[chosen]
         return weights
 
     def most_probable(self, count: int) -> Indices:
         """The mixtures of the largest probability, at most `count`, most probable first."""
-        count = min(count, len(self.probability))
-        some = np.sort(np.argpartition(-self.probability, count - 1)[:count])
-        return some[np.argsort(-self.probability[some], kind="stable")]
+        count = min(count, len(self.log_posterior))
+        some = np.sort(np.argpartition(-self.log_posterior, count - 1)[:count])
+        return some[np.argsort(-self.log_posterior[some], kind="stable")]
 
 
-def posterior(
-    read: ReadingRoots, gram: Array, material_of: Indices, n_library: int | None = None
-) -> Mixtures:
-    """Posterior probabilities of mixtures of two atoms, given readings of a material in one band.
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """Hypotheses about a material that was seen: mixtures of one or two materials.
 
-    Scale and Lambertian of every mixture are those of largest posterior density. The likelihood is Student's t in cube
-    roots, with residuals that are correlated at nearby directions; its heavy tails keep several mixtures probable where
-    none fits the readings. It is divided by the fifth power of the mixture's norm: errors are relative, so that a
-    predicted highlight that does not exist costs more than one that is missing.
-
-    Args:
-        read: the readings, B = 1.
-        gram: inner products of atoms over all directions, shape (n + 1, n + 1).
-        material_of: which of N materials an atom is of, as many atoms of each; N for the Lambertian; shape (n + 1,).
-        n_library: n, how many of the materials are measured ones; all by default. The others are coats.
+    Attributes:
+        probability: of H hypotheses, of sum 1, most probable first, shape (H,).
+        weights: of n atoms, mean over bands, shape (H, n).
+        mean: weights in every band, averaged over hypotheses, shape (B, n).
     """
-    N = int(material_of[-1])
-    first, second, share = atom_pairs(N, (len(material_of) - 1) // N)
-    log_prior = log_prior_of(material_of[first], material_of[second], material_prior(N, n_library))
-    X, (y,) = read.whitened()
-    scale, lambertian, misfit = scaled_mixtures(X, y, first, second, share)
-    everywhere, n_readings = MixtureProducts.of(gram, first, second, share), len(y)
-    X, y = read.atoms * np.sqrt(read.weights / len(read.weights)), read.material[0]
-    y = y * np.sqrt(read.weights / len(read.weights))
-    with_read, read_products = X @ y, MixtureProducts.of(X @ X.T, first, second, share)
-    cross = (
-        scale * (share * with_read[first] + (1.0 - share) * with_read[second]) + lambertian * with_read[-1]
-    )
-    unexplained = np.maximum(read_products.norm(scale, lambertian) - 2.0 * cross + y @ y, 0.0)
-    norm = everywhere.norm(scale, lambertian) + unexplained
-    probability = normalised(log_prior + log_likelihood(misfit, n_readings) - log_of_norm(norm))
-    return Mixtures(first, second, share, scale, lambertian, probability, len(X) - 1)
 
+    probability: Array
+    weights: Array
+    mean: Array
 
-def scaled_mixtures(
-    X: Array, y: Array, first: Indices, second: Indices, share: Array
-) -> tuple[Array, Array, Array]:
-    """Scale and weight of the Lambertian of largest posterior density of every mixture, and its squared error: (H,).
+    def spread(self, roots: Array, importance: Array | float = 1.0) -> float:
+        """Standard deviation over directions, relative to the mean, from cube roots of hypotheses there (H, P).
 
-    Args:
-        X: what atoms and, last, the Lambertian are at readings, whitened: errors have variance 1; shape (n + 1, R).
-        y: what was read, shape (R,).
-        first, second, share: of the mixtures, shape (H,).
-    """
-    with_seen, inner = X @ y, MixtureProducts.of(X @ X.T, first, second, share)
-    # Gaussian priors of scale and Lambertian, as terms of the normal equations.
-    of_scale, of_lambertian = SCALE_SPREAD**-2, LAMBERTIAN_SPREAD**-2
-    inner = MixtureProducts(inner.aa + of_scale, inner.al, inner.ll + of_lambertian)
-    of_mixture = share * with_seen[first] + (1.0 - share) * with_seen[second] + of_scale
-    scale, lambertian = two_nonnegative(inner.aa, inner.al, inner.ll, of_mixture, float(with_seen[-1]))
-    misfit = inner.norm(scale, lambertian) - 2.0 * (of_mixture * scale + with_seen[-1] * lambertian)
-    return scale, lambertian, np.maximum(misfit + y @ y + of_scale, 0.0)
+        Args:
+            roots: of the hypotheses.
+            importance: of the directions, shape (P,).
+        """
+        mean = self.probability @ roots
+        variance = self.probability @ (roots - mean) ** 2
+        norm = max(float(np.sum(mean**2 * importance)), np.finfo(float).tiny)
+        return float(np.sqrt(np.sum(variance * importance) / norm))
 
 
 def material_prior(N: int, n_library: int | None = None) -> Array:
@@ -204,40 +185,14 @@ def log_likelihood(misfit: Array, count: float) -> Array:
     return np.asarray(-0.5 * (_FREEDOM + count) * np.log1p(misfit / _FREEDOM))
 
 
-def log_of_norm(norm: Array) -> Array:
-    """Penalty on the squared norm of mixtures over all directions and of what they do not explain, above 0.
+def _products(inner: Array, first: Indices, second: Indices, share: Array) -> tuple[Array, Array, float]:
+    """Inner products of mixtures `x g_i + (1 - x) g_j` with themselves (H,), with the Lambertian (H,), and its own.
 
-    Errors are relative: a mixture as dark as possible would be the best, if what it misses of the readings did not
-    count as light, too.
+    From those of atoms and, last, the Lambertian, shape (n + 1, n + 1).
     """
-    return np.asarray(0.5 * _RELATIVE * np.log(norm))
-
-
-def normalised(log_probability: Array) -> Array:
-    """Probabilities of sum 1 from their logarithms up to a constant."""
-    probability = np.exp(log_probability - log_probability.max())
-    return np.asarray(probability / probability.sum())
-
-
-@dataclass(frozen=True, eq=False)
-class MixtureProducts:
-    """Inner products of mixtures `x g_i + (1 - x) g_j` with themselves (H,), with the Lambertian (H,), and its own."""
-
-    aa: Array
-    al: Array
-    ll: float
-
-    @classmethod
-    def of(cls, inner: Array, first: Indices, second: Indices, share: Array) -> MixtureProducts:
-        """From inner products of atoms and Lambertian, shape (n + 1, n + 1)."""
-        rest = 1.0 - share
-        own = np.diagonal(inner)
-        aa = share**2 * own[first] + 2.0 * share * rest * inner[first, second] + rest**2 * own[second]
-        return cls(aa, share * inner[first, -1] + rest * inner[second, -1], float(inner[-1, -1]))
-
-    def norm(self, scale: Array, lambertian: Array) -> Array:
-        """Squared norms of scaled mixtures with a Lambertian, shape (H,)."""
-        return scale**2 * self.aa + 2.0 * scale * lambertian * self.al + lambertian**2 * self.ll
+    rest, own = 1.0 - share, np.diagonal(inner)
+    aa = share**2 * own[first] + 2.0 * share * rest * inner[first, second] + rest**2 * own[second]
+    return aa, share * inner[first, -1] + rest * inner[second, -1], float(inner[-1, -1])
 
 
 @lru_cache(maxsize=4)

@@ -15,14 +15,14 @@ from scipy.special import logsumexp
 from manifold import __version__
 from manifold.colour import panel
 from manifold.colour.conversion import luminance, srgb_to_xyz
-from manifold.estimate.atoms import shown_shares
+from manifold.estimate.atoms import LibraryAtoms, shown_shares
 from manifold.estimate.blocks import Blocks
 from manifold.estimate.expected import KINDS, Calibration, cached
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.lamps import Lamp, lamp_pairs
 from manifold.estimate.light import Environment
-from manifold.estimate.photo_atoms import PhotoAtoms
-from manifold.estimate.photo_estimate import Prior, estimate, prior_of
+from manifold.estimate.mixtures import Hypotheses
+from manifold.estimate.photo_estimate import GRID_STRIDE, estimate, pixel_posterior
 from manifold.estimate.pixels import SAMPLES, Camera, block_sums, direction_pairs
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -79,10 +79,10 @@ class Sighting:
             return lamp_pairs(self.blocks, self.camera, self.light)
         return direction_pairs(self.blocks, self.camera, self.light, SAMPLES)
 
-    def sums(self, atoms: PhotoAtoms) -> tuple[Array, Array | float]:
+    def sums(self, atoms: LibraryAtoms) -> tuple[Array, Array | float]:
         """Pixels of atoms under the light, and under the spots: (n, C, K) each; 0 without these."""
         of_spots = lamp_pairs(self.blocks, self.camera, self.spots) if self.spots else None
-        return block_sums(atoms.values, *self.pairs), block_sums(atoms.values, *of_spots) if of_spots else 0.0
+        return block_sums(atoms.at, *self.pairs), block_sums(atoms.at, *of_spots) if of_spots else 0.0
 
     def rows(self, sums: Array) -> list[Observation]:
         """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small.
@@ -114,7 +114,7 @@ class PhotoMaterial:
         strength: of spots in a clipped light, see `strength_of_spots`; 0 without any.
     """
 
-    atoms: PhotoAtoms
+    atoms: LibraryAtoms
     weights: Array
     to_bands: Array
     bands: Bands
@@ -174,7 +174,7 @@ class PhotoMaterial:
     @property
     def made_of(self) -> tuple[tuple[str, float], ...]:
         """Materials, coats and lobes with their shares of the light that the ball sends, largest first."""
-        names = (*self.atoms.library.names, *self.atoms.library.coats, "analytic lobes")
+        names = (*self.atoms.names, *self.atoms.coats, "analytic lobes")
         light = self.weights.mean(axis=0) * self.atoms.on_ball.sum(axis=1)
         totals = np.bincount(self.atoms.material_of, light, len(names))
         return shown_shares(names, totals / max(totals.sum(), np.finfo(float).tiny))
@@ -195,7 +195,7 @@ Seen = Sighting | Readings | Mapping[float, float]
 
 
 def find_material(
-    atoms: PhotoAtoms,
+    atoms: LibraryAtoms,
     seen: Sequence[Seen],
     bands: Bands,
     to_bands: Array,
@@ -241,7 +241,7 @@ def find_material(
         weights, priors = estimate(atoms, channels)
         if each and last < _ROUNDS - 1:
             gains = _gains(per_picture, weights * t)
-    residual, spread = indicators(channels, weights, priors)
+    residual, spread = indicators(atoms, channels, weights, priors)
     return PhotoMaterial(
         atoms,
         weights,
@@ -259,7 +259,7 @@ def find_material(
 
 
 def strength_of_spots(
-    atoms: PhotoAtoms,
+    atoms: LibraryAtoms,
     sightings: Sequence[Sighting],
     sums: Sequence[tuple[Array, Array | float]],
     exposure: float | None,
@@ -322,7 +322,7 @@ def _together(
     ]
 
 
-def _of_readings(atoms: PhotoAtoms, readings: Readings, channel: int, pixels: Observation) -> Observation:
+def _of_readings(atoms: LibraryAtoms, readings: Readings, channel: int, pixels: Observation) -> Observation:
     """Readings of one channel beside pixels: each counts as much as a hundredth of these.
 
     They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
@@ -334,15 +334,14 @@ def _of_readings(atoms: PhotoAtoms, readings: Readings, channel: int, pixels: Ob
     seen = np.maximum(readings.values[is_read, channel], 0.0)
     scale = cosine_weight(wi, wo) * np.pi
     scale /= np.maximum(scale * seen, 1.0)
-    return Observation(atoms.values(wi, wo) * scale, seen * scale, weights, np.zeros(len(wi), bool))
+    return Observation(atoms.at(wi, wo) * scale, seen * scale, weights, np.zeros(len(wi), bool))
 
 
 def _of_gloss(
-    atoms: PhotoAtoms, gloss: Mapping[float, float], made: Array, pixels: Observation
+    atoms: LibraryAtoms, gloss: Mapping[float, float], made: Array, pixels: Observation
 ) -> list[Observation]:
     """Gloss in every channel, of the colour that weights (3, n) make it; each counts as much as a reading."""
-    meters = [gloss_meter(angle) for angle in gloss]
-    means = np.array([meter.mean(atoms.values(meter.wi, meter.wo).T) for meter in meters]).T  # [n, G]
+    meters, means = [gloss_meter(angle) for angle in gloss], atoms.gloss(tuple(gloss))
     read = np.array([meter.mean_value(units) for meter, units in zip(meters, gloss.values(), strict=True)])
     unit = np.array([meter.mean_value(1.0) for meter in meters])
     of_channels = np.maximum(made @ means, np.finfo(float).tiny)
@@ -356,7 +355,7 @@ def _of_gloss(
 
 
 def probable_exposure(
-    atoms: PhotoAtoms,
+    atoms: LibraryAtoms,
     pictures: Sequence[Observation],
     beside: Sequence[Observation | None],
     usable: Mask | None = None,
@@ -372,7 +371,7 @@ def probable_exposure(
         usable: which atoms may be used, shape (n,); by default all.
     """
     every = np.ones(len(atoms), bool) if usable is None else usable
-    grey, n = atoms.mixed[-1], atoms.library.n_measured
+    grey, n = atoms.mixed[-1], atoms.n_measured
     seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in pictures)
     of_atoms = np.sum([rows.atoms @ rows.weights for rows in pictures], axis=0)
     lit = float(of_atoms[grey])
@@ -382,41 +381,48 @@ def probable_exposure(
     prior = -0.5 * ((log_albedo - brightness.mean()) / max(brightness.std(), 0.1)) ** 2
     prior -= 0.5 * (np.maximum(log_albedo, 0.0) / _WHITE) ** 2
     log = np.array(
-        [sum(prior_of(atoms, rows, every).evidence for rows in _together(pictures, t, beside)) for t in tried]
+        [
+            sum(pixel_posterior(atoms, rows, every).evidence for rows in _together(pictures, t, beside))
+            for t in tried
+        ]
     )
     log = prior + (log if any(other is not None for other in beside) else _TEMPERED * log)
     return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
 
 
-def indicators(channels: Sequence[Observation], weights: Array, priors: Sequence[Prior]) -> Array:
+def indicators(
+    atoms: LibraryAtoms, channels: Sequence[Observation], weights: Array, priors: Sequence[Hypotheses]
+) -> Array:
     """Residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
     residuals = [rows.relative.error(w) for rows, w in zip(channels, weights, strict=True)]
-    return np.sqrt(np.mean(np.square([residuals, [prior.spread for prior in priors]]), axis=1))
+    grid = atoms.on_grid[:, ::GRID_STRIDE]
+    spreads = [prior.spread(np.cbrt(prior.weights @ grid)) for prior in priors]
+    return np.sqrt(np.mean(np.square([residuals, spreads]), axis=1))
 
 
 def calibrated(
-    atoms: PhotoAtoms, channels: Sequence[Observation], is_exposure_free: bool = False
+    atoms: LibraryAtoms, channels: Sequence[Observation], is_exposure_free: bool = False
 ) -> Calibration:
     """Errors of the library's materials, each found by the others in the same pixels under the same light.
 
     Where the exposure is free, pixels alone say theirs, as they say that of the photographs.
     """
     errors, found = [], []
-    for m in evenly_spaced(len(atoms.library.names), _LEFT_OUT):
+    for m in evenly_spaced(len(atoms.names), _LEFT_OUT):
         own = channel_atoms(atoms, m)
         rows = [seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
         if is_exposure_free and not any(one.n_beside for one in rows):
-            t = probable_exposure(atoms, rows, [None] * len(rows), atoms.without(m))
+            t = probable_exposure(atoms, rows, [None] * len(rows), atoms.material_of != m)
             rows = [one.scaled(t) for one in rows]
-        weights, priors = estimate(atoms, rows, atoms.without(m))
+        weights, priors = estimate(atoms, rows, atoms.material_of != m)
         errors.append(errors_of(atoms, own, weights))
-        found.append(indicators(rows, weights, priors))
+        found.append(indicators(atoms, rows, weights, priors))
     return Calibration(np.array(errors), np.array(found))
 
 
-def channel_atoms(atoms: PhotoAtoms, material: int) -> Indices:
+def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:
     """The three atoms of a material of the library that stand for the channels of a camera."""
-    axis = atoms.library.band_axis
+    axis = atoms.band_axis
     nm = axis.wavelengths_nm
     if nm is None:
         return material * axis.count + np.arange(3)
@@ -424,11 +430,11 @@ def channel_atoms(atoms: PhotoAtoms, material: int) -> Indices:
 
 
 def _cache_key(
-    atoms: PhotoAtoms, channels: Sequence[Observation], library: Library, is_exposure_free: bool
+    atoms: LibraryAtoms, channels: Sequence[Observation], library: Library, is_exposure_free: bool
 ) -> str:
     """A hash of all that a calibration depends on: the library, what pixels see of it, this program."""
     digest = hashlib.sha256(
-        f"photo in lights {__version__} {library.content_hash} {atoms.library.coats} {is_exposure_free}".encode()
+        f"photo in lights {__version__} {library.content_hash} {atoms.coats} {is_exposure_free}".encode()
     )
     for rows in channels:
         for array in (rows.atoms, rows.weights, np.array(_clipping(rows))):
@@ -448,7 +454,7 @@ def seen_instead(rows: Observation, seen: Array) -> Observation:
     return replace(rows, seen=np.where(is_bound, level, seen), is_bound=is_bound)
 
 
-def errors_of(atoms: PhotoAtoms, own: Indices, weights: Array) -> tuple[float, float, float]:
+def errors_of(atoms: LibraryAtoms, own: Indices, weights: Array) -> tuple[float, float, float]:
     """Errors of weights (3, n) against three atoms `own`: the ball in the judged lights, cube roots, values."""
     truth, made = atoms.on_grid[own].T, (weights @ atoms.on_grid).T
     balls = [srgb_to_xyz(np.clip(ball.T, 0.0, 1.0)) for ball in (atoms.on_ball[own], weights @ atoms.on_ball)]

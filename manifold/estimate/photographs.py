@@ -29,7 +29,6 @@ from manifold.estimate.lamps import LEAST_DISTANCE, Lamp, lamp_picture, parse_la
 from manifold.estimate.light import Environment
 from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.mirror_ball import clipped_spots, unwrapped
-from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_files import Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
 from manifold.estimate.pixels import Camera
@@ -205,7 +204,7 @@ def complete_photographs(
     stages.begin("writing")
     description = (
         f"Found in {len(balls)} photograph{'s' * (len(balls) > 1)} of a ball through "
-        f"{len(material.atoms.library.names)} materials by manifold {__version__}"
+        f"{len(material.atoms.names)} materials by manifold {__version__}"
     )
     written = write_checked(
         output,
@@ -323,7 +322,7 @@ def _found(
             )
         readings = in_srgb(for_library(readings, library.bands))
     stages.begin("reading materials")
-    atoms = PhotoAtoms(LibraryAtoms.of_library(library))
+    atoms = LibraryAtoms.of_library(library).in_values
     stages.begin("comparing pixels")
     seen: list[Seen] = [ball.sighting for ball in balls]
     if readings is not None:
@@ -331,7 +330,7 @@ def _found(
     if gloss:
         seen.append(gloss)
     material = find_material(
-        atoms, seen, library.bands, band_matrix(library, atoms.library.names, responses),
+        atoms, seen, library.bands, band_matrix(library, atoms.names, responses),
         exposure=request.exposure, each=request.each, library=library,
     )  # fmt: skip
     notes = [note for ball in balls for note in ball.notes] + list(material.notes)

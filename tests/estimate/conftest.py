@@ -9,15 +9,15 @@ import pytest
 from helpers.small_library import measured
 
 from manifold.colour.lights import environment
-from manifold.estimate.photo_atoms import PhotoAtoms
+from manifold.estimate.atoms import LibraryAtoms
 from manifold.io_rgl import write_bsdf
 from manifold.render.render import render_floating_ball
 
 
 @pytest.fixture(scope="module")
-def photo_atoms(atoms) -> PhotoAtoms:
-    """Those of the small library."""
-    return PhotoAtoms(atoms)
+def photo_atoms(atoms) -> LibraryAtoms:
+    """Those of the small library, as pixels see them."""
+    return atoms.in_values
 
 
 @pytest.fixture(scope="session")

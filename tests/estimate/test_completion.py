@@ -24,18 +24,11 @@ from manifold.encoding import EncodingPairs
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.estimate import calibrate, complete, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.band_mixtures import band_mixtures
 from manifold.estimate.complete import completion_weights
 from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
-from manifold.estimate.mixtures import (
-    COATED,
-    LIKE_ONE,
-    ReadingRoots,
-    log_prior_of,
-    material_prior,
-    posterior,
-)
+from manifold.estimate.mixtures import COATED, LIKE_ONE, log_prior_of, material_prior
 from manifold.estimate.reading_bands import for_library, in_all_bands, in_srgb
+from manifold.estimate.reading_mixtures import ReadingRoots, band_mixtures, posterior
 from manifold.estimate.residual import coordinates, covariance, residual_factors
 from manifold.estimate.suggest import DIRECTIONS as INSTRUMENTS
 from manifold.estimate.suggest import Deviations, _residual, next_readings
@@ -97,7 +90,7 @@ def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     found = posterior(roots(at, target), gram, of_materials(3))
     best = found.most_probable(1)[0]
     assert {found.first[best], found.second[best]} == {1, 4}
-    np.testing.assert_allclose(found.weights(best) @ at, target, rtol=0.02)
+    np.testing.assert_allclose(found.weights(np.array([best]))[0] @ at, target, rtol=0.02)
 
 
 def test_a_dark_mixture_gains_nothing_by_what_it_leaves_unexplained(rng):
@@ -107,7 +100,7 @@ def test_a_dark_mixture_gains_nothing_by_what_it_leaves_unexplained(rng):
     gram = everywhere @ everywhere.T / everywhere.shape[1]
     peak = at[2] + 5.0 * (np.arange(9) == 4)  # a highlight that no atom has
     found = posterior(roots(at, peak), gram, of_materials(3))
-    best = found.weights(int(found.most_probable(1)[0]))
+    (best,) = found.weights(found.most_probable(1))
     assert best @ at[:, 0] > 0.2 * peak[0]
 
 

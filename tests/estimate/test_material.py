@@ -16,7 +16,6 @@ from manifold.estimate.blocks import blocks_of
 from manifold.estimate.circle import Circle
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.light import Environment
-from manifold.estimate.photo_atoms import PhotoAtoms
 from manifold.estimate.photo_estimate import estimate
 from manifold.estimate.photo_files import Photograph
 from manifold.estimate.photo_material import Sighting, errors_of, find_material, seen_instead
@@ -42,7 +41,7 @@ def sighting(picture, light, turn_deg=0.0):
 
 
 def errors(atoms, name, found):
-    m = atoms.library.names.index(name)
+    m = atoms.names.index(name)
     return errors_of(atoms, 3 * m + np.arange(3), found.weights)
 
 
@@ -93,12 +92,12 @@ def test_the_brdf_is_the_sum_of_its_atoms(rng, photo_atoms):
     wi, wo = (from_spherical(rng.uniform(0.0, 1.4, 200), rng.uniform(0.0, 6.0, 200)) for _ in range(2))
     weights = rng.random((3, len(photo_atoms))) * (rng.random(len(photo_atoms)) < 0.2)
     predicted = photo_atoms.predicted(weights, RGB).eval(wi, wo)
-    assert np.allclose(predicted.T, weights @ photo_atoms.values(wi, wo), rtol=1e-6)
+    assert np.allclose(predicted.T, weights @ photo_atoms.at(wi, wo), rtol=1e-6)
 
 
 def test_a_left_out_material_lit_by_one_lamp_keeps_its_albedo(atoms, render):
     m = atoms.names.index("syn_gloss_red")
-    others = PhotoAtoms(atoms.without(m))
+    others = atoms.without(m).in_values
     found = find_material(others, [sighting(render("syn_gloss_red", "one-lamp"), "one-lamp")], RGB, np.eye(3))
     elevations = from_spherical(np.deg2rad([0.0, 45.0, 75.0, 85.0]), np.zeros(4))
     assert found.brdf.albedo(elevations).max() < 1.05

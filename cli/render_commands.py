@@ -172,9 +172,9 @@ def compare(
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are rendered alike first.
 
-    A CIEDE2000 of 1, or a Delta E_ITP of 1 on a display with a white of 100 cd/m2, is about the just noticeable
-    difference side by side. FLIP ranges from 0 to 1 and ignores detail too fine to be visible. All three include
-    the noise of the renders, which decreases with --samples.
+    A CIEDE2000 of 1, or a Delta E_ITP of 1 on a display with a white of 100 cd/m2, is visible side by side. FLIP
+    ranges from 0 to 1 and ignores detail too fine to be visible. All three include the noise of the renders, which
+    decreases with --samples.
     """
     from manifold.pictures import renders
     from manifold.render.ball import make_settings

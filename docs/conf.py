@@ -11,16 +11,17 @@ import sys
 from pathlib import Path
 
 import typer
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
 
-from manifold import __version__, import_files
+from manifold import __version__
 from manifold.cli.main import app
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE / "examples")]
 from figures import RESULTS  # noqa: E402  # beside this file
 
-SAMPLE = "corpus/syn_satin_rose_rgb.bsdf"  # of which tutorials take readings
-WORK = HERE / "_work"  # libraries and models of the tutorials, kept between builds
+WORK = HERE / "_work"  # library and model of the gallery, kept between builds
 
 project = "manifold"
 author = "The manifold developers"
@@ -32,7 +33,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.intersphinx",
-    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "sphinx_design",
@@ -43,12 +43,14 @@ exclude_patterns = [
     "_work",
     "**/GALLERY_HEADER.rst",
     "**/sg_execution_times.rst",
+    "sg_execution_times.rst",
     "gallery/*.ipynb",
     "examples/*",
 ]
 suppress_warnings = ["config.cache"]  # sphinx_gallery_conf holds a function
 nitpicky = False
 
+html_math_renderer = "mathml"  # by the browser, without a script from the network
 html_theme = "pydata_sphinx_theme"
 html_title = "manifold"
 html_extra_path = ["_work/extra"]  # the explorer of the corpus, embedded in the gallery
@@ -63,6 +65,7 @@ html_theme_options = {
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"
+nb_execution_in_temp = True  # tutorials run in an empty folder, as their readers'
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
@@ -123,28 +126,33 @@ def _write_failure_modes(*_: object) -> None:
 
 
 def _make_materials(*_: object) -> None:
-    """What tutorials and the gallery begin with, once: the corpus in RGB, its model, a library without one sample."""
+    """What the gallery begins with, once: the corpus in RGB, its model and page."""
     (WORK / "extra").mkdir(parents=True, exist_ok=True)
-    if (WORK / "others.zarr").exists():
+    if (WORK / "extra" / "explorer.html").exists():
         return
     for command in (
         "corpus corpus --rgb",
-        "corpus ma-t12 --instrument ma-t12",
         "import corpus",
         "embed",
         "explore --html extra/explorer.html",
     ):
         subprocess.run([sys.executable, "-m", "manifold", *command.split()], cwd=WORK, check=True)
-    import_files(WORK / "others.zarr", sorted({*(WORK / "corpus").glob("*.bsdf")} - {WORK / SAMPLE}))
 
 
 os.environ["MANIFOLD_DOCS_WORK"] = str(WORK)
-os.environ["PYTHONPATH"] = str(HERE)  # for shell_cells
 os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))  # `manifold`
 
 
+def _formula(page: object, node: nodes.math | nodes.math_block) -> None:
+    """A formula as MathML."""
+    formula = tex2mathml(node.astext(), as_block=isinstance(node, nodes.math_block))
+    page.body.append(f"<p>{formula}</p>" if isinstance(node, nodes.math_block) else formula)
+    raise nodes.SkipNode
+
+
 def setup(sphinx: object) -> None:
-    """Write what pages are made from."""
+    """Write what pages are made from; formulas."""
+    sphinx.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
     sphinx.connect("config-inited", _write_commands)
     sphinx.connect("config-inited", _write_failure_modes)
     sphinx.connect("config-inited", _make_materials)

@@ -1,5 +1,5 @@
 from .conversion import decode_srgb, encode_srgb, luminance, srgb_to_xyz, to_srgb, to_xyz, xyz_to_srgb
-from .difference import colour_differences, delta_e_2000, to_lab
+from .difference import VISIBLE, colour_differences, delta_e_2000, to_lab
 from .illuminants import Illuminant, illuminant_names
 from .metals import metal_ior, metal_names
 from .reflectances import (
@@ -11,6 +11,7 @@ from .reflectances import (
 )
 
 __all__ = [
+    "VISIBLE",
     "Illuminant",
     "ReflectanceSpectrum",
     "colour_differences",

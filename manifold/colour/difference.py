@@ -22,6 +22,9 @@ from manifold.records import Array, Bands
 
 INCIDENCE_DEG = 45.0
 ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)
+VISIBLE = (
+    1.0  # CIEDE2000 of a visible difference: half of observers see 0.8 side by side (Paravina et al. 2015)
+)
 ITP_WHITE_CD_M2 = 100.0  # luminance of white on the display that Delta E_ITP is about
 ILLUMINANTS = ("D65", "A", "F11")
 

@@ -14,6 +14,7 @@ from manifold import disk
 from manifold.batch import Batch, Outcome, Task
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.orientation import aligned
+from manifold.colour.difference import VISIBLE
 from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.fit import fit_samples, pack, pictures
@@ -21,7 +22,7 @@ from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import Target, TargetBRDF
-from manifold.fit.fit_metrics import NOTICEABLE, BallDifference, missed_highlight
+from manifold.fit.fit_metrics import BallDifference, missed_highlight
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
@@ -183,7 +184,7 @@ def export(
     if balls is not None:
         pack.write_balls(balls, material, model)
     notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
-    if made.ball.unseen_light > NOTICEABLE:
+    if made.ball.unseen_light > VISIBLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
         worst = f": CIEDE2000 {made.ball.unseen_light:.1f}, in {made.ball.worst_light} {made.ball.worst:.1f}"
         notes = (f"visibly different from the {subject.against}{worst}{better}", *notes)

@@ -69,10 +69,6 @@ class Metric:
         return (x * x / 3.0 + self.knee**2) / (square * np.cbrt(square))
 
 
-NOTICEABLE = 2.3
-"""A just noticeable CIEDE2000. Source: Mahy et al. 1994."""
-
-
 @dataclass(frozen=True)
 class BallDifference:
     """How differently the balls of two materials look.

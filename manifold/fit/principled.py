@@ -13,10 +13,11 @@ from threadpoolctl import threadpool_limits
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.brdf.orientation import rotation_of, rotation_of_brdf
 from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.colour.difference import VISIBLE
 from manifold.errors import UsageError
 from manifold.fit import adam_and_swarm, fit_metrics, fit_samples, gauss_newton, identifiability
 from manifold.fit.adam_and_swarm import AdamOptions, SwarmOptions
-from manifold.fit.fit_metrics import NOTICEABLE, BallDifference, Criterion
+from manifold.fit.fit_metrics import BallDifference, Criterion
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
@@ -162,7 +163,7 @@ def fit_bsdf(
             f"turned: highlights are wide along {degrees:.1f} degrees from x (rotation_deg), those of the BSDF along "
             "x; in Mitsuba, turn the tangents by it",
         )
-    if ball.unseen_light > NOTICEABLE:
+    if ball.unseen_light > VISIBLE:
         notes += (
             f"visibly different: CIEDE2000 {ball.unseen_light:.1f} on the ball, in {ball.worst_light} {ball.worst:.1f}",
         )

@@ -174,8 +174,8 @@ MODES: tuple[Mode, ...] = (
         "few_materials", "a library of only the roughest materials", "materials left out of 12", (4, 8, 10, 11),
         replace(
             BALL,
-            reason=f"{BALL.reason}: with the just noticeable difference, 2.3 (Mahy et al. 1994), blends of two "
-            "materials are silently wrong",
+            reason=f"{BALL.reason}: with a visible difference, 1 (Paravina et al. 2015), blends of two materials "
+            "are silently wrong",
         ),
         _of_kinds(_of_few),
         "Import more materials, on both sides of the requested one; a handful does not span a manifold.",

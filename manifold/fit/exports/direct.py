@@ -11,9 +11,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
+from manifold.colour.difference import VISIBLE
 from manifold.fit.exports.principled_values import snapped
 from manifold.fit.exports.targets import Target, TargetBRDF
-from manifold.fit.fit_metrics import NOTICEABLE, Criterion
+from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
 from manifold.records import Array
 
@@ -31,7 +32,7 @@ _FILM_STARTS = 3  # that are refined
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
     """Parameters of a target whose model is nearest to a material, all of the target's.
 
-    A thin film is tried where the ball differs noticeably without. A sheen keeps the hue of its start, where there is
+    A thin film is tried where the ball differs visibly without. A sheen keeps the hue of its start, where there is
     none grey; its colour is free where that is nearer to all samples as well, of which the fit sees a part.
 
     Args:
@@ -60,7 +61,7 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
                 problem, x, cost, hued = coloured, y, with_colour, fixed
         found = problem.rounded(x)
         difference = problem.ball_difference(x)
-        if target.film and difference > NOTICEABLE:
+        if target.film and difference > VISIBLE:
             filmed = _Problem(target, start, [*free, *target.film], few, hued)
             x, with_film = filmed.nearest(filmed.film_starts(found))
             if with_film < _GAIN * cost and filmed.ball_difference(x) < _GAIN * difference:

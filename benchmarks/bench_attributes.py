@@ -17,8 +17,8 @@ import numpy as np
 
 from manifold.colour.difference import colour_differences, multi_angle_pairs
 from manifold.estimate.attributes import COLOUR_TOLERANCE, GLOSS_TOLERANCE, Attributes, Wanted, adjust, lab_of
+from manifold.estimate.coat import with_gloss
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.gloss_change import with_gloss
 from manifold.model.manifold import Manifold
 
 

@@ -39,8 +39,7 @@ from manifold import cluster as dask
 from manifold.analytic.ggx import GGX
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.analytic.microfacet import Plastic
-from manifold.estimate.inputs import find_inputs
-from manifold.estimate.samples import find_samples
+from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
 from manifold.fit import fits
 from manifold.many import tasks

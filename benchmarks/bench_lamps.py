@@ -30,15 +30,13 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.errors import ManifoldError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle
 from manifold.estimate.lamps import Lamp, lamp_pairs, read_lamps
 from manifold.estimate.light_probe import find_light
-from manifold.estimate.photo_files import Photograph, read_photograph
-from manifold.estimate.photo_material import PhotoMaterial, Sighting, find_material
-from manifold.estimate.photographs import PhotoRequest, see
-from manifold.estimate.pixels import Camera, frames
-from manifold.estimate.spectra import band_matrix, srgb_responses
+from manifold.estimate.photo_material import PhotoMaterial, find_material
+from manifold.estimate.photograph import Circle, Photograph, read_photograph
+from manifold.estimate.photographs import band_matrix, srgb_responses
+from manifold.estimate.pixels import Camera, blocks_of, frames
+from manifold.estimate.sightings import PhotoRequest, Sighting, see
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings, geometry_ma_t12
@@ -377,7 +375,7 @@ def _together(one: Material, taken: Taken, rows: dict[str, dict[int, list[float]
     read = Readings("left out", "twelve", wi, wo, None, np.maximum(one.truth.eval(wi, wo), 0.0))
     balls, exposure = _seen([taken], Shot("", "sun", "geometry and card"))
     assert balls is not None
-    from manifold.estimate.complete import complete
+    from manifold.estimate.completion import complete
 
     of_readings = complete(replace(one.atoms, is_linear=False), read)
     alone = brdf_errors(one.truth, ClippedBRDF(of_readings.brdf)).ball

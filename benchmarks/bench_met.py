@@ -16,7 +16,7 @@ import numpy as np
 
 from manifold.colour.difference import colour_differences
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.complete import complete
+from manifold.estimate.completion import complete
 from manifold.formats.readings import Readings
 from manifold.formats.registry import read_readings
 from manifold.library.store import Library

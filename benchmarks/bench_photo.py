@@ -30,15 +30,13 @@ from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle
-from manifold.estimate.complete import complete
+from manifold.estimate.completion import complete
 from manifold.estimate.expected import KINDS
-from manifold.estimate.light import Environment
-from manifold.estimate.photo_files import Photograph
-from manifold.estimate.photo_material import PhotoMaterial, Sighting, errors_of, find_material
-from manifold.estimate.pixels import Camera
-from manifold.estimate.spectra import srgb_responses, wiener_matrix
+from manifold.estimate.photo_material import PhotoMaterial, errors_of, find_material
+from manifold.estimate.photograph import Circle, Photograph
+from manifold.estimate.photographs import srgb_responses, wiener_matrix
+from manifold.estimate.pixels import Camera, Environment, blocks_of
+from manifold.estimate.sightings import Sighting
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files

@@ -18,9 +18,9 @@ from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
 from manifold.estimate import LibraryAtoms, calibrate, suggest
-from manifold.estimate.complete import complete_at
+from manifold.estimate.completion import complete_at
 from manifold.estimate.expected import KINDS, errors_of
-from manifold.estimate.suggest import all_directions
+from manifold.estimate.suggestions import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.records import Array, Bands

@@ -16,7 +16,7 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.estimate import LibraryAtoms, complete, suggest
-from manifold.estimate.complete import Completion
+from manifold.estimate.completion import Completion
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.sources import FileSource
 from manifold.formats.readings import Readings, geometry_ma_t12

@@ -22,7 +22,7 @@ from .worker_options import SchedulerOption, WorkersOption, workers_of
 if TYPE_CHECKING:
     from manifold.estimate.coat import Coated
     from manifold.estimate.completions import Completed
-    from manifold.estimate.suggest import Suggested
+    from manifold.estimate.suggestions import Suggested
     from manifold.records import Array
 
 _SHOWN_PROBABILITY = 0.005  # of a mixture, which is printed with two decimals
@@ -148,7 +148,7 @@ def complete(
     """
     from manifold.estimate import completions, inputs, reports
     from manifold.estimate.attributes import readings_of_colour
-    from manifold.estimate.samples import find_samples
+    from manifold.estimate.inputs import find_samples
     from manifold.library.store import Library
     from manifold.model.output_file import OutputOptions
 

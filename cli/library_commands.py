@@ -19,7 +19,7 @@ from .worker_options import SchedulerOption, workers_of, workers_option
 
 if TYPE_CHECKING:
     from manifold.brdf.measured import BRDF
-    from manifold.estimate.find import Found
+    from manifold.estimate.attributes import Found
     from manifold.formats.readings import Readings
 
 ToleranceOption = Annotated[
@@ -352,7 +352,7 @@ def find(
     a fifth, about as visible as a CIEDE2000 of 1.
     """
     from manifold.estimate import coat, completions
-    from manifold.estimate import find as finding
+    from manifold.estimate.attributes import find, find_like
     from manifold.library.store import Library
 
     if (material is None) == (lab is None and not gloss):
@@ -368,7 +368,7 @@ def find(
         document = {}
         with progress.shown("Reading materials"):
             colours = coat.read_colours(Path(lab), units, viewing)
-            nearest = {one.name: finding.find(opened, one.lab, one.gloss)[:count] for one in colours}
+            nearest = {one.name: find(opened, one.lab, one.gloss)[:count] for one in colours}
         for name, some in nearest.items():
             results.text(f"{name}:\n")
             _show_found(results, some)
@@ -377,10 +377,10 @@ def find(
         return
     with progress.shown("Reading materials"):
         if material is not None:
-            found = finding.find_like(opened, _sought(material, sample, model, library))
+            found = find_like(opened, _sought(material, sample, model, library))
         else:
             colour = None if lab is None else completions.parse_lab(lab, viewing)
-            found = finding.find(opened, colour, units)
+            found = find(opened, colour, units)
     _show_found(results, found[:count])
     results.document({"found": [one.to_json() for one in found[:count]]})
 
@@ -388,7 +388,7 @@ def find(
 def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:
     """The material of a file, name or place; readings where a file has such."""
     from manifold.brdf.measured import MeasuredBRDF
-    from manifold.estimate.samples import is_readings
+    from manifold.estimate.inputs import is_readings
     from manifold.estimate.sources import FileSource, parse_source, read_source
     from manifold.formats import registry
 

@@ -385,7 +385,7 @@ def locate(
     Its colours are in the JSON. The predictions of several are written into a folder, with a table and a sheet of
     balls. With --photo and --light, the material is that of a photographed ball.
     """
-    from manifold.estimate import reconstructions
+    from manifold.estimate import predictions
     from manifold.model.diagnostics import in_words
     from manifold.model.output_file import OutputOptions
 
@@ -443,7 +443,7 @@ def locate(
         return
     source = sources[0]
     with progress.shown("Reading materials"):
-        found = reconstructions.locate(model, source, output, library=library, options=written)
+        found = predictions.locate(model, source, output, library=library, options=written)
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
@@ -487,7 +487,7 @@ def reconstruct(
     lobes, with weights that are never negative. It needs no model, and has no latent. Several are written into a
     folder, with a table and a sheet of balls.
     """
-    from manifold.estimate import reconstructions
+    from manifold.estimate import predictions
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
@@ -506,7 +506,7 @@ def reconstruct(
         return
     source, target = sources[0], or_default(output, "reconstructed.bsdf")
     with progress.shown("Reading materials"):
-        made = reconstructions.reconstruct(
+        made = predictions.reconstruct(
             library, source, target, without=without or (), numbers=numbers,
             options=written,
         )  # fmt: skip

@@ -13,7 +13,8 @@ from . import terminal
 
 if TYPE_CHECKING:
     from manifold.estimate.lamp_plan import Determined, LampPlan
-    from manifold.estimate.photographs import FromPhotographs, PhotoRequest
+    from manifold.estimate.photographs import FromPhotographs
+from manifold.estimate.sightings import PhotoRequest
 
 PhotoOption = Annotated[
     list[Path] | None,
@@ -141,7 +142,7 @@ def photo_request(
     Raises:
         UsageError: there is no light, or the exposure is no number.
     """
-    from manifold.estimate.photographs import PhotoRequest
+    from manifold.estimate.sightings import PhotoRequest
 
     if sum(map(bool, (light, lamp, light_ball))) != 1:
         from manifold.colour.lights import ENVIRONMENTS

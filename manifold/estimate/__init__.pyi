@@ -1,14 +1,12 @@
 from .atoms import LibraryAtoms
-from .circle import Circle, find_outlines
-from .complete import Completion, complete
+from .completion import Completion, complete
 from .expected import Calibration, calibrate
-from .light import Environment
-from .photo_files import Photograph, read_photograph
-from .photo_material import PhotoMaterial, Sighting, find_material
-from .pixels import Camera
-from .predictions import predict
-from .reconstructions import locate, reconstruct
-from .suggest import suggest
+from .photo_material import PhotoMaterial, find_material
+from .photograph import Circle, Photograph, find_outlines, read_photograph
+from .pixels import Camera, Environment
+from .predictions import locate, predict, reconstruct
+from .sightings import Sighting
+from .suggestions import suggest
 
 __all__ = [
     "Calibration",

@@ -19,11 +19,11 @@ from manifold.colour.difference import lab_under_d65
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.complete import Completion, complete
+from manifold.estimate.completion import Completion, complete
 from manifold.estimate.expected import calibrate
+from manifold.estimate.inputs import Sample, find_samples, safe_name
 from manifold.estimate.instruments import between_measurements, correct_colours, learn_across, merge
-from manifold.estimate.samples import Sample, find_samples, safe_name
-from manifold.estimate.suggest import Suggested, directions_left, suggest
+from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats import registry
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault
 from manifold.library.identity import alike
@@ -274,7 +274,7 @@ def read(
 def read_sample(
     sample: Sample, correction: Path | None = None, gloss: Mapping[float, float] = MappingProxyType({})
 ) -> tuple[Readings, ColourCorrection | None]:
-    """The same of a sample that was found in files, see `samples.find_samples`."""
+    """The same of a sample that was found in files, see `inputs.find_samples`."""
     readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
     merged, learned = _merged(readings, correction, gloss)
     return merged if sample.note is None else merged.with_note(sample.note), learned

@@ -13,7 +13,7 @@ from manifold import __version__
 from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.complete import Completion, complete_at
+from manifold.estimate.completion import Completion, complete_at
 from manifold.estimate.gloss import gloss_meter
 from manifold.formats.readings import MOST_GLOSS, Readings
 from manifold.library.store import Library

@@ -17,12 +17,10 @@ import numpy as np
 from manifold import progress
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.blocks import Blocks
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.lamps import Lamp, lamp_pairs
-from manifold.estimate.photo_estimate import estimate
-from manifold.estimate.photo_material import channel_atoms, errors_of, seen_instead
-from manifold.estimate.pixels import Camera, block_sums
+from manifold.estimate.photo_material import channel_atoms, errors_of, estimate, seen_instead
+from manifold.estimate.pixels import Blocks, Camera, block_sums
 from manifold.formats.readings import aspecular_pair
 from manifold.library.store import Library
 from manifold.model.observation import Observation

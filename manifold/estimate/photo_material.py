@@ -1,4 +1,9 @@
-"""The material of photographed balls: its BRDF, expected errors, and what the light cannot tell."""
+"""The material of photographed balls: its BRDF and expected errors.
+
+A prior of mixtures of two materials, then non-negative least squares. What no lamp lights is not in the pixels: there
+the estimate follows the mixtures that explain the pixels, and differences from their posterior mean cost, direction by
+direction, in cube roots.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,18 +20,15 @@ from manifold import __version__
 from manifold.colour import panel
 from manifold.colour.conversion import luminance, srgb_to_xyz
 from manifold.estimate.atoms import LibraryAtoms, shown_shares
-from manifold.estimate.blocks import Blocks
 from manifold.estimate.expected import KINDS, Calibration, cached
 from manifold.estimate.gloss import gloss_meter
-from manifold.estimate.lamps import Lamp, lamp_pairs
-from manifold.estimate.light import Environment
-from manifold.estimate.mixtures import Hypotheses
-from manifold.estimate.photo_estimate import GRID_STRIDE, estimate, pixel_posterior
-from manifold.estimate.pixels import SAMPLES, Camera, block_sums, direction_pairs
+from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, Hypotheses, Mixtures
+from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
-from manifold.model.observation import Observation
+from manifold.model.estimator import explain
+from manifold.model.observation import LEAST, Observation
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
@@ -50,49 +51,14 @@ _READING = (
     0.01  # weight of a reading, of that of all pixels: errors of pixels are alike, those of readings are not
 )
 _ROUNDS = 3  # of gains and weights in turn
-_HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
-_DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
-_UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 _UNEXPLAINED = 0.03  # residual that noise can make
-
-
-@dataclass(frozen=True, eq=False)
-class Sighting:
-    """A ball as a camera saw it under known light.
-
-    Attributes:
-        blocks: of its picture.
-        camera: where it stood.
-        light: an environment in its channels, or lamps.
-        spots: lamps of unknown strength beside the environment, where it is clipped.
-    """
-
-    blocks: Blocks
-    camera: Camera
-    light: Environment | Sequence[Lamp]
-    spots: Sequence[Lamp] = ()
-
-    @cached_property
-    def pairs(self) -> tuple[Array, Array, Array]:
-        """See `pixels.direction_pairs`."""
-        if not isinstance(self.light, Environment):
-            return lamp_pairs(self.blocks, self.camera, self.light)
-        return direction_pairs(self.blocks, self.camera, self.light, SAMPLES)
-
-    def sums(self, atoms: LibraryAtoms) -> tuple[Array, Array | float]:
-        """Pixels of atoms under the light, and under the spots: (n, C, K) each; 0 without these."""
-        of_spots = lamp_pairs(self.blocks, self.camera, self.spots) if self.spots else None
-        return block_sums(atoms.at, *self.pairs), block_sums(atoms.at, *of_spots) if of_spots else 0.0
-
-    def rows(self, sums: Array) -> list[Observation]:
-        """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small.
-
-        Args:
-            sums: pixels of atoms, shape (n, C, K).
-        """
-        counts, blocks = np.sqrt(self.blocks.counts), self.blocks
-        channels = range(sums.shape[1])
-        return [Observation(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped) for c in channels]
+_GRID_STRIDE = 7  # one in this many directions of the encoding grid is enough to compare mixtures
+_MODEL_ERROR = 0.05  # standard deviation of cube roots of pixels about the best mixture, relative
+_INDEPENDENT = 30.0  # number of pixels whose errors are independent
+_EXPONENT = 2.0  # of the norm of mixtures
+_KEEP = 1e-3  # weight of squared changes over all directions against those of pixels, both relative
+_DARK = 0.05  # of the root mean square of cube roots: changes of darker directions cost no more
+_COUNT = 200  # mixtures of which the mean is taken
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -210,7 +176,7 @@ def find_material(
         atoms: of the library.
         seen: of one material; at least one photograph, all by one camera.
         bands: B, of the library.
-        to_bands: see `spectra.band_matrix`.
+        to_bands: see `photographs.band_matrix`.
         exposure: of the photographs relative to the light; None finds the one that the library's materials, and what
             else was seen, make most probable.
         each: whether every photograph has an exposure of its own, about this one.
@@ -395,7 +361,7 @@ def indicators(
 ) -> Array:
     """Residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
     residuals = [rows.relative.error(w) for rows, w in zip(channels, weights, strict=True)]
-    grid = atoms.on_grid[:, ::GRID_STRIDE]
+    grid = atoms.on_grid[:, ::_GRID_STRIDE]
     spreads = [prior.spread(np.cbrt(prior.weights @ grid)) for prior in priors]
     return np.sqrt(np.mean(np.square([residuals, spreads]), axis=1))
 
@@ -466,28 +432,64 @@ def errors_of(atoms: LibraryAtoms, own: Indices, weights: Array) -> tuple[float,
     )
 
 
-def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
-    """Highlights that no lamp shows, in a sentence."""
-    most = np.zeros(len(_DIFFERENCES_DEG) - 1)
-    for sighting in sightings:
-        wi, wo, light = sighting.pairs
-        h = wi + wo
-        h /= np.linalg.norm(h, axis=-1, keepdims=True)
-        near = np.rad2deg(np.arccos(np.clip(h[..., 2], -1.0, 1.0))) < _HIGHLIGHT_DEG
-        apart = np.rad2deg(np.arccos(np.clip(np.sum(wi * h, axis=-1), -1.0, 1.0)))
-        total = light.sum(axis=(1, 2))
-        for k, (low, high) in enumerate(pairwise(_DIFFERENCES_DEG)):
-            part = np.where(near & (apart >= low) & (apart < high), light.sum(axis=-1), 0.0).sum(axis=1)
-            most[k] = max(most[k], float((part / np.maximum(total, np.finfo(float).tiny)).max()))
-    dark: Mask = most < _UNLIT
-    if not dark.any():
-        return ()
-    ranges = [
-        f"{low:.0f} to {high:.0f}"
-        for (low, high), is_dark in zip(pairwise(_DIFFERENCES_DEG), dark, strict=True)
-        if is_dark
-    ]
-    return (
-        f"no lamp shows highlights at incidences of {', '.join(ranges)} degrees: there they are those of the library's "
-        "materials",
-    )
+def estimate(
+    atoms: LibraryAtoms, channels: Sequence[Observation], usable: Mask | None = None
+) -> tuple[Array, list[Hypotheses]]:
+    """Weights of atoms, never negative, that explain every channel, (C, n), and mixtures of each as prior.
+
+    That is of pixels alone: readings of a kind of material that the library lacks would choose a wrong one.
+
+    Args:
+        atoms: n, of values.
+        channels: of a camera, C.
+        usable: which atoms may be used, shape (n,); by default all.
+    """
+    usable = np.ones(len(atoms), bool) if usable is None else usable
+    priors = [pixel_mixtures(atoms, rows.pixels, usable) for rows in channels]
+    mixed, G = np.vstack([prior.mean for prior in priors]), atoms.on_grid[:, ::_GRID_STRIDE]
+    means = np.cbrt(np.maximum(mixed @ G, 0.0))
+    norms = np.sum(means**2, axis=1)
+    norms = np.maximum(norms, _DARK * norms.mean() + np.finfo(float).tiny)
+    kept = []
+    for mean, norm in zip(means, norms, strict=True):
+        least = _DARK * np.sqrt(norm / len(mean))
+        cost = G / (3.0 * np.maximum(mean, least) ** 2 * np.sqrt(norm))
+        kept.append(_KEEP * cost @ cost.T)
+    return explain([rows.relative for rows in channels], kept, mixed, usable), priors
+
+
+def pixel_posterior(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Mixtures:
+    """Posterior probabilities of mixtures of two of the usable atoms that are `mixed`, given pixels in one channel.
+
+    As `posterior` has it for readings; mixtures and errors are of values, and those of bounds that hold are none.
+
+    Args:
+        atoms: n, of values.
+        rows: the pixels.
+        usable: which of the atoms may be used, shape (n,).
+    """
+    index = atoms.mixed[usable[atoms.mixed]]
+    _, material_of = np.unique(atoms.material_of[index], return_inverse=True)
+    seen = np.maximum(rows.seen, LEAST)
+    whitened = np.sqrt(_INDEPENDENT * rows.weights / rows.weights.sum()) / (3.0 * _MODEL_ERROR * seen)
+    X, y, is_bound = rows.atoms[index] * whitened, rows.seen * whitened, rows.is_bound
+    n_library = int(material_of[-1]) - len(atoms.coats)
+    mixtures = Mixtures.fitted(X[:, ~is_bound], y[~is_bound], material_of, n_library)
+    misfit = mixtures.misfit
+    for row, bound in zip(X[:, is_bound].T, y[is_bound], strict=True):
+        misfit = misfit + np.maximum(bound - mixtures.of(row), 0.0) ** 2
+    X, y, G = X[:, ~is_bound], y[~is_bound], atoms.on_grid[index, ::_GRID_STRIDE]
+    # A Lambertian as bright as what was seen, or black to the eye.
+    albedo = max(float(X[-1] @ y) / (float(X[-1] @ X[-1]) + LAMBERTIAN_SPREAD**-2), LEAST)
+    relative = np.maximum(mixtures.norm(G @ G.T) / (albedo**2 * float(G[-1] @ G[-1])), 1.0)
+    return replace(mixtures, misfit=misfit).weighed(_INDEPENDENT, relative, _EXPONENT)
+
+
+def pixel_mixtures(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Hypotheses:
+    """The most probable of the mixtures of `pixel_posterior`, in one channel."""
+    mixtures = pixel_posterior(atoms, rows, usable)
+    best = mixtures.most_probable(_COUNT)
+    probability = mixtures.probability[best] / mixtures.probability[best].sum()
+    weights = np.zeros((len(best), len(atoms)))
+    weights[:, atoms.mixed[usable[atoms.mixed]]] = mixtures.weights(best)
+    return Hypotheses(probability, weights, (probability @ weights)[None])

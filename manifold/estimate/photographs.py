@@ -5,35 +5,30 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
-from manifold.colour.conversion import encode_srgb, to_srgb
-from manifold.colour.lights import ENVIRONMENTS, environment
-from manifold.colour.pictures import read_picture
-from manifold.errors import UsageError
-from manifold.estimate import photo_figure
+from manifold.colour.conversion import encode_srgb, interpolation_matrix, to_srgb, xyz_to_srgb, xyz_weights
+from manifold.colour.illuminants import Illuminant
+from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
+from manifold.directions import from_spherical
+from manifold.errors import BandMismatchError, FileFormatError, MissingFileError, UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle, Cylinder, given_outline_notes, outlines_in
+from manifold.estimate.completion import for_library, in_srgb
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
-from manifold.estimate.lamps import LEAST_DISTANCE, Lamp, lamp_picture, parse_lamp
-from manifold.estimate.light import Environment
-from manifold.estimate.light_probe import find_light, given_lamp_notes
-from manifold.estimate.mirror_ball import clipped_spots, unwrapped
-from manifold.estimate.photo_files import Photograph, read_photograph
-from manifold.estimate.photo_material import PhotoMaterial, Seen, Sighting, find_material
-from manifold.estimate.pixels import Camera
-from manifold.estimate.reading_bands import for_library, in_srgb
-from manifold.estimate.spectra import band_matrix, read_responses, srgb_responses
+from manifold.estimate.lamps import lamp_picture
+from manifold.estimate.photo_material import PhotoMaterial, Seen, find_material
+from manifold.estimate.photograph import Circle
+from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -45,80 +40,19 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_b
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.plots import figures
 from manifold.progress import Stages
-from manifold.records import Array
+from manifold.records import Array, Bands
 from manifold.render import image_metrics
 from manifold.render.render import render_floating_ball
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _MARGIN = 0.05  # around the ball in pictures of residuals
 _SIZE, _SAMPLES = 256, 32  # of predicted pictures
-_BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip
-_LEAST_COSINE = 0.05  # of a grey card's angle to its lamp
-
-
-@dataclass(frozen=True)
-class PhotoRequest:
-    """Photographs of one material, and how they were taken. What there is one of holds for every photograph.
-
-    Attributes:
-        photographs: files.
-        lights: environments, files or names of `environments.ENVIRONMENTS`; none where there are lamps.
-        circles: of the balls, or of upright cylinders, as `Circle.parse` reads them; none where they are to be found.
-        turns_deg: azimuths of what lies straight ahead in the environments.
-        elevation_deg, distance: of the camera.
-        exposure: of the photographs relative to the light; None where it is not known.
-        responses: file of the camera's sensitivities; None for sRGB.
-        lamps: of the photographs, as `lamps.parse_lamp` reads them; `found` finds them in the photographs.
-        each: whether every photograph has an exposure of its own.
-        grey: a card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None for none.
-        is_linear: photographs are linear, whatever kind of files they are.
-        dark: a photograph without light, that is subtracted from all; None for none.
-        light_balls: photographs of a mirror ball in place of environments, by the same camera, `PICTURE` or
-            `PICTURE@X,Y,R` with its outline.
-    """
-
-    photographs: Sequence[Path]
-    lights: Sequence[str] = ()
-    circles: Sequence[str] = ()
-    turns_deg: Sequence[float] = (0.0,)
-    elevation_deg: float = 0.0
-    distance: float = np.inf
-    exposure: float | None = 1.0
-    responses: Path | None = None
-    lamps: Sequence[str] = ()
-    each: bool = False
-    grey: str | None = None
-    is_linear: bool = False
-    dark: Path | None = None
-    light_balls: Sequence[str] = ()
-
-    @property
-    def has_cylinder(self) -> bool:
-        """Whether an outline is that of a cylinder. Raises: UsageError, of what is no outline."""
-        return any(isinstance(Circle.parse(text), Cylinder) for text in self.circles)
-
-
-@dataclass(frozen=True, eq=False)
-class SeenBall:
-    """A photograph, the ball in it, and its light as a picture.
-
-    Attributes:
-        photograph: as read.
-        circle: of the ball.
-        light: linear radiance, shape (H, W, 3); None of lamps.
-        sighting: of the ball.
-        notes: assumptions about the files of both, in sentences.
-    """
-
-    photograph: Photograph
-    circle: Circle
-    light: Array | None
-    sighting: Sighting
-    notes: tuple[str, ...] = ()
-
-    @property
-    def lamps(self) -> tuple[Lamp, ...]:
-        """Of the light; none of an environment."""
-        return () if isinstance(self.sighting.light, Environment) else tuple(self.sighting.light)
+_NOISE = 0.02  # standard deviation of channels, relative to their mean
+_STEP_NM = 5.0
+_VIEWS_DEG = ((45.0, 0.0), (30.0, -50.0), (60.0, 10.0))  # incidence and viewing elevation, off the highlight
+_LARGEST_ERROR = 10.0  # CIEDE2000 of the brightest colour
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,221 +297,6 @@ def _agreement(brdf: PredictedBRDF, readings: Readings | None, gloss: Mapping[fl
     return notes
 
 
-def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
-    """Read photographs and lights, and find the balls.
-
-    Raises:
-        MissingFileError, FileFormatError: a picture cannot be read.
-        UsageError: no ball is found, or there are not as many lights, circles or turns as photographs, or one.
-    """
-    if not request.distance > 1.0:
-        raise UsageError(f"a camera at {request.distance:g} radii of the ball, expected more than 1")
-    if request.exposure is not None and not 0.0 < request.exposure < np.inf:
-        raise UsageError(f"exposure {request.exposure:g}, expected a number above 0")
-    angles_deg = (*request.turns_deg, request.elevation_deg)
-    if not np.isfinite(angles_deg).all():
-        raise UsageError(
-            f"turns and elevation of {', '.join(f'{a:g}' for a in angles_deg)}, expected finite angles"
-        )
-    n = len(request.photographs)
-    circles, turns = (
-        _for_each(n, values, what)
-        for values, what in ((request.circles or [""], "circles"), (request.turns_deg, "turns"))
-    )
-    is_plain = not request.elevation_deg and np.isinf(request.distance) and _found_at(request) is None
-    if request.has_cylinder and not is_plain:
-        raise UsageError(
-            "a cylinder with --elevation, --distance or --lamp found, expected a far, level camera and a known light"
-        )
-    photographs = [read_photograph(path, request.is_linear) for path in request.photographs]
-    if request.dark is not None:
-        photographs = _without_dark(photographs, read_photograph(request.dark, request.is_linear))
-    if request.lamps:
-        return _with_doubts(_under_lamps(request, photographs, circles), circles)
-    if request.grey is not None:
-        raise UsageError("--grey goes with --lamp; of a --light, give the --exposure")
-    if request.light_balls:
-        if any(request.turns_deg):
-            raise UsageError("--turn goes with --light; a mirror ball is seen by the same camera")
-        lights = _for_each(n, request.light_balls, "mirror balls")
-        camera = Camera(0.0, request.elevation_deg, request.distance)
-        read = {text: _around(text, camera, request.is_linear) for text in dict.fromkeys(lights)}
-    else:
-        lights = _for_each(n, request.lights, "lights")
-        read = {name: (*_light(name), ()) for name in dict.fromkeys(lights)}
-    balls = []
-    for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
-        circle, doubts = _outline_of([photograph], text)
-        image, made, notes, spots = read[light]
-        camera = Camera(turn_deg, request.elevation_deg, request.distance)
-        sighting = Sighting(blocks_of(photograph, circle, n), camera, made, spots)
-        balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes + doubts))
-    return _with_doubts(balls, circles)
-
-
-def _under_lamps(
-    request: PhotoRequest, photographs: Sequence[Photograph], circles: Sequence[str]
-) -> list[SeenBall]:
-    """Balls under lamps that are given, or found."""
-    camera, notes = Camera(distance=request.distance), tuple[str, ...]()
-    if request.elevation_deg or any(request.turns_deg):
-        raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
-    is_common = len(set(circles)) == 1 and len({one.values.shape for one in photographs}) == 1
-    if (apart := _found_at(request)) is not None:
-        if len(set(circles)) > 1:
-            raise UsageError("different circles, expected one for all photographs to find their lamps")
-        probe = find_light(photographs, Circle.parse(circles[0]) if circles[0] else None, apart)
-        lamps, notes = list(probe.lamps), probe.notes
-        outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
-    else:
-        given = [lamp for text in request.lamps for lamp in parse_lamp(text)]
-        lamps = _for_each(len(photographs), given, "lamps")
-        if is_common:
-            outlines = [_outline_of(photographs, circles[0])] * len(photographs)
-        else:
-            outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
-    if request.grey is None:
-        notes += (
-            "the lamp is taken as white: whatever colour it has, the material's is off by it; balance the picture's "
-            "white, or give a grey card (--grey)",
-        )
-    balls = []
-    for photograph, lamp, (circle, doubts) in zip(photographs, lamps, outlines, strict=True):
-        seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
-        sighting = Sighting(blocks_of(seen, circle, len(photographs)), camera, (lamp,))
-        own = photograph.notes + notes + doubts
-        if apart is None and not isinstance(circle, Cylinder):
-            own += given_lamp_notes(photograph, circle, lamp)
-        balls.append(SeenBall(seen, circle, None, sighting, own))
-    return balls
-
-
-def _found_at(request: PhotoRequest) -> float | None:
-    """The distance of lamps that are to be found, in radii of the ball, far where none is given; None of given lamps.
-
-    Raises:
-        UsageError: it is no distance, or several are given.
-    """
-    if not any(text.partition(",")[0] == "found" for text in request.lamps):
-        return None
-    _, _, distance = request.lamps[0].partition(",")
-    try:
-        apart = float(distance) if distance else np.inf
-    except ValueError:
-        apart = np.nan
-    if len(request.lamps) > 1 or not apart >= LEAST_DISTANCE:
-        raise UsageError(
-            f"lamp '{request.lamps[-1]}', expected found once, or found,D with the lamps' distance in radii of the ball"
-        )
-    return apart
-
-
-def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
-    """A photograph relative to a white diffuser that faces its lamp, by a grey card that faces the camera.
-
-    Raises:
-        UsageError: the card is not in the picture, is clipped or black, or its lamp does not light it.
-    """
-    try:
-        x, y, width, height, reflectance = (float(part) for part in grey.split(","))
-    except ValueError:
-        x = y = width = height = reflectance = np.nan
-    rows, columns = photograph.values.shape[:2]
-    inside = x >= 0 and y >= 0 and width >= 2 and height >= 2 and x + width <= columns and y + height <= rows
-    if not (inside and 0.0 < reflectance <= 1.0):
-        raise UsageError(
-            f"card '{grey}', expected X,Y,W,H,REFLECTANCE: its corner and size in pixels within {columns} x {rows}, "
-            "and its reflectance up to 1, such as 20,30,80,80,0.18"
-        )
-    part = slice(int(y), int(y + height)), slice(int(x), int(x + width))
-    mean = photograph.values[part].mean(axis=(0, 1))
-    cosine = float(lamp.direction[2])
-    if photograph.is_clipped[part].any() or not np.all(mean > 0.0) or cosine < _LEAST_COSINE:
-        raise UsageError(
-            f"{photograph.path}: the card at {grey} is clipped, black, or lit from behind, expected one that the lamp "
-            "lights and the camera does not clip"
-        )
-    return replace(photograph, values=photograph.values * (reflectance * cosine / mean).astype(np.float32))
-
-
-def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[Photograph]:
-    """Photographs less one that was taken without light.
-
-    Raises:
-        UsageError: it is of another size.
-    """
-    if any(one.values.shape != dark.values.shape for one in photographs):
-        raise UsageError(f"{dark.path}: of another size than the photographs, expected the same camera")
-    return [replace(one, values=np.maximum(one.values - dark.values, 0.0)) for one in photographs]
-
-
-def _outline_of(photographs: Sequence[Photograph], given: str) -> tuple[Circle, tuple[str, ...]]:
-    """The outline of the ball in photographs of one size, given or the likeliest, and doubts about the latter.
-
-    Raises: as `outlines_in` and `Circle.parse`.
-    """
-    if given:
-        return Circle.parse(given), ()
-    best = outlines_in(photographs)[0]
-    return best.circle, best.notes
-
-
-def _with_doubts(balls: Sequence[SeenBall], given: Sequence[str]) -> tuple[SeenBall, ...]:
-    """Balls with doubts about the outlines that were given."""
-    return tuple(
-        replace(ball, notes=ball.notes + given_outline_notes([ball.photograph], ball.circle))
-        if text and not isinstance(ball.circle, Cylinder)
-        else ball
-        for ball, text in zip(balls, given, strict=True)
-    )
-
-
-def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
-    if len(values) not in (1, n):
-        raise UsageError(f"{len(values)} {what} for {n} photographs, expected one, or one for each")
-    return list(values) * (n if len(values) == 1 else 1)
-
-
-def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
-    """An environment by its file or name, as a picture and for sampling, and notes."""
-    notes: tuple[str, ...] = ()
-    if name in ENVIRONMENTS and not Path(name).is_file():
-        image = environment(name, 256).astype(float)
-    else:
-        picture = read_picture(Path(name))
-        image = np.where(picture.is_opaque[..., None], picture.values, np.nan).astype(float)
-        notes = picture.notes
-        count = np.count_nonzero(picture.is_clipped)
-        bright = np.count_nonzero(image.max(axis=2) > _BRIGHT * image.max())
-        if count > (
-            0 if picture.is_encoded else 0.5 * bright
-        ):  # lights made by programs have some equal values
-            notes += (
-                f"{Path(name).name}: its {count} brightest pixels have one value; if the camera clipped them, the "
-                "light is brighter than this, and the material comes out too bright",
-            )
-    try:
-        return image, Environment.of(image), notes
-    except UsageError as error:
-        raise UsageError(f"{name}: {error}") from error
-
-
-def _around(
-    text: str, camera: Camera, is_linear: bool
-) -> tuple[Array, Environment, tuple[str, ...], Sequence[Lamp]]:
-    """The environment that a photographed mirror ball shows: as a picture, for sampling, notes, and clipped spots."""
-    name, _, given = (text, "", "") if Path(text).is_file() else text.rpartition("@")
-    path = Path(name or text)
-    photograph = read_photograph(path, is_linear)
-    circle, doubts = _outline_of([photograph], given if name else "")
-    image = unwrapped(photograph, circle, camera)
-    notes = (*photograph.notes, *doubts, f"{path.name}: taken as a perfect mirror, its outline at {circle}")
-    try:
-        return image, Environment.of(image), notes, clipped_spots(photograph, circle)
-    except UsageError as error:
-        raise UsageError(f"{path}: {error}") from error
-
-
 def draw_residuals(
     balls: Sequence[SeenBall], file: Path, material: PhotoMaterial, exposure: float | None, picture: Path
 ) -> None:
@@ -612,7 +331,7 @@ def draw_residuals(
         predicted.append(made)
         errors.append(np.where(compared, image_metrics.ciede2000_map(*shown), np.nan))
     names = [ball.photograph.path.name for ball in balls]
-    figures.save(photo_figure.residual_figure(names, seen, predicted, errors), picture)
+    figures.save(residual_figure(names, seen, predicted, errors), picture)
 
 
 def _cropped(values: Array, circle: Circle) -> Array:
@@ -622,3 +341,117 @@ def _cropped(values: Array, circle: Circle) -> Array:
     inside = [(at >= 0) & (at < n) for at, n in zip((rows, columns), values.shape, strict=False)]
     picked = values[np.clip(rows, 0, values.shape[0] - 1)[:, None], np.clip(columns, 0, values.shape[1] - 1)]
     return np.where((inside[0][:, None] & inside[1])[..., None], picked, np.nan)
+
+
+def residual_figure(
+    names: Sequence[str], seen: Sequence[Array], predicted: Sequence[Array], errors: Sequence[Array]
+) -> Figure:
+    """A row for every photograph: as it was taken, as it is predicted, and the difference.
+
+    Args:
+        names: of the photographs.
+        seen, predicted: linear sRGB, shape (H, W, 3).
+        errors: CIEDE2000, NaN where nothing was compared, shape (H, W).
+    """
+    figure = figures.new_figure(9.0, 3.1 * len(names))
+    axes = figure.subplots(len(names), 3, squeeze=False)
+    for row, name, photograph, prediction, error in zip(axes, names, seen, predicted, errors, strict=True):
+        for axis, picture in zip(row[:2], (photograph, prediction), strict=True):
+            axis.imshow(encode_srgb(np.nan_to_num(picture)), interpolation="nearest")
+        shown = row[2].imshow(error, cmap="magma", vmin=0.0, vmax=_LARGEST_ERROR, interpolation="nearest")
+        figure.colorbar(shown, ax=row[2], shrink=0.8, extend="max")
+        titles = name, "predicted", f"CIEDE2000, mean {np.nanmean(error):.1f}"
+        for axis, title in zip(row, titles, strict=True):
+            axis.set_title(title, fontsize=9)
+            axis.set_axis_off()
+    return figure
+
+
+def srgb_responses(bands: Bands) -> Array:
+    """Responses (3, B) of linear sRGB to reflectances in B bands under D65; the identity for RGB bands."""
+    return np.eye(3) if bands.is_rgb else xyz_to_srgb(xyz_weights(bands)).T
+
+
+def read_responses(path: Path, bands: Bands) -> Array:
+    """Responses (3, B) of a camera to reflectances under D65, 1 for a perfect diffuser.
+
+    Args:
+        path: text file of wavelengths in nm and three sensitivities, separated by commas or blanks.
+        bands: of the reflectances.
+    Raises:
+        MissingFileError: there is no such file.
+        FileFormatError: it has not four columns of finite numbers, or a channel sees nothing of these bands.
+        BandMismatchError: the bands are RGB.
+    """
+    if bands.is_rgb:
+        raise BandMismatchError(
+            f"{path}: sensitivities of a camera need a spectral library, found {bands}; leave them out"
+        )
+    if not path.is_file():
+        raise MissingFileError(
+            f"{path}: no such file; name a text file of wavelengths and three sensitivities"
+        )
+    try:
+        lines = path.read_text(encoding="utf-8-sig").replace(",", " ").replace(";", " ").splitlines()
+        rows = [line.split() for line in lines if line[:1] in "+-.0123456789" and line.strip()]
+        table = np.array(rows, dtype=float)
+    except (ValueError, UnicodeDecodeError):
+        table = np.empty((0, 0))
+    is_table = table.ndim == 2 and table.shape[1:] == (4,) and len(table) > 1 and np.isfinite(table).all()
+    if not is_table or np.any(np.diff(table[:, 0]) <= 0.0):
+        raise FileFormatError(
+            f"{path}: expected rows of an increasing wavelength in nm and three sensitivities"
+        )
+    nodes = np.arange(table[0, 0], table[-1, 0], 1.0)
+    seen = interpolation_matrix(table[:, 0], nodes) @ np.maximum(table[:, 1:], 0.0)
+    seen *= Illuminant.named("D65").at(nodes)[:, None]
+    responses = interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ seen
+    if not np.all(responses.sum(axis=0) > 0.0):
+        raise FileFormatError(f"{path}: a channel sees nothing of {bands}, expected sensitivities above 0")
+    return np.asarray((responses / responses.sum(axis=0)).T)
+
+
+def band_matrix(library: Library, names: tuple[str, ...], responses: Array) -> Array:
+    """The matrix (B, 3) from channels of a camera to the bands of a library, by Wiener estimation.
+
+    Deviations from a flat spectrum are linear in those of the channels, both relative to the mean of these: a neutral
+    colour stays neutral. Learned from the library's materials, off their highlights, and from measured reflectances.
+
+    Args:
+        library: of B bands.
+        names: of the materials to learn from.
+        responses: of the camera, see `srgb_responses`.
+    Source: Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of art paintings".
+    """
+    if library.bands.is_rgb:
+        return np.eye(3)
+    spectra = np.vstack([_of_materials(library, names), _measured(library.bands)])
+    return wiener_matrix(spectra, responses)
+
+
+def wiener_matrix(spectra: Array, responses: Array) -> Array:
+    """The same from spectra (n, B) and responses (3, B)."""
+    seen = spectra @ responses.T
+    level = np.maximum(seen.mean(axis=1, keepdims=True), 1e-4)
+    x, y = seen / level - 1.0, spectra / level - 1.0
+    covariance = x.T @ x / len(x) + _NOISE**2 * np.eye(3)
+    deviations = np.linalg.solve(covariance, x.T @ y / len(x)).T  # [B, 3]
+    return np.asarray(deviations @ (np.eye(3) - 1.0 / 3.0) + 1.0 / 3.0)
+
+
+def _of_materials(library: Library, names: tuple[str, ...]) -> Array:
+    wi, wo = (
+        from_spherical(np.deg2rad([view[k] for view in _VIEWS_DEG]), azimuth)
+        for k, azimuth in ((0, 0.0), (1, np.pi))
+    )
+    return np.pi * np.vstack(
+        [np.maximum(MeasuredBRDF(library.read(name)).eval(wi, wo), 0.0) for name in names]
+    )
+
+
+@cache
+def _measured(bands: Bands) -> Array:
+    at = np.asarray(bands.wavelengths_nm)
+    nm = np.arange(400.0, 701.0, _STEP_NM)
+    to_bands = interpolation_matrix(nm, at)
+    return np.array([to_bands @ diffuse_reflectance(name, nm) for name in diffuse_reflectance_names()])

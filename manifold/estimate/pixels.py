@@ -10,16 +10,30 @@ Source: Veach & Guibas 1995, "Optimally Combining Sampling Techniques for Monte 
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from manifold.colour import lights
 from manifold.directions import from_spherical, normalize, rotate_z
-from manifold.estimate.blocks import Blocks
-from manifold.estimate.light import Environment
-from manifold.records import Array
+from manifold.errors import UsageError
+from manifold.estimate.photograph import Circle, Cylinder, Photograph, reduced
+from manifold.records import Array, Indices, Mask
 
+_ROWS, _PARTS = 64, 8  # rows of cells, twice as many columns; parts of a cell along a side
+_MOST_BLOCKS, _MOST_IN_ALL, _FEWEST_BLOCKS = (
+    400,
+    4000,
+    60,
+)  # of a picture, of all together, and of a picture of many
+_LARGEST, _SMALLEST, _CLIPPED = 16, 2, 8  # pixels a side
+_DIAMETER = 256  # to which larger balls are reduced
+_RIM = 0.97  # of the radius: beyond, errors of the outline are largest
+_LEAST_SPAN_DEG = 40.0  # of normals; flatter ones gain nothing over two analytic lobes
+_LEAST_SHARE = 0.1  # of the ball that must have been seen
 SAMPLES = 256
 """Direction pairs of a block."""
 
@@ -30,6 +44,224 @@ _STEPS = (
     % 1.0
 )
 """Of a sequence of low discrepancy; source: Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences"."""
+
+
+@dataclass(frozen=True, eq=False)
+class Environment:
+    """Distant light in fine pixels of equal angles, grouped into cells.
+
+    Attributes:
+        radiance: in the channels of a camera, laid out as `studio.studio` does, shape (512, 1024, C).
+    """
+
+    radiance: Array
+
+    @classmethod
+    def of(cls, image: Array) -> Environment:
+        """From a picture by latitude and longitude of any resolution, shape (H, W, C).
+
+        Raises:
+            UsageError: it is not twice as wide as high, a value is not finite or negative, or it is black.
+        """
+        image = np.asarray(image, dtype=np.float64)
+        H, W = image.shape[:2]
+        if abs(W - 2 * H) > 0.05 * W:
+            raise UsageError(
+                f"an environment of {W} x {H} pixels, expected twice as wide as high: latitude by longitude"
+            )
+        lights.require_light(image)
+        size = _ROWS * _PARTS
+        resized = _resized(_resized(image, size, 0), 2 * size, 1)
+        return cls(np.ascontiguousarray(resized))
+
+    def at(self, directions: Array) -> tuple[Array, Indices]:
+        """Radiance (..., C) from world directions (..., 3), and the index of the fine pixel, cell by cell, (...)."""
+        size = _ROWS * _PARTS
+        row = np.minimum(
+            (np.arccos(np.clip(directions[..., 2], -1.0, 1.0)) / np.pi * size).astype(int), size - 1
+        )
+        turn = np.arctan2(directions[..., 0], directions[..., 1]) / (2.0 * np.pi) % 1.0
+        column = np.minimum((turn * 2 * size).astype(int), 2 * size - 1)
+        cell = (row // _PARTS) * 2 * _ROWS + column // _PARTS
+        return self.radiance[row, column], cell * _PARTS**2 + (row % _PARTS) * _PARTS + column % _PARTS
+
+    @cached_property
+    def _power(self) -> Array:
+        """Mean radiance over channels times solid angle of every fine pixel, cell by cell: shape (cells, parts)."""
+        power = self.radiance.mean(axis=-1) * self._solid_angles[:, None]
+        split = power.reshape(_ROWS, _PARTS, 2 * _ROWS, _PARTS)
+        return np.ascontiguousarray(split.transpose(0, 2, 1, 3)).reshape(-1, _PARTS**2)
+
+    @cached_property
+    def _solid_angles(self) -> Array:
+        """Of the fine pixels of every row, in sr."""
+        size = _ROWS * _PARTS
+        edges = np.cos(np.pi * np.arange(size + 1) / size)
+        return (edges[:-1] - edges[1:]) * np.pi / size
+
+    @cached_property
+    def _centres(self) -> Array:
+        """Directions to the middle of the light of every cell, shape (cells, 3)."""
+        return _direction(np.arange(2 * _ROWS**2), np.full(2 * _ROWS**2, 0.5), np.full(2 * _ROWS**2, 0.5))
+
+    def cell_probabilities(self, normals: Array) -> Array:
+        """Probabilities of cells, proportional to the light that falls from them on normals (K, 3): (K, cells)."""
+        cosines = np.maximum(normals @ self._centres.T, 0.0) + 0.02  # normals of a block differ
+        product = cosines * self._power.sum(axis=1)
+        return product / product.sum(axis=1, keepdims=True)
+
+    def sample(self, probabilities: Array, u: Array) -> Array:
+        """Directions of variates u (K, S, 3) in [0, 1) with cells of probabilities (K, cells): shape (K, S, 3)."""
+        cumulative = np.cumsum(probabilities, axis=1)
+        cell = np.empty(u.shape[:2], dtype=int)
+        for k, row in enumerate(cumulative):
+            cell[k] = np.minimum(np.searchsorted(row, u[k, :, 0] * row[-1], side="right"), len(row) - 1)
+        within = np.cumsum(self._power + 1e-30, axis=1)
+        within /= within[:, -1:]
+        part = (within[cell] < u[..., 1, None]).sum(axis=-1)
+        row, column = np.divmod(part, _PARTS)
+        below = np.where(
+            part > 0, np.take_along_axis(within[cell], np.maximum(part - 1, 0)[..., None], -1)[..., 0], 0.0
+        )
+        rest = (u[..., 1] - below) / (np.take_along_axis(within[cell], part[..., None], -1)[..., 0] - below)
+        return _direction(cell, (row + np.clip(rest, 0.0, 1.0)) / _PARTS, (column + u[..., 2]) / _PARTS)
+
+    def density(self, probabilities: Array, pixel: Indices) -> Array:
+        """Density in 1/sr of samples in fine pixels (K, S) for probabilities of cells (K, cells): shape (K, S)."""
+        cell, part = np.divmod(pixel, _PARTS**2)
+        share = self._power / np.maximum(self._power.sum(axis=1, keepdims=True), 1e-300)
+        row = (cell // (2 * _ROWS)) * _PARTS + part // _PARTS
+        return np.take_along_axis(probabilities, cell, 1) * share[cell, part] / self._solid_angles[row]
+
+
+def _direction(cell: Indices, down: Array, right: Array) -> Array:
+    """World directions at a place within cells, from their upper left corner, 0 to 1."""
+    row, column = np.divmod(cell, 2 * _ROWS)
+    theta, azimuth = np.pi * (row + down) / _ROWS, np.pi * (column + right) / _ROWS
+    s = np.sin(theta)
+    return np.stack([s * np.sin(azimuth), s * np.cos(azimuth), np.cos(theta)], axis=-1)
+
+
+def _resized(image: Array, count: int, axis: int) -> Array:
+    """Means over `count` equal parts of an axis."""
+    n = image.shape[axis]
+    total = np.concatenate([np.zeros_like(image.take([0], axis)), np.cumsum(image, axis)], axis)
+    at = np.linspace(0.0, n, count + 1)
+    low = np.minimum(at.astype(int), n - 1)
+    share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+    summed = total.take(low, axis) + share * image.take(low, axis)
+    return np.diff(summed, axis=axis) * (count / n)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """K blocks of M pixels of a picture.
+
+    Attributes:
+        x, y: right and up of the centre of every pixel in radii of the outline, shape (M,), block by block.
+        starts: first pixel of each block, shape (K,).
+        size: width of a pixel in radii.
+        values: mean of every block, shape (K, 3).
+        is_clipped: blocks that were at least as bright as their values, shape (K,).
+        is_cylinder: whether they are of an upright cylinder instead of a ball.
+    """
+
+    x: Array
+    y: Array
+    starts: Indices
+    size: float
+    values: Array
+    is_clipped: Mask
+    is_cylinder: bool = False
+
+    @property
+    def counts(self) -> Indices:
+        """Pixels of each block."""
+        return np.diff(np.append(self.starts, len(self.x)))
+
+
+def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Blocks:
+    """The blocks of a ball, or of a cylinder.
+
+    Args:
+        photograph: of it.
+        circle: its outline.
+        pictures: how many there are of it: each of more than ten has fewer blocks.
+    Raises:
+        UsageError: the circle is not in the picture, the ball is black, most of it is clipped or unseen, or what is
+            seen of a cylinder is nearly flat.
+    """
+    path, (H, W) = photograph.path, photograph.values.shape[:2]
+    is_cylinder = isinstance(circle, Cylinder)
+    if is_cylinder:
+        _require_curved(photograph, circle)
+    elif not (0.0 <= circle.x <= W and 0.0 <= circle.y <= H and 8.0 <= circle.radius <= np.hypot(W, H)):
+        raise UsageError(
+            f"{path}: circle {circle.x:.6g},{circle.y:.6g},{circle.radius:.6g} in a picture of {W} x {H}, expected one "
+            "inside it, of a radius from 8 pixels to its diagonal"
+        )
+    factor = max(1, round(2.0 * circle.radius / _DIAMETER))
+    values = reduced(photograph.values, factor)
+    is_clipped = reduced(photograph.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0
+    rows, columns = values.shape[:2]
+    x = ((np.arange(columns) + 0.5) * factor - circle.x) / circle.radius
+    y = (circle.y - (np.arange(rows) + 0.5) * factor) / circle.radius
+    x, y = (np.broadcast_to(a, (rows, columns)) for a in (x, y[:, None]))
+    inside = circle.contains(x, y, _RIM)
+    clipped = inside & np.isfinite(values).all(axis=2) & is_clipped
+    seen = inside & np.isfinite(values).all(axis=2) & ~is_clipped
+    if not seen.sum() >= max(_LEAST_SHARE * inside.sum(), 1.0):
+        raise UsageError(
+            f"{path}: {clipped.sum() / max(inside.sum(), 1):.0%} of the ball at {circle} is clipped and "
+            f"{seen.sum() / max(inside.sum(), 1):.0%} was seen, expected at least {_LEAST_SHARE:.0%}; expose it less"
+        )
+    if not values[seen].max() > 0.0:
+        raise UsageError(f"{path}: the ball at {circle} is black, expected some light")
+    roots = np.cbrt(np.maximum(values, 0.0))
+    most = max(_FEWEST_BLOCKS, min(_MOST_BLOCKS, _MOST_IN_ALL // pictures))
+    squares = [(seen, square) for square in _squares(roots, seen, _LARGEST, most)]
+    squares += [(clipped, square) for square in _squares(roots, clipped, _CLIPPED, 0)]
+    parts = [np.argwhere(some[r : r + s, c : c + s]) + np.array([r, c]) for some, (r, c, s) in squares]
+    counts = np.array([len(part) for part in parts])
+    starts = np.cumsum(counts) - counts
+    i, j = np.concatenate(parts).T
+    means = np.add.reduceat(values[i, j].astype(float), starts) / counts[:, None]
+    return Blocks(
+        x[i, j], y[i, j], starts, factor / circle.radius, means, is_clipped[i, j][starts], is_cylinder
+    )
+
+
+def _require_curved(photograph: Photograph, cylinder: Circle) -> None:
+    """Raise UsageError where the normals that a picture shows of a cylinder differ by little."""
+    edges = (np.array([0.0, photograph.values.shape[1]]) - cylinder.x) / cylinder.radius
+    span = float(np.rad2deg(np.ptp(np.arcsin(np.clip(edges, -_RIM, _RIM)))))
+    if span < _LEAST_SPAN_DEG:
+        raise UsageError(
+            f"{photograph.path}: the normals of what is seen of the cylinder at {cylinder} span {span:.0f} degrees, "
+            f"expected {_LEAST_SPAN_DEG:g} or more: a nearly flat piece says little; bend it over a thinner one, or "
+            "give readings"
+        )
+
+
+def _squares(roots: Array, seen: Mask, side: int, most: int) -> list[tuple[int, int, int]]:
+    """Row, column and side of squares that hold seen pixels: up to so many, those that vary most are split first."""
+    heap: list[tuple[float, int, int, int]] = []
+
+    def push(r: int, c: int, s: int) -> None:
+        some = roots[r : r + s, c : c + s][seen[r : r + s, c : c + s]]
+        if len(some):
+            varies = float(np.sum((some - some.mean(axis=0)) ** 2)) if s > _SMALLEST else 0.0
+            heapq.heappush(heap, (-varies, r, c, s))
+
+    for r in range(0, seen.shape[0], side):
+        for c in range(0, seen.shape[1], side):
+            push(r, c, side)
+    while 0 < len(heap) < most and heap[0][0] < 0.0:
+        _, r, c, s = heapq.heappop(heap)
+        half = s // 2
+        for r2, c2 in ((r, c), (r, c + half), (r + half, c), (r + half, c + half)):
+            push(r2, c2, half)
+    return sorted((r, c, s) for _, r, c, s in heap)
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,21 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.directions import angles_from_mirror
 from manifold.estimate.gloss import gloss_units
-from manifold.formats.readings import GLOSS_ANGLES_DEG
+from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings
 from manifold.io_rgl import read_bsdf
 from manifold.plots import html_page
 from manifold.plots.html_page import Section
-from manifold.records import Array
+from manifold.records import Array, evenly_spaced
 from manifold.render import backend, images
 from manifold.render.ball import render_material
 from manifold.render.render import RenderSettings
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from manifold.colour.correction import ColourCorrection
     from manifold.estimate.coat import Coated
-    from manifold.estimate.complete import Completion
+    from manifold.estimate.completion import Completion
     from manifold.estimate.completions import Completed
 
 _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
@@ -34,6 +36,8 @@ _SUN_DEG = 45.0
 _BACKGROUND = 0.12
 _MOST_READINGS = 60  # of a table: of more, those that differ most
 _FLOP_DEG = (15.0, 45.0, 110.0)
+_MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # of a figure
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
 def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> None:
@@ -140,8 +144,6 @@ def write_index(path: Path, title: str, made: Sequence[tuple[str, str, str, str]
 
 def _of_colours(made: Completion) -> list[Section]:
     """Readings beside the completion: a figure over angles, spectra, and a table."""
-    from manifold.estimate import report_figure  # Matplotlib, which takes as long to load as all else
-
     if made.colours is None or made.colour_misfits is None:
         return []
     read, found = made.colours
@@ -168,14 +170,70 @@ def _of_colours(made: Completion) -> list[Section]:
         rows["flop index"] = (
             f"{flop:.2f} read, {flop_index(angles, found):.2f} completed (2.69 (L15 - L110)^1.11 / L45^0.86)"
         )
-    figures = [
-        ("over the aspecular angle; lines completed, dots read", report_figure.colours(angles, read, found))
-    ]
+    figures = [("over the aspecular angle; lines completed, dots read", _colour_figure(angles, read, found))]
     if made.readings.wavelengths_nm is not None:
-        spectra = report_figure.spectra(made.readings, made.predicted, angles)
+        spectra = _spectra_figure(made.readings, made.predicted, angles)
         figures.append(("reflectance factors; lines completed, dots read", spectra))
     pictures = [(caption, html_page.drawing(figure)) for caption, figure in figures if figure is not None]
     return [Section("Over angles", rows, pictures=pictures), Section(title, heads=heads, table=table)]
+
+
+def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
+    """CIELAB of readings and completion over the aspecular angle, a line per incidence; None out of the plane.
+
+    Args:
+        angles: see `angles_of`, shape (P, 4).
+        read, found: CIELAB, shape (P, 3).
+    """
+    incidences = np.round(angles[:, 0])
+    in_plane = np.isfinite(angles[:, 3])
+    common = [i for i in np.unique(incidences[in_plane]) if np.sum(in_plane & (incidences == i)) > 1]
+    if not common:
+        return None
+    from manifold.plots.figures import new_figure  # Matplotlib, which takes as long to load as all else
+
+    figure = new_figure(8.5, 2.7)
+    axes = figure.subplots(1, 3)
+    picked = evenly_spaced(len(common), _MOST_INCIDENCES)
+    for colour, incidence in zip(_COLOURS, np.array(common)[picked], strict=False):
+        own = np.flatnonzero(in_plane & (incidences == incidence))
+        own = own[np.argsort(angles[own, 3])]
+        for k, one in enumerate(axes):
+            one.plot(
+                angles[own, 3], found[own, k], color=colour, linewidth=1.4, label=f"incidence {incidence:g}°"
+            )
+            one.plot(angles[own, 3], read[own, k], "o", color=colour, markersize=4)
+    for name, one in zip(("L*", "a*", "b*"), axes, strict=True):
+        one.set_title(name, fontsize=10)
+        one.set_xlabel("aspecular angle (°)", fontsize=9)
+        one.grid(alpha=0.25)
+    axes[0].legend(fontsize=8)
+    return figure
+
+
+def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
+    """Reflectance factors of readings and completion at some geometries, evenly chosen.
+
+    Args:
+        readings: in B bands.
+        found: of the completion there, in 1/sr, shape (P, B).
+        angles: as of `colours`.
+    """
+    from manifold.plots.figures import new_figure
+
+    figure = new_figure(8.5, 3.0)
+    axes = figure.subplots()
+    nm = np.asarray(readings.wavelengths_nm)
+    picked = evenly_spaced(len(readings), _MOST_SPECTRA)
+    for colour, k in zip(_COLOURS, picked, strict=False):
+        label = f"{angles[k, 0]:.0f} / {angles[k, 1]:.0f}°, azimuth {angles[k, 2]:.0f}°"
+        axes.plot(nm, np.pi * found[k], color=colour, linewidth=1.4, label=label)
+        axes.plot(nm, np.pi * readings.values[k], "o", color=colour, markersize=3)
+    axes.set_xlabel("wavelength (nm)", fontsize=9)
+    axes.set_ylabel("reflectance factor", fontsize=9)
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize=8, ncols=2)
+    return figure
 
 
 def angles_of(wi: Array, wo: Array) -> Array:

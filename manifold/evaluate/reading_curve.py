@@ -12,7 +12,7 @@ from manifold import __version__, progress
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.expected import KINDS, calibrate, errors_of
-from manifold.estimate.suggest import all_directions
+from manifold.estimate.suggestions import all_directions
 from manifold.evaluate.errors import MedianAndP90
 from manifold.evaluate.reading_methods import METHODS, ReadingMethod, Task
 from manifold.evaluate.results import KeptResults, finite

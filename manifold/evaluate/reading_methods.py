@@ -11,9 +11,9 @@ from scipy.linalg import qr
 from manifold.colour import panel
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.complete import complete_at
+from manifold.estimate.completion import complete_at
 from manifold.estimate.residual import coordinates
-from manifold.estimate.suggest import readings_to_take
+from manifold.estimate.suggestions import readings_to_take
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings

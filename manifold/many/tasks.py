@@ -19,11 +19,10 @@ from manifold.convert import conversion
 from manifold.convert.source import open_source
 from manifold.convert.targets import TARGETS, Options
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate import coat, completions, reconstructions, reports
+from manifold.estimate import coat, completions, predictions, reports
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.coat import ColourSample
-from manifold.estimate.inputs import Input
-from manifold.estimate.samples import Sample
+from manifold.estimate.inputs import Input, Sample
 from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
@@ -216,7 +215,7 @@ def locate_all(
 def _locate(
     source: Input, path: Path, *, model: Path, library: Path | None, options: OutputOptions
 ) -> dict[str, Any]:
-    found = reconstructions.locate(load_model(model, library), source.source, path, options=options)
+    found = predictions.locate(load_model(model, library), source.source, path, options=options)
     return _shown(found, path)
 
 
@@ -249,7 +248,7 @@ def _reconstruct(
     numbers: int | None,
     options: OutputOptions,
 ) -> dict[str, Any]:
-    made = reconstructions.reconstruct(
+    made = predictions.reconstruct(
         library, source.source, path, without=without, numbers=numbers, options=options
     )
     return _shown(made, path)

@@ -20,12 +20,12 @@ from manifold.estimate.attributes import (
     Attributes,
     Wanted,
     adjust,
+    find,
+    find_like,
     lab_of,
 )
-from manifold.estimate.coat import read_colours
-from manifold.estimate.find import find, find_like
+from manifold.estimate.coat import read_colours, with_gloss
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.gloss_change import with_gloss
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.model.manifold import Manifold, Settings

@@ -24,14 +24,13 @@ from manifold.encoding import EncodingPairs
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.estimate import calibrate, complete, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.complete import completion_weights
+from manifold.estimate.completion import completion_weights, for_library, in_all_bands, in_srgb
 from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
 from manifold.estimate.mixtures import COATED, LIKE_ONE, log_prior_of, material_prior
-from manifold.estimate.reading_bands import for_library, in_all_bands, in_srgb
 from manifold.estimate.reading_mixtures import ReadingRoots, band_mixtures, posterior
 from manifold.estimate.residual import coordinates, covariance, residual_factors
-from manifold.estimate.suggest import DIRECTIONS as INSTRUMENTS
-from manifold.estimate.suggest import Deviations, _residual, next_readings
+from manifold.estimate.suggestions import DIRECTIONS as INSTRUMENTS
+from manifold.estimate.suggestions import Deviations, _residual, next_readings
 from manifold.formats import csv_table
 from manifold.formats.readings import mean_of_repeats
 from manifold.io_rgl import read_bsdf

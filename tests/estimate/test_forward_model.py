@@ -13,11 +13,8 @@ from manifold.colour.ball_colours import delta_e
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.errors import UsageError
-from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle
-from manifold.estimate.light import Environment
-from manifold.estimate.photo_files import Photograph
-from manifold.estimate.pixels import Camera, block_sums, direction_pairs
+from manifold.estimate.photograph import Circle, Photograph
+from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of, direction_pairs
 from manifold.io_rgl import write_bsdf
 from manifold.render.render import render_floating_ball
 

@@ -12,17 +12,13 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle, Cylinder, given_outline_notes, outlines_in
 from manifold.estimate.lamp_plan import ANGLES_DEG, plan_lamps
-from manifold.estimate.lamps import Lamp, lamp_pairs, lamp_picture, parse_lamp
-from manifold.estimate.light import Environment
+from manifold.estimate.lamps import Lamp, clipped_spots, lamp_pairs, lamp_picture, parse_lamp, unwrapped
 from manifold.estimate.light_probe import find_light, given_lamp_notes
-from manifold.estimate.mirror_ball import clipped_spots, unwrapped
-from manifold.estimate.photo_files import Photograph
-from manifold.estimate.photo_material import Sighting, strength_of_spots
-from manifold.estimate.photographs import PhotoRequest, see
-from manifold.estimate.pixels import Camera, block_sums
+from manifold.estimate.photo_material import strength_of_spots
+from manifold.estimate.photograph import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
+from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
+from manifold.estimate.sightings import PhotoRequest, Sighting, see
 from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
 

@@ -12,15 +12,12 @@ from manifold.analytic.free_lobes import bernstein, cos_theta_d, microfacet_lobe
 from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.estimate import photo_material
-from manifold.estimate.blocks import blocks_of
-from manifold.estimate.circle import Circle
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.light import Environment
-from manifold.estimate.photo_estimate import estimate
-from manifold.estimate.photo_files import Photograph
-from manifold.estimate.photo_material import Sighting, errors_of, find_material, seen_instead
-from manifold.estimate.pixels import Camera, block_sums
-from manifold.estimate.spectra import wiener_matrix
+from manifold.estimate.photo_material import errors_of, estimate, find_material, seen_instead
+from manifold.estimate.photograph import Circle, Photograph
+from manifold.estimate.photographs import wiener_matrix
+from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
+from manifold.estimate.sightings import Sighting
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.observation import Observation

@@ -18,7 +18,7 @@ from manifold.colour.pictures import read_picture
 from manifold.estimate import photographs
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.spectra import read_responses
+from manifold.estimate.photographs import read_responses
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.comparison import brdf_errors
@@ -206,8 +206,8 @@ def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_i
         shown.append((seen[0], predicted[0]))
         return figure(names, seen, predicted, errors)
 
-    figure = photographs.photo_figure.residual_figure
-    monkeypatch.setattr(photographs.photo_figure, "residual_figure", record)
+    figure = photographs.residual_figure
+    monkeypatch.setattr(photographs, "residual_figure", record)
     dark = 0.1 * read_picture(folder / "ball.exr").values
     write_image(tmp_path / "dark.exr", dark)
     request = photographs.PhotoRequest([tmp_path / "dark.exr"], ["studio"], ["64,64,49.2"], distance=8.0)

@@ -9,8 +9,7 @@ from PIL import Image
 
 from manifold.colour.conversion import decode_srgb
 from manifold.errors import FileFormatError, UsageError
-from manifold.estimate.circle import Circle, find_outlines
-from manifold.estimate.photo_files import read_photograph
+from manifold.estimate.photograph import Circle, find_outlines, read_photograph
 from manifold.render import images
 
 

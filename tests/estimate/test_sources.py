@@ -17,7 +17,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import MissingFileError, UnknownNameError
-from manifold.estimate import completions, predictions, reconstructions
+from manifold.estimate import completions, predictions
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.sources import (
@@ -202,7 +202,7 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     monkeypatch.setattr(physical, "RECIPROCITY_ERROR", 0.001)  # so that the projection changes something
     options, library = OutputOptions(physical=True), folder / "library.zarr"
     path = folder / "projected.bsdf"
-    made = reconstructions.reconstruct(library, folder / FILE, path, without=[NAME], options=options)
+    made = predictions.reconstruct(library, folder / FILE, path, without=[NAME], options=options)
     measured = MeasuredBRDF(fill_unmeasured(read_bsdf(folder / FILE)))
     assert made.errors == brdf_errors(measured, MeasuredBRDF(read_bsdf(path)))
     assert made.errors != brdf_errors(measured, made.brdf)

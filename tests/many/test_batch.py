@@ -15,8 +15,7 @@ from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.batch import Batch, SheetWarning, Task, _Made, ball_path
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.completions import calibrate_instrument
-from manifold.estimate.inputs import Input, find_inputs
-from manifold.estimate.samples import find_samples
+from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.model.colours import ColourChoice
 from manifold.plots import figures

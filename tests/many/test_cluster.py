@@ -15,8 +15,7 @@ from manifold.analytic.base import Lambert
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.convert.targets import Options
 from manifold.errors import ManifoldError
-from manifold.estimate.inputs import find_inputs
-from manifold.estimate.samples import find_samples
+from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
 from manifold.evaluate import pipeline
 from manifold.evaluate.chart import make_chart

@@ -11,8 +11,7 @@ from helpers.small_library import NAMES, small_library
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import LatentError, UsageError
-from manifold.estimate.predictions import predict
-from manifold.estimate.reconstructions import locate
+from manifold.estimate.predictions import locate, predict
 from manifold.info import inspect
 from manifold.library import Library, import_files
 from manifold.model.manifold import Manifold

@@ -1,4 +1,4 @@
-"""Completion of readings: the posterior over mixtures of atoms, and its uncertainty."""
+"""Completion of readings in the bands of a library: the posterior over mixtures of atoms, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.measured import BRDF
+from manifold.colour.conversion import to_srgb
 from manifold.colour.difference import delta_e_2000_lab, lab_values
-from manifold.errors import UsageError
+from manifold.colour.narrow_bands import with_spectra
+from manifold.errors import BandMismatchError, UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.gloss import gloss_differences, gloss_units
 from manifold.estimate.mixtures import Hypotheses
-from manifold.estimate.reading_bands import bands_of, beyond, for_library, in_all_bands
 from manifold.estimate.reading_mixtures import GlossReadings, ReadingRoots, band_mixtures, posterior
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
@@ -34,6 +35,7 @@ _KEEP = 0.1  # weight of changes over all directions against residuals at readin
 _FEW = (
     12.0  # sum of the weights of readings, cosines included, up to which that holds; more readings weigh more
 )
+_FEW_BANDS = 3  # bands, other than blue, green and red, that are no colour
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class Completion:
         readings: in the bands that were compared.
         at_readings: cube roots of atoms there, shape (n + 1, P).
         hypotheses: mixtures of materials, and their probabilities.
-        weights: of atoms in the bands of the completion, see `reading_bands.bands_of`, shape (B, n + 1).
+        weights: of atoms in the bands of the completion, see `bands_of`, shape (B, n + 1).
         residual: factors near the readings, in these bands.
         predicted: f at the readings, in 1/sr, shape (P, B_r).
         gloss_misfits: relative error of cube roots at the readings of gloss, by angle in degrees.
@@ -362,3 +364,77 @@ def _mean_roots(readings: Readings) -> Array:
     """Cube roots of the mean over bands at every reading, shape (P,)."""
     mean = np.nanmean(np.maximum(readings.values, 0.0), axis=1)
     return np.asarray(np.cbrt(np.maximum(mean, 0.0)))
+
+
+def for_library(readings: Readings, bands: Bands) -> Readings:
+    """Readings that a library of some bands can complete: linear sRGB for an RGB library, spectra for any.
+
+    Three narrow bands become spectra, see `colour.narrow_bands`.
+
+    Raises:
+        BandMismatchError: linear sRGB cannot become a spectrum; or bands are no colour, for an RGB library.
+    """
+    readings = with_spectra(readings)
+    nm = readings.wavelengths_nm
+    if not bands.is_rgb and nm is None:
+        raise BandMismatchError(
+            f"{readings.name}: readings in linear sRGB, expected wavelengths for a library of {bands}; complete "
+            "them with an RGB library"
+        )
+    if bands.is_rgb and nm is not None and len(nm) <= _FEW_BANDS:
+        raise BandMismatchError(
+            f"{readings.name}: {readings.bands}, expected blue, green and red, or a spectrum, for an RGB library; "
+            "complete them with a spectral one"
+        )
+    return readings
+
+
+def bands_of(readings: Readings, bands: Bands) -> Bands:
+    """Those of what is completed from readings: of a library, or of spectra that its colours are less than."""
+    return readings.bands if bands.is_rgb else bands
+
+
+def in_srgb(readings: Readings) -> Readings:
+    """Readings whose spectra, if they are such, are converted to linear sRGB under D65."""
+    nm = readings.wavelengths_nm
+    if nm is None:
+        return readings
+    rgb = np.full((len(readings), 3), np.nan)
+    values = _without_gaps(readings.values, nm)
+    whole = np.isfinite(values).all(axis=1)
+    rgb[whole] = to_srgb(values[whole], readings.bands)
+    converted = replace(readings, wavelengths_nm=None, values=rgb)
+    return converted.with_note(
+        "spectra are converted to linear sRGB under D65, as photographs have three channels"
+    )
+
+
+def _without_gaps(values: Array, nm: Array) -> Array:
+    """Spectra (P, B) with gaps between measured bands interpolated; unmeasured ends stay NaN."""
+    filled = values.copy()
+    for row in filled:
+        known = np.isfinite(row)
+        if known.any():
+            row[~known] = np.interp(nm[~known], nm[known], row[known], left=np.nan, right=np.nan)
+    return filled
+
+
+def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
+    """Weights (B_r, n) at the bands of readings, interpolated to all B bands of a library; constant outside."""
+    if bands.wavelengths_nm is None or readings.wavelengths_nm is None:
+        return weights
+    used = np.flatnonzero(weights.any(axis=0))
+    spread = np.zeros((bands.count, weights.shape[1]))
+    at = np.array(bands.wavelengths_nm)
+    for k in used:
+        spread[:, k] = np.interp(at, readings.wavelengths_nm, weights[:, k])
+    return spread
+
+
+def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
+    """First and last wavelength of the readings in nm, where the library's range is larger; else None."""
+    nm, of_library = readings.wavelengths_nm, bands.wavelengths_nm
+    if nm is None or of_library is None:
+        return None
+    low, high = float(nm[0]), float(nm[-1])
+    return (low, high) if of_library[0] < low - 1.0 or of_library[-1] > high + 1.0 else None

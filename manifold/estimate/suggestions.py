@@ -12,7 +12,7 @@ from manifold.colour import panel
 from manifold.directions import angles_from_mirror, from_spherical
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates
-from manifold.estimate.complete import Completion
+from manifold.estimate.completion import Completion
 from manifold.estimate.mixtures import material_prior
 from manifold.estimate.residual import NOISE, coordinates, covariance
 from manifold.formats.light_side import LEAST_HIDDEN

@@ -1,0 +1,398 @@
+"""Balls in photographs under known light: how they were taken, and what pixels see of atoms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold.colour.lights import ENVIRONMENTS, environment
+from manifold.colour.pictures import read_picture
+from manifold.errors import UsageError
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.lamps import (
+    LEAST_DISTANCE,
+    Lamp,
+    clipped_spots,
+    lamp_pairs,
+    parse_lamp,
+    unwrapped,
+)
+from manifold.estimate.light_probe import find_light, given_lamp_notes
+from manifold.estimate.photograph import (
+    Circle,
+    Cylinder,
+    Photograph,
+    given_outline_notes,
+    outlines_in,
+    read_photograph,
+)
+from manifold.estimate.pixels import (
+    SAMPLES,
+    Blocks,
+    Camera,
+    Environment,
+    block_sums,
+    blocks_of,
+    direction_pairs,
+)
+from manifold.model.observation import Observation
+from manifold.records import Array, Mask
+
+_BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip
+_LEAST_COSINE = 0.05  # of a grey card's angle to its lamp
+_HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
+_DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
+_UNLIT = 0.02  # share of a pixel's light below which nothing is learned
+
+
+@dataclass(frozen=True)
+class PhotoRequest:
+    """Photographs of one material, and how they were taken. What there is one of holds for every photograph.
+
+    Attributes:
+        photographs: files.
+        lights: environments, files or names of `environments.ENVIRONMENTS`; none where there are lamps.
+        circles: of the balls, or of upright cylinders, as `Circle.parse` reads them; none where they are to be found.
+        turns_deg: azimuths of what lies straight ahead in the environments.
+        elevation_deg, distance: of the camera.
+        exposure: of the photographs relative to the light; None where it is not known.
+        responses: file of the camera's sensitivities; None for sRGB.
+        lamps: of the photographs, as `lamps.parse_lamp` reads them; `found` finds them in the photographs.
+        each: whether every photograph has an exposure of its own.
+        grey: a card that faces the camera beside the ball, `X,Y,W,H,REFLECTANCE`, in pixels; None for none.
+        is_linear: photographs are linear, whatever kind of files they are.
+        dark: a photograph without light, that is subtracted from all; None for none.
+        light_balls: photographs of a mirror ball in place of environments, by the same camera, `PICTURE` or
+            `PICTURE@X,Y,R` with its outline.
+    """
+
+    photographs: Sequence[Path]
+    lights: Sequence[str] = ()
+    circles: Sequence[str] = ()
+    turns_deg: Sequence[float] = (0.0,)
+    elevation_deg: float = 0.0
+    distance: float = np.inf
+    exposure: float | None = 1.0
+    responses: Path | None = None
+    lamps: Sequence[str] = ()
+    each: bool = False
+    grey: str | None = None
+    is_linear: bool = False
+    dark: Path | None = None
+    light_balls: Sequence[str] = ()
+
+    @property
+    def has_cylinder(self) -> bool:
+        """Whether an outline is that of a cylinder. Raises: UsageError, of what is no outline."""
+        return any(isinstance(Circle.parse(text), Cylinder) for text in self.circles)
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A ball as a camera saw it under known light.
+
+    Attributes:
+        blocks: of its picture.
+        camera: where it stood.
+        light: an environment in its channels, or lamps.
+        spots: lamps of unknown strength beside the environment, where it is clipped.
+    """
+
+    blocks: Blocks
+    camera: Camera
+    light: Environment | Sequence[Lamp]
+    spots: Sequence[Lamp] = ()
+
+    @cached_property
+    def pairs(self) -> tuple[Array, Array, Array]:
+        """See `pixels.direction_pairs`."""
+        if not isinstance(self.light, Environment):
+            return lamp_pairs(self.blocks, self.camera, self.light)
+        return direction_pairs(self.blocks, self.camera, self.light, SAMPLES)
+
+    def sums(self, atoms: LibraryAtoms) -> tuple[Array, Array | float]:
+        """Pixels of atoms under the light, and under the spots: (n, C, K) each; 0 without these."""
+        of_spots = lamp_pairs(self.blocks, self.camera, self.spots) if self.spots else None
+        return block_sums(atoms.at, *self.pairs), block_sums(atoms.at, *of_spots) if of_spots else 0.0
+
+    def rows(self, sums: Array) -> list[Observation]:
+        """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small.
+
+        Args:
+            sums: pixels of atoms, shape (n, C, K).
+        """
+        counts, blocks = np.sqrt(self.blocks.counts), self.blocks
+        channels = range(sums.shape[1])
+        return [Observation(sums[:, c], blocks.values[:, c], counts, blocks.is_clipped) for c in channels]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBall:
+    """A photograph, the ball in it, and its light as a picture.
+
+    Attributes:
+        photograph: as read.
+        circle: of the ball.
+        light: linear radiance, shape (H, W, 3); None of lamps.
+        sighting: of the ball.
+        notes: assumptions about the files of both, in sentences.
+    """
+
+    photograph: Photograph
+    circle: Circle
+    light: Array | None
+    sighting: Sighting
+    notes: tuple[str, ...] = ()
+
+    @property
+    def lamps(self) -> tuple[Lamp, ...]:
+        """Of the light; none of an environment."""
+        return () if isinstance(self.sighting.light, Environment) else tuple(self.sighting.light)
+
+
+def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
+    """Read photographs and lights, and find the balls.
+
+    Raises:
+        MissingFileError, FileFormatError: a picture cannot be read.
+        UsageError: no ball is found, or there are not as many lights, circles or turns as photographs, or one.
+    """
+    if not request.distance > 1.0:
+        raise UsageError(f"a camera at {request.distance:g} radii of the ball, expected more than 1")
+    if request.exposure is not None and not 0.0 < request.exposure < np.inf:
+        raise UsageError(f"exposure {request.exposure:g}, expected a number above 0")
+    angles_deg = (*request.turns_deg, request.elevation_deg)
+    if not np.isfinite(angles_deg).all():
+        raise UsageError(
+            f"turns and elevation of {', '.join(f'{a:g}' for a in angles_deg)}, expected finite angles"
+        )
+    n = len(request.photographs)
+    circles, turns = (
+        _for_each(n, values, what)
+        for values, what in ((request.circles or [""], "circles"), (request.turns_deg, "turns"))
+    )
+    is_plain = not request.elevation_deg and np.isinf(request.distance) and _found_at(request) is None
+    if request.has_cylinder and not is_plain:
+        raise UsageError(
+            "a cylinder with --elevation, --distance or --lamp found, expected a far, level camera and a known light"
+        )
+    photographs = [read_photograph(path, request.is_linear) for path in request.photographs]
+    if request.dark is not None:
+        photographs = _without_dark(photographs, read_photograph(request.dark, request.is_linear))
+    if request.lamps:
+        return _with_doubts(_under_lamps(request, photographs, circles), circles)
+    if request.grey is not None:
+        raise UsageError("--grey goes with --lamp; of a --light, give the --exposure")
+    if request.light_balls:
+        if any(request.turns_deg):
+            raise UsageError("--turn goes with --light; a mirror ball is seen by the same camera")
+        lights = _for_each(n, request.light_balls, "mirror balls")
+        camera = Camera(0.0, request.elevation_deg, request.distance)
+        read = {text: _around(text, camera, request.is_linear) for text in dict.fromkeys(lights)}
+    else:
+        lights = _for_each(n, request.lights, "lights")
+        read = {name: (*_light(name), ()) for name in dict.fromkeys(lights)}
+    balls = []
+    for photograph, light, text, turn_deg in zip(photographs, lights, circles, turns, strict=True):
+        circle, doubts = _outline_of([photograph], text)
+        image, made, notes, spots = read[light]
+        camera = Camera(turn_deg, request.elevation_deg, request.distance)
+        sighting = Sighting(blocks_of(photograph, circle, n), camera, made, spots)
+        balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes + doubts))
+    return _with_doubts(balls, circles)
+
+
+def _under_lamps(
+    request: PhotoRequest, photographs: Sequence[Photograph], circles: Sequence[str]
+) -> list[SeenBall]:
+    """Balls under lamps that are given, or found."""
+    camera, notes = Camera(distance=request.distance), tuple[str, ...]()
+    if request.elevation_deg or any(request.turns_deg):
+        raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
+    is_common = len(set(circles)) == 1 and len({one.values.shape for one in photographs}) == 1
+    if (apart := _found_at(request)) is not None:
+        if len(set(circles)) > 1:
+            raise UsageError("different circles, expected one for all photographs to find their lamps")
+        probe = find_light(photographs, Circle.parse(circles[0]) if circles[0] else None, apart)
+        lamps, notes = list(probe.lamps), probe.notes
+        outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
+    else:
+        given = [lamp for text in request.lamps for lamp in parse_lamp(text)]
+        lamps = _for_each(len(photographs), given, "lamps")
+        if is_common:
+            outlines = [_outline_of(photographs, circles[0])] * len(photographs)
+        else:
+            outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
+    if request.grey is None:
+        notes += (
+            "the lamp is taken as white: whatever colour it has, the material's is off by it; balance the picture's "
+            "white, or give a grey card (--grey)",
+        )
+    balls = []
+    for photograph, lamp, (circle, doubts) in zip(photographs, lamps, outlines, strict=True):
+        seen = photograph if request.grey is None else _balanced(photograph, request.grey, lamp)
+        sighting = Sighting(blocks_of(seen, circle, len(photographs)), camera, (lamp,))
+        own = photograph.notes + notes + doubts
+        if apart is None and not isinstance(circle, Cylinder):
+            own += given_lamp_notes(photograph, circle, lamp)
+        balls.append(SeenBall(seen, circle, None, sighting, own))
+    return balls
+
+
+def _found_at(request: PhotoRequest) -> float | None:
+    """The distance of lamps that are to be found, in radii of the ball, far where none is given; None of given lamps.
+
+    Raises:
+        UsageError: it is no distance, or several are given.
+    """
+    if not any(text.partition(",")[0] == "found" for text in request.lamps):
+        return None
+    _, _, distance = request.lamps[0].partition(",")
+    try:
+        apart = float(distance) if distance else np.inf
+    except ValueError:
+        apart = np.nan
+    if len(request.lamps) > 1 or not apart >= LEAST_DISTANCE:
+        raise UsageError(
+            f"lamp '{request.lamps[-1]}', expected found once, or found,D with the lamps' distance in radii of the ball"
+        )
+    return apart
+
+
+def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
+    """A photograph relative to a white diffuser that faces its lamp, by a grey card that faces the camera.
+
+    Raises:
+        UsageError: the card is not in the picture, is clipped or black, or its lamp does not light it.
+    """
+    try:
+        x, y, width, height, reflectance = (float(part) for part in grey.split(","))
+    except ValueError:
+        x = y = width = height = reflectance = np.nan
+    rows, columns = photograph.values.shape[:2]
+    inside = x >= 0 and y >= 0 and width >= 2 and height >= 2 and x + width <= columns and y + height <= rows
+    if not (inside and 0.0 < reflectance <= 1.0):
+        raise UsageError(
+            f"card '{grey}', expected X,Y,W,H,REFLECTANCE: its corner and size in pixels within {columns} x {rows}, "
+            "and its reflectance up to 1, such as 20,30,80,80,0.18"
+        )
+    part = slice(int(y), int(y + height)), slice(int(x), int(x + width))
+    mean = photograph.values[part].mean(axis=(0, 1))
+    cosine = float(lamp.direction[2])
+    if photograph.is_clipped[part].any() or not np.all(mean > 0.0) or cosine < _LEAST_COSINE:
+        raise UsageError(
+            f"{photograph.path}: the card at {grey} is clipped, black, or lit from behind, expected one that the lamp "
+            "lights and the camera does not clip"
+        )
+    return replace(photograph, values=photograph.values * (reflectance * cosine / mean).astype(np.float32))
+
+
+def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[Photograph]:
+    """Photographs less one that was taken without light.
+
+    Raises:
+        UsageError: it is of another size.
+    """
+    if any(one.values.shape != dark.values.shape for one in photographs):
+        raise UsageError(f"{dark.path}: of another size than the photographs, expected the same camera")
+    return [replace(one, values=np.maximum(one.values - dark.values, 0.0)) for one in photographs]
+
+
+def _outline_of(photographs: Sequence[Photograph], given: str) -> tuple[Circle, tuple[str, ...]]:
+    """The outline of the ball in photographs of one size, given or the likeliest, and doubts about the latter.
+
+    Raises: as `outlines_in` and `Circle.parse`.
+    """
+    if given:
+        return Circle.parse(given), ()
+    best = outlines_in(photographs)[0]
+    return best.circle, best.notes
+
+
+def _with_doubts(balls: Sequence[SeenBall], given: Sequence[str]) -> tuple[SeenBall, ...]:
+    """Balls with doubts about the outlines that were given."""
+    return tuple(
+        replace(ball, notes=ball.notes + given_outline_notes([ball.photograph], ball.circle))
+        if text and not isinstance(ball.circle, Cylinder)
+        else ball
+        for ball, text in zip(balls, given, strict=True)
+    )
+
+
+def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
+    if len(values) not in (1, n):
+        raise UsageError(f"{len(values)} {what} for {n} photographs, expected one, or one for each")
+    return list(values) * (n if len(values) == 1 else 1)
+
+
+def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
+    """An environment by its file or name, as a picture and for sampling, and notes."""
+    notes: tuple[str, ...] = ()
+    if name in ENVIRONMENTS and not Path(name).is_file():
+        image = environment(name, 256).astype(float)
+    else:
+        picture = read_picture(Path(name))
+        image = np.where(picture.is_opaque[..., None], picture.values, np.nan).astype(float)
+        notes = picture.notes
+        count = np.count_nonzero(picture.is_clipped)
+        bright = np.count_nonzero(image.max(axis=2) > _BRIGHT * image.max())
+        if count > (
+            0 if picture.is_encoded else 0.5 * bright
+        ):  # lights made by programs have some equal values
+            notes += (
+                f"{Path(name).name}: its {count} brightest pixels have one value; if the camera clipped them, the "
+                "light is brighter than this, and the material comes out too bright",
+            )
+    try:
+        return image, Environment.of(image), notes
+    except UsageError as error:
+        raise UsageError(f"{name}: {error}") from error
+
+
+def _around(
+    text: str, camera: Camera, is_linear: bool
+) -> tuple[Array, Environment, tuple[str, ...], Sequence[Lamp]]:
+    """The environment that a photographed mirror ball shows: as a picture, for sampling, notes, and clipped spots."""
+    name, _, given = (text, "", "") if Path(text).is_file() else text.rpartition("@")
+    path = Path(name or text)
+    photograph = read_photograph(path, is_linear)
+    circle, doubts = _outline_of([photograph], given if name else "")
+    image = unwrapped(photograph, circle, camera)
+    notes = (*photograph.notes, *doubts, f"{path.name}: taken as a perfect mirror, its outline at {circle}")
+    try:
+        return image, Environment.of(image), notes, clipped_spots(photograph, circle)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
+    """Highlights that no lamp shows, in a sentence."""
+    most = np.zeros(len(_DIFFERENCES_DEG) - 1)
+    for sighting in sightings:
+        wi, wo, light = sighting.pairs
+        h = wi + wo
+        h /= np.linalg.norm(h, axis=-1, keepdims=True)
+        near = np.rad2deg(np.arccos(np.clip(h[..., 2], -1.0, 1.0))) < _HIGHLIGHT_DEG
+        apart = np.rad2deg(np.arccos(np.clip(np.sum(wi * h, axis=-1), -1.0, 1.0)))
+        total = light.sum(axis=(1, 2))
+        for k, (low, high) in enumerate(pairwise(_DIFFERENCES_DEG)):
+            part = np.where(near & (apart >= low) & (apart < high), light.sum(axis=-1), 0.0).sum(axis=1)
+            most[k] = max(most[k], float((part / np.maximum(total, np.finfo(float).tiny)).max()))
+    dark: Mask = most < _UNLIT
+    if not dark.any():
+        return ()
+    ranges = [
+        f"{low:.0f} to {high:.0f}"
+        for (low, high), is_dark in zip(pairwise(_DIFFERENCES_DEG), dark, strict=True)
+        if is_dark
+    ]
+    return (
+        f"no lamp shows highlights at incidences of {', '.join(ranges)} degrees: there they are those of the library's "
+        "materials",
+    )

@@ -36,13 +36,14 @@ import psutil
 from bench_scale import write_materials
 
 from manifold import cluster as dask
+from manifold import many
 from manifold.analytic.ggx import GGX
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.analytic.microfacet import Plastic
+from manifold.batch import batch
 from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
 from manifold.fit import fits
-from manifold.many import tasks
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 
@@ -288,14 +289,10 @@ def speed(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[str, A
                     shutil.rmtree(out, ignore_errors=True)
                     with dask.workers(cluster.address) as workers:
                         start = time.monotonic()
-                        fits.fit_all(
-                            files[:first], fits.fits_in(out / "a"), fits.FitSettings(), workers=workers
-                        )
+                        batch(fits.fits(fits.FitSettings()), files[:first], out / "a", workers)
                         middle = time.monotonic()
-                        tasks.complete_all(
-                            samples[:first], inputs / "small.zarr", tasks.completions_in(out / "b"),
-                            options=OutputOptions(), workers=workers,
-                        )  # fmt: skip
+                        command = many.completions_of(inputs / "small.zarr", options=OutputOptions())
+                        batch(command, samples[:first], out / "b", workers)
                     if what == "measured":
                         seconds["fits"][count].append(round(middle - start, 2))
                         seconds["completions"][count].append(round(time.monotonic() - middle, 2))

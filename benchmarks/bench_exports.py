@@ -21,9 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.batch import batch
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
-from manifold.fit.exporting import export_all
+from manifold.fit.exporting import export_sources, exports
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.io_rgl import material_name, read_bsdf
@@ -34,8 +35,9 @@ SUMMARIES = {"median": statistics.median, "mean": statistics.mean, "largest": ma
 
 def losses(files: Path, target: str, work: Path, *, is_mapped: bool) -> dict[str, dict[str, float]]:
     """CIEDE2000 of a target and of `principled`, by material."""
-    outcomes = export_all(files, TARGETS[target], work / f"{target}_{is_mapped}", is_mapped=is_mapped)
-    made = {outcome.name: outcome.content or {} for outcome in outcomes}
+    command = exports(TARGETS[target], is_mapped=is_mapped)
+    made = batch(command, export_sources(files), work / f"{target}_{is_mapped}")
+    made = {outcome.name: outcome.content or {} for outcome in made.outcomes}
     return {
         name: {"own": e["ball"]["unseen_light"], "principled": e["principled_ball"]["unseen_light"]}
         for name, e in made.items()

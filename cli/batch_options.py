@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -14,12 +14,16 @@ from . import terminal
 from .outputs import or_default
 
 if TYPE_CHECKING:
-    from manifold.batch import Batch, Outcome
+    from concurrent.futures import Executor
+    from contextlib import AbstractContextManager
+
+    from manifold.batch import Batch, Command
+    from manifold.batch import Source as BatchSource
     from manifold.estimate.inputs import Input
     from manifold.estimate.sources import MaterialSource
-    from manifold.many.point_table import Point
 
-_MOST_WARNED = 5
+    S = TypeVar("S", bound=BatchSource)
+
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
 
 PointsOption = Annotated[
@@ -72,78 +76,50 @@ def inputs_of(
     return found
 
 
-def folder_or_default(output: Path | None, default: str, outputs: str = "many files; name another") -> Path:
-    """The folder that was named, or else a default.
+def make_many(
+    results: terminal.Results, command: Command[S], sources: Sequence[S], output: Path | None,
+    workers: AbstractContextManager[Executor | None], *, outputs: str = "many files; name another",
+    failed: Sequence[str] = (), then: Callable[[Batch[S]], object] | None = None,
+) -> None:  # fmt: skip
+    """Make the outputs of a command in a folder, and print a line of each.
 
+    Args:
+        results: printed and written.
+        command, sources: see `batch`.
+        output: the folder that was named; by default that of the command.
+        workers: see `workers_of`.
+        outputs: what the folder is for, and what to do.
+        failed: what is wrong with other sources.
+        then: called with what was made, before it is printed.
     Raises:
-        UsageError: it is named like a file.
+        UsageError: the folder is named like a file.
+        FileFormatError: some failed.
     """
-    if output is not None and output.suffix.lower() in _FILES and not output.is_dir():
+    from manifold.batch import batch, cell, notes_of
+
+    if output is not None and output.suffix.lower() in (*_FILES, command.suffix) and not output.is_dir():
         raise UsageError(f"{output}: named like a file, expected a folder for {outputs}")
-    return or_default(output, default)
-
-
-def show_batch(results: terminal.Results, batch: Batch, outcomes: Sequence[Outcome[Any]]) -> None:
-    """Print a line per file, and raise FileFormatError where some failed."""
-    from manifold.batch import cell, notes_of
-
-    known = [outcome for outcome in outcomes if outcome.content is not None]
+    folder = or_default(output, command.what)
+    with workers as entered:
+        made = batch(command, sources, folder, entered)
+    if then is not None:
+        then(made)
+    known = [outcome for outcome in made.outcomes if outcome.content is not None]
     rows = [
-        batch.row(o) | {"notes": len(notes_of(o)) or "", "": "refused" if o.failure else "kept" * o.was_there}
+        made.row(o) | {"notes": len(notes_of(o)) or "", "": "refused" if o.failure else "kept" * o.was_there}
         for o in known
     ]
     if rows:
         results.table([*rows[0]], [[cell(value) for value in row.values()] for row in rows])
-    made = [outcome for outcome in known if outcome.failure is None]
-    results.text(count_words(len(made), batch.what, batch.folder, sum(o.was_there for o in made)) + "\n")
-    listed = [path.name for path in (batch.sheet, *batch.tables) if path.is_file()]
-    results.text(f"there: {', '.join(listed)}\n")
-    document = batch.document(outcomes)
-    results.document(document)
-    raise_failed(document["failed"])
-
-
-def show_points(
-    results: terminal.Results,
-    what: str,
-    folder: Path,
-    outcomes: list[Outcome[Point]],
-    failures: tuple[tuple[int, str], ...],
-) -> None:
-    """Print a line per row that is there, and raise FileFormatError where rows failed."""
-    made = [outcome for outcome in outcomes if outcome.content is not None]
-    results.table(
-        ["file", "latent", ""],
-        [(o.path.name, _place(o.source), "kept" * o.was_there) for o in made],
+    done = [outcome for outcome in known if outcome.failure is None]
+    kept = sum(o.was_there for o in done)
+    results.text(
+        f"{len(done)} {command.what} in {folder}" + (f", {kept} of them kept" if kept else "") + "\n"
     )
-    results.text(count_words(len(made), what, folder, sum(o.was_there for o in made)) + "\n")
-    warned = [(o.path.name, found) for o in made if (found := (o.content or {}).get("diagnostics"))]
-    for name, found in warned[:_MOST_WARNED]:
-        results.sentence(f"{name}: {'; '.join(found)}")
-    if warned[_MOST_WARNED:]:
-        results.text(f"and diagnostics of {len(warned) - _MOST_WARNED} more (--json lists them)\n")
-    bad = [*failures, *((o.source.line, o.failure) for o in outcomes if o.failure is not None)]
-    failed = [f"line {line}: {words}" for line, words in sorted(bad)]
-    rows = [
-        {"line": o.source.line, "name": o.source.name, "kept": o.was_there} | (o.content or {}) for o in made
-    ]
-    results.document({what: rows, "failed": failed})
-    raise_failed(failed)
-
-
-def count_words(count: int, what: str, folder: Path, kept: int) -> str:
-    """How many files are in a folder, and how many of them an earlier run had made."""
-    return f"{count} {what} in {folder}" + (f", {kept} of them kept" if kept else "")
-
-
-def raise_failed(failed: list[str]) -> None:
-    """Raise FileFormatError for the first few of what failed."""
-    if failed:
-        raise FileFormatError(terminal.first_three(failed))
-
-
-def _place(point: Point) -> str:
-    place = point.place
-    words = [place if isinstance(place, str) else ",".join(f"{v:.4g}" for v in place)]
-    words += [f"{key} {value}" for key, value in vars(point.colour).items() if value is not None]
-    return " ".join(words)
+    listed = [path.name for path in (made.sheet, *made.tables) if path.is_file()]
+    results.text(f"there: {', '.join(listed)}\n")
+    document = made.to_json()
+    document["failed"] = [*failed, *document["failed"]]
+    results.document(document)
+    if document["failed"]:
+        raise FileFormatError(terminal.first_three(document["failed"]))

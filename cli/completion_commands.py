@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +16,7 @@ from manifold.names import first_few
 
 from . import options, photo_options, terminal
 from .application import app
-from .batch_options import folder_or_default, show_batch
+from .batch_options import make_many
 from .outputs import checked, or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
@@ -224,20 +225,16 @@ def complete(
         from manifold.estimate import coat
 
         if Path(lab).is_file():
-            from manifold.many import tasks
+            from manifold import many
 
             if report is not None:
                 raise UsageError("--report goes with readings or one colour, found a list; leave it out")
             colours = coat.read_colours(Path(lab), units, options.viewing_of(illuminant, observer))
-            batch = tasks.coats_in(folder_or_default(output, "completions", f"{len(colours)} colours"))
-            with workers_of(processes, scheduler) as workers:
-                made_of = tasks.complete_colours(
-                    colours, library, batch, is_mixture=mixture, options=written,
-                    workers=workers,
-                )  # fmt: skip
-            if into is not None:
-                tasks.import_all(made_of, into)
-            show_batch(results, batch, made_of)
+            make_many(
+                results, many.coats(library, is_mixture=mixture, options=written), colours, output,
+                workers_of(processes, scheduler), outputs=f"{len(colours)} colours",
+                then=None if into is None else partial(many.import_outputs, library=into),
+            )  # fmt: skip
             return
         if units and not mixture and not suggest:
             L, a, b = parsed(lab).tolist()
@@ -268,19 +265,16 @@ def complete(
                 raise UsageError(
                     f"--gloss, --picture and --repeatability go with one sample, found {found}, or leave them out"
                 )
-            from manifold.many import tasks
+            from manifold import many
 
-            folder = folder_or_default(output, "completions", f"{found}, or a folder")
-            batch = tasks.completions_in(folder)
-            inputs.require_apart(readings, batch.folder)
-            with workers_of(processes, scheduler) as workers:
-                outcomes = tasks.complete_all(
-                    samples, library, batch, correction=correction, count=suggest, instrument=instrument,
-                    options=written, workers=workers, report=report,
-                )  # fmt: skip
-            if into is not None:
-                tasks.import_all(outcomes, into)
-            show_batch(results, batch, outcomes)
+            inputs.require_apart(readings, output or Path("completions"))
+            command = many.completions_of(
+                library, correction=correction, count=suggest, instrument=instrument, options=written, report=report,
+            )  # fmt: skip
+            make_many(
+                results, command, samples, output, workers_of(processes, scheduler), outputs=f"{found}, or a folder",
+                then=None if into is None else partial(many.import_outputs, library=into),
+            )  # fmt: skip
             return
     if into is not None:
         raise UsageError("--into goes with the samples of files; leave --sample, --merge and --lab out")

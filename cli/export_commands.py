@@ -12,8 +12,9 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import count_words, raise_failed
+from .batch_options import make_many
 from .outputs import or_default, written
+from .worker_options import workers_of
 
 if TYPE_CHECKING:
     from manifold.batch import Outcome
@@ -102,13 +103,12 @@ def export(
     if isinstance(material, FileSource) and material.path.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
-        many = TARGETS[target or "gltf"]
-        folder = or_default(pack or output, "exports")
-        with progress.shown("Exporting"):
-            outcomes = exporting.export_all(
-                material.path, many, folder, is_mapped=mapped, with_pictures=picture, is_pack=pack is not None
-            )
-        _show_all(results, outcomes, folder)
+        command = exporting.exports(
+            TARGETS[target or "gltf"], is_mapped=mapped, with_pictures=picture, is_pack=pack is not None
+        )
+        make_many(
+            results, command, exporting.export_sources(material.path), pack or output, workers_of(1, None)
+        )
         return
     if pack is not None:
         raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
@@ -139,20 +139,3 @@ def _show(results: terminal.Results, outcome: Outcome[Any], picture: Path | None
     rows |= terminal.numbered("note", outcome.notes)
     results.rows(f"Exported {outcome.path} ({content['target']})", rows)
     results.document({"exports": [content | {"path": str(outcome.path)}], "failed": []})
-
-
-def _show_all(results: terminal.Results, outcomes: list[Outcome[Any]], folder: Path) -> None:
-    rows = []
-    for outcome in outcomes:
-        if outcome.content is not None:
-            ball, principled = outcome.content["ball"], outcome.content["principled_ball"]
-            losses = (ball["unseen_light"], ball["worst"], principled and principled["unseen_light"])
-            cells = ("" if loss is None else f"{loss:.2f}" for loss in losses)
-            rows.append([outcome.name, *cells, ball["worst_light"], "kept" * outcome.was_there])
-    results.table(["material", "CIEDE2000", "worst light", "of principled", "worst light's name", ""], rows)
-    failed = [f"{o.name}: {o.failure}" for o in outcomes if o.failure is not None]
-    kept = sum(o.was_there for o in outcomes)
-    results.text(count_words(len(rows), "materials", folder, kept) + "\n")
-    made = [o.content | {"path": str(o.path)} for o in outcomes if o.content is not None]
-    results.document({"exports": made, "failed": failed})
-    raise_failed(failed)

@@ -12,7 +12,7 @@ from manifold.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import folder_or_default, inputs_of, show_batch
+from .batch_options import inputs_of, make_many
 from .outputs import or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
@@ -112,10 +112,8 @@ def fit(
     settings = fits.FitSettings(family, method, metric, noise, wide_colours, sample)
     several = None if sample else inputs_of(materials, output, samples=True)
     if several is not None:
-        batch = fits.fits_in(folder_or_default(output, "fits"))
-        with workers_of(processes, scheduler) as workers:
-            fitted = fits.fit_all(several, batch, settings, with_pictures=picture, workers=workers)
-        show_batch(results, batch, fitted)
+        command = fits.fits(settings, with_pictures=picture)
+        make_many(results, command, several, output, workers_of(processes, scheduler))
         return
     source = materials[0]
     if picture and isinstance(source, FileSource) and (known := registry.identify(source.path)) is not None:

@@ -12,7 +12,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import folder_or_default, inputs_of, is_many, show_batch
+from .batch_options import inputs_of, is_many, make_many
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 
@@ -97,15 +97,12 @@ def convert(
             raise UsageError(f"--unit {unit} goes with one file, found several, or a folder; leave it out")
         if report is not None:
             raise UsageError("--report goes with one file, found several, or a folder; leave it out")
-        from manifold.many import tasks
+        from manifold import many
 
-        batch = tasks.conversions_in(folder_or_default(output, "conversions"))
-        with workers_of(processes, scheduler) as workers:
-            all_made = tasks.convert_all(
-                found, to or "rgl", batch, correction=correction, options=Options(resolution, incidences),
-                workers=workers,
-            )  # fmt: skip
-        show_batch(results, batch, all_made)
+        command = many.conversions(
+            to or "rgl", correction=correction, options=Options(resolution, incidences)
+        )
+        make_many(results, command, found, output, workers_of(processes, scheduler))
         return
     with progress.shown("Converting"), conversion.conversion_input(sources) as given:
         made = conversion.convert(

@@ -13,7 +13,7 @@ from manifold.errors import ManifoldError, UsageError
 
 from . import options, photo_options, terminal
 from .application import app
-from .batch_options import PointsOption, folder_or_default, inputs_of, show_batch, show_points
+from .batch_options import PointsOption, inputs_of, make_many
 from .outputs import or_default, written
 from .worker_options import OneWorkerOption, SchedulerOption, WorkersOption, workers_of
 
@@ -298,15 +298,12 @@ def predict(
             raise UsageError(
                 "found --from and a latent, colour or gloss; write these into columns of the table"
             )
-        from manifold.many import places, point_table
+        from manifold import many
+        from manifold.estimate.point_table import read_points
 
-        table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
-        with workers_of(processes, scheduler, 1) as workers:
-            outcomes = places.predict_all(
-                model, table, folder, library=library, options=written,
-                workers=workers,
-            )  # fmt: skip
-        show_points(results, "predictions", folder, outcomes, table.failures)
+        rows, failed = read_points(points, model, library)
+        command = many.predictions_of(model, library=library, options=written)
+        make_many(results, command, rows, output, workers_of(processes, scheduler, 1), failed=failed)
         return
     if latent is None:
         raise UsageError(
@@ -432,14 +429,10 @@ def locate(
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold.many import tasks
+        from manifold import many
 
-        batch = tasks.locations_in(folder_or_default(output, "locations"))
-        with workers_of(processes, scheduler) as workers:
-            located = tasks.locate_all(
-                several, model, batch, library=library, options=written, workers=workers,
-            )  # fmt: skip
-        show_batch(results, batch, located)
+        command = many.locations(model, library=library, options=written)
+        make_many(results, command, several, output, workers_of(processes, scheduler))
         return
     source = sources[0]
     with progress.shown("Reading materials"):
@@ -494,15 +487,12 @@ def reconstruct(
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold.many import tasks
+        from manifold import many
 
-        batch = tasks.reconstructions_in(folder_or_default(output, "reconstructions"))
-        with workers_of(processes, scheduler) as workers:
-            all_made = tasks.reconstruct_all(
-                several, library, batch, without=without or (), numbers=numbers, options=written,
-                workers=workers,
-            )  # fmt: skip
-        show_batch(results, batch, all_made)
+        command = many.reconstructions_of(
+            library, without=tuple(without or ()), numbers=numbers, options=written
+        )
+        make_many(results, command, several, output, workers_of(processes, scheduler))
         return
     source, target = sources[0], or_default(output, "reconstructed.bsdf")
     with progress.shown("Reading materials"):

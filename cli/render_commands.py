@@ -12,7 +12,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import PointsOption, folder_or_default, inputs_of, show_batch, show_points
+from .batch_options import PointsOption, inputs_of, make_many
 from .outputs import or_default
 from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
@@ -93,15 +93,12 @@ def render(
     if points is not None:
         if materials or (latent, like, reflectance, srgb) != (None,) * 4:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
-        from manifold.many import places, point_table
+        from manifold import many
+        from manifold.estimate.point_table import read_points
 
-        table, folder = point_table.read_points(points), folder_or_default(output, "renders")
-        with workers_of(processes, scheduler, 1) as workers:
-            outcomes = places.render_all(
-                model, table, folder, settings, library=library, direct=direct,
-                workers=workers,
-            )  # fmt: skip
-        show_points(results, "renders", folder, outcomes, table.failures)
+        rows, failed = read_points(points, model, library)
+        command = many.renders(settings, model=model, library=library, direct=direct)
+        make_many(results, command, rows, output, workers_of(processes, scheduler, 1), failed=failed)
         return
     from manifold.estimate.inputs import is_rendered
 
@@ -117,12 +114,9 @@ def render(
     if (several := inputs_of(sources, output, is_rendered)) is not None:
         if direct:
             raise UsageError("--direct goes with one place, or with --from")
-        from manifold.many import tasks
+        from manifold import many
 
-        batch = tasks.renders_in(folder_or_default(output, "renders"))
-        with workers_of(processes, scheduler, 1) as workers:
-            all_made = tasks.render_all(several, settings, batch, workers=workers)
-        show_batch(results, batch, all_made)
+        make_many(results, many.renders(settings), several, output, workers_of(processes, scheduler, 1))
         return
     with progress.shown("Rendering"):
         made = renders.render(sources[0], or_default(output, "render.png"), settings, direct=direct)

@@ -11,13 +11,13 @@ import io
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar, cast
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 from filelock import FileLock, Timeout
 
@@ -35,7 +35,22 @@ from manifold.render import backend, thumbnails
 _MOST = 1 << 30  # bytes of an index: a row has about two thousand
 _ENTRY = '{"file": '  # every line of an index begins so
 
-S = TypeVar("S")
+
+class Source(Protocol):
+    """What an output is made of; small enough to be sent to another process."""
+
+    @property
+    def name(self) -> str:
+        """Of the material, and of its output."""
+
+    def made_of(self) -> dict[str, Any]:
+        """What its content depends on, plain values."""
+
+
+S = TypeVar("S", bound=Source)
+T = TypeVar("T")
+Content = dict[str, Any]
+"""What is known of an output, plain values."""
 
 
 class SheetWarning(UserWarning):
@@ -43,29 +58,14 @@ class SheetWarning(UserWarning):
 
 
 @dataclass(frozen=True)
-class Task(Generic[S]):
-    """One file to be made.
-
-    Attributes:
-        name: of the material.
-        path: of the file.
-        source: what it is made of; small enough to be sent to another process.
-    """
-
-    name: str
-    path: Path
-    source: S
-
-
-@dataclass(frozen=True)
-class Outcome(Generic[S]):
+class Outcome(Generic[T]):
     """One of the outputs of a run.
 
     Attributes:
         name: of the material.
         path: of the file, which is there where nothing failed.
         source: what it is made of.
-        content: what is known of it, plain values; None where it failed, unless its file alone was refused.
+        content: what is known of it; None where it failed, unless its file alone was refused.
         was_there: whether an earlier run had made it.
         failure: why there is none, else None.
         notes: what a user should know of it.
@@ -73,159 +73,186 @@ class Outcome(Generic[S]):
 
     name: str
     path: Path
-    source: S
-    content: dict[str, Any] | None = None
+    source: T
+    content: Content | None = None
     was_there: bool = False
     failure: str | None = None
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Batch:
-    """The files of one command in a folder.
+class Command(Generic[S]):
+    """What a command does with each of many sources.
 
     Attributes:
-        folder: where to; made if missing.
-        what: they are, in the plural: the name of index, table and sheet.
-        columns: of the table, by title: from the content of a file.
+        what: its outputs are, in the plural: the name of index, table, sheet and default folder.
+        make: writes the file of a source and says what is known of it; pickled where there are workers.
+        how: all that outputs depend on beside their sources, plain values.
+        suffix: of outputs.
+        endings: names of sources that end so are names of files.
+        columns: of the table, by title: from what is known of an output.
         under: the column that stands under the balls of the sheet.
         has_balls: whether there is a sheet, of the balls that `appearance` draws or of the files, if they are pictures.
+        prepare: called once in this process, if anything is to be made in it.
+        conclude: called with what was made, at the end.
     """
 
-    folder: Path
     what: str
-    columns: dict[str, Callable[[dict[str, Any]], Any]] = field(default_factory=dict)
+    make: Callable[[S, Path], Content]
+    how: Content
+    suffix: str = ".bsdf"
+    endings: tuple[str, ...] = ()
+    columns: dict[str, Callable[[Content], Any]] = field(default_factory=dict)
     under: str | None = None
     has_balls: bool = False
+    prepare: Callable[[], None] | None = None
+    conclude: Callable[[Batch[S]], None] | None = None
+
+
+def batch(
+    command: Command[S], sources: Sequence[S], folder: Path, workers: Executor | None = None
+) -> Batch[S]:
+    """Make the outputs that an earlier run has not made of the same; one that fails does not stop the others.
+
+    Args:
+        command: what is done.
+        sources: of an output each.
+        folder: where to; made if missing.
+        workers: see `work.run`.
+    Returns:
+        An outcome per source, in their order.
+    Raises:
+        UsageError: the folder cannot be made, is a file, or another run writes to it.
+        FileFormatError: there is another file of the index's name.
+        ManifoldError: a process was killed.
+    """
+    made = Batch(command, folder, [])
+    with ExitStack() as at_end:
+        at_end.enter_context(_only_run_in(folder, command.what))
+        index = OutputIndex(folder, command.what)
+        outcomes, keys = _known(command, sources, folder, index)
+        at_end.callback(made.write)  # also when it is interrupted
+        at_end.callback(lambda: made.outcomes.extend(outcomes[k] for k in sorted(outcomes)))
+        if keys and command.prepare is not None and workers is None:
+            with progress.shown("Reading materials"):
+                command.prepare()
+        at_end.enter_context(progress.shown("Writing files"))
+        missing = list(keys)
+        todo = [(sources[k], made.path(sources[k])) for k in missing]
+        is_shared = command.has_balls and workers is not None
+        make = partial(_make, command.make, is_shared)
+        for done, (i, found, failure) in enumerate(work.run(make, todo, workers), start=1):
+            k, (source, path) = missing[i], todo[i]
+            if found is None:
+                outcomes[k] = Outcome(printable(source.name), path, source, failure=failure)
+            elif found.sha256 is None:
+                refusal = found.content["refusal"]
+                outcomes[k] = Outcome(source.name, path, source, found.content, failure=refusal)
+            elif not _is_there(path):
+                unseen = (
+                    f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
+                )
+                outcomes[k] = Outcome(source.name, path, source, failure=unseen)
+            else:
+                index.add(path, keys[k], found.content, found.sha256)
+                outcomes[k] = Outcome(source.name, path, source, found.content)
+            progress.report(done, len(todo), source.name)
+    if command.conclude is not None:
+        command.conclude(made)
+    return made
+
+
+def _known(
+    command: Command[S], sources: Sequence[S], folder: Path, index: OutputIndex
+) -> tuple[dict[int, Outcome[S]], dict[int, Content]]:
+    """Outcomes of the sources of which nothing needs to be made, and keys of the others, by index."""
+    outcomes: dict[int, Outcome[S]] = {}
+    keys: dict[int, Content] = {}
+    taken: dict[str, S] = {}
+    for k, source in enumerate(sources):
+        path = Batch(command, folder, []).path(source)
+        try:
+            require_material_name(source.name)
+            if command.what in (alike(source.name), alike(path.stem)):
+                raise UsageError("has the name of the table of all; rename it")
+            first = taken.setdefault(alike(path.name), source)
+            if first is not source:
+                raise UsageError(f"{source} and {first} have the same name, {path.name}; use two folders")
+            key = command.how | source.made_of()
+            content = index.result(path, key)
+            if content is not None and (not command.has_balls or _has_ball(path)):
+                outcomes[k] = Outcome(source.name, path, source, content, was_there=True)
+            else:
+                keys[k] = key
+        except (ManifoldError, OSError) as error:
+            outcomes[k] = Outcome(printable(source.name), path, source, failure=str(error))
+    return outcomes, keys
+
+
+@dataclass(frozen=True)
+class Batch(Generic[S]):
+    """What a command has made in a folder.
+
+    Attributes:
+        command: what was done.
+        folder: where.
+        outcomes: of all sources.
+    """
+
+    command: Command[S]
+    folder: Path
+    outcomes: list[Outcome[S]]
 
     @property
     def sheet(self) -> Path:
         """The picture of all balls, where there are any."""
-        return self.folder / f"{self.what}.png"
+        return self.folder / f"{self.command.what}.png"
 
     @property
     def tables(self) -> tuple[Path, Path]:
         """The table as CSV, and all that is known as JSON."""
-        return self.folder / f"{self.what}.csv", self.folder / f"{self.what}.json"
+        return self.folder / f"{self.command.what}.csv", self.folder / f"{self.command.what}.json"
 
-    def run(
-        self,
-        todo: Sequence[Task[S]],
-        make: Callable[[S, Path], dict[str, Any]],
-        made_of: Callable[[S], dict[str, Any]],
-        *,
-        workers: Executor | None = None,
-        prepare: Callable[[], None] | None = None,
-    ) -> list[Outcome[S]]:
-        """Make the files that an earlier run has not made of the same; one that fails does not stop the others.
+    def path(self, source: S) -> Path:
+        """Where the output of a source is."""
+        is_file = bool(self.command.endings) and source.name.lower().endswith(self.command.endings)
+        return self.folder / (source.name if is_file else f"{source.name}{self.command.suffix}")
 
-        Args:
-            todo: a task per file.
-            make: writes the file of a source and says what is known of it; pickled where there are workers.
-            made_of: all that the file of a source depends on, plain values.
-            workers: see `work.run`.
-            prepare: called once in this process, if anything is to be made in it.
-        Returns:
-            An outcome per task, in their order.
-        Raises:
-            UsageError: the folder cannot be made, is a file, or another run writes to it.
-            FileFormatError: there is another file of the index's name.
-            ManifoldError: a process was killed.
-        """
-        with ExitStack() as at_end:
-            at_end.enter_context(_only_run_in(self.folder, self.what))
-            index = OutputIndex(self.folder, self.what)
-            outcomes, keys = self._known(index, todo, made_of)
-            missing = list(keys)
-            if missing and prepare is not None and workers is None:
-                with progress.shown("Reading materials"):
-                    prepare()
-            at_end.callback(self._conclude, outcomes)  # also when it is interrupted
-            at_end.enter_context(progress.shown("Writing files"))
-            begin = self.has_balls and workers is not None
-            finished = work.run(partial(_make, make, begin), [todo[k] for k in missing], workers)
-            for done, (i, made, failure) in enumerate(finished, start=1):
-                k = missing[i]
-                name, path, source = todo[k].name, todo[k].path, todo[k].source
-                if made is None:
-                    outcomes[k] = Outcome(printable(name), path, source, failure=failure)
-                elif made.sha256 is None:
-                    outcomes[k] = Outcome(name, path, source, made.content, failure=made.content["refusal"])
-                elif not _is_there(path):
-                    unseen = (
-                        f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
-                    )
-                    outcomes[k] = Outcome(name, path, source, failure=unseen)
-                else:
-                    index.add(path, keys[k], made.content, made.sha256)
-                    outcomes[k] = Outcome(name, path, source, made.content)
-                progress.report(done, len(missing), name)
-        return [outcomes[k] for k in range(len(todo))]
-
-    def _known(
-        self, index: OutputIndex, todo: Sequence[Task[S]], made_of: Callable[[S], dict[str, Any]]
-    ) -> tuple[dict[int, Outcome[S]], dict[int, dict[str, Any]]]:
-        """Outcomes of the tasks that need nothing to be made, and keys of the others, by index."""
-        outcomes: dict[int, Outcome[S]] = {}
-        keys: dict[int, dict[str, Any]] = {}
-        taken: dict[str, Task[S]] = {}
-        for k, task in enumerate(todo):
-            try:
-                require_material_name(task.name)
-                if self.what in (alike(task.name), alike(task.path.stem)):
-                    raise UsageError("has the name of the table of all; rename it")
-                first = taken.setdefault(alike(task.path.name), task)
-                if first is not task:
-                    raise UsageError(
-                        f"{task.source} and {first.source} have the same name, {task.path.name}; use two folders"
-                    )
-                key = made_of(task.source)
-                content = index.result(task.path, key)
-                if content is not None and (not self.has_balls or _has_ball(task.path)):
-                    outcomes[k] = Outcome(task.name, task.path, task.source, content, was_there=True)
-                else:
-                    keys[k] = key
-            except (ManifoldError, OSError) as error:
-                outcomes[k] = Outcome(printable(task.name), task.path, task.source, failure=str(error))
-        return outcomes, keys
-
-    def row(self, outcome: Outcome[Any]) -> dict[str, Any]:
+    def row(self, outcome: Outcome[S]) -> dict[str, Any]:
         """The cells of an outcome in the table, by title."""
         content = outcome.content
-        cells = {} if content is None else {title: of(content) for title, of in self.columns.items()}
+        cells = {} if content is None else {title: of(content) for title, of in self.command.columns.items()}
         return {"name": outcome.name, "file": outcome.path.name, **cells}
 
-    def document(self, outcomes: Iterable[Outcome[Any]]) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """All that is known of the files, plain values."""
-        every = list(outcomes)
         return {
-            self.what: [
+            self.command.what: [
                 {"name": o.name, "file": o.path.name, "kept": o.was_there} | o.content
-                for o in every
+                for o in self.outcomes
                 if o.content is not None
             ],
-            "failed": [f"{o.name}: {o.failure}" for o in every if o.failure is not None],
+            "failed": [f"{o.name}: {o.failure}" for o in self.outcomes if o.failure is not None],
         }
 
-    def _conclude(self, outcomes: dict[int, Outcome[Any]]) -> None:
+    def write(self) -> None:
         """Write the table, and draw the sheet."""
-        every = [outcomes[k] for k in sorted(outcomes)]
-        text = json.dumps({"program": f"manifold {__version__}", **self.document(every)}, indent=1)
+        text = json.dumps({"program": f"manifold {__version__}", **self.to_json()}, indent=1)
         of_rows, of_all = self.tables
         disk.write_text(of_all, text + "\n")
-        titles = ["name", "file", *self.columns, "notes", "failed"]
+        titles = ["name", "file", *self.command.columns, "notes", "failed"]
         table = io.StringIO()
         writer = csv.DictWriter(table, titles)
         writer.writeheader()
-        for o in every:
+        for o in self.outcomes:
             writer.writerow(self.row(o) | {"notes": "; ".join(notes_of(o)), "failed": o.failure})
         disk.write_text(of_rows, table.getvalue())
-        if self.has_balls and any(ball_path(o.path).is_file() for o in every):
+        if self.command.has_balls and any(ball_path(o.path).is_file() for o in self.outcomes):
             from manifold.plots import figures, sheet
 
-            cells = [(o.name, self._under(o), ball_path(o.path)) for o in every]
+            cells = [(o.name, self._under(o), ball_path(o.path)) for o in self.outcomes]
             try:
-                figures.save(sheet.contact_sheet(cells, self.under), self.sheet)
+                figures.save(sheet.contact_sheet(cells, self.command.under), self.sheet)
             except Exception as error:  # those of Pillow and Matplotlib are of many kinds
                 warnings.warn(
                     f"{self.sheet.name}: the sheet of balls could not be drawn ({error}); everything else is written",
@@ -233,10 +260,10 @@ class Batch:
                     stacklevel=2,
                 )
 
-    def _under(self, outcome: Outcome[Any]) -> str:
+    def _under(self, outcome: Outcome[S]) -> str:
         if outcome.failure is not None:
             return "failed"
-        value = None if self.under is None else self.row(outcome)[self.under]
+        value = None if self.command.under is None else self.row(outcome)[self.command.under]
         return "" if value is None else cell(value)
 
 
@@ -307,16 +334,16 @@ class _Made(NamedTuple):
     sha256: str | None
 
 
-def _make(make: Callable[[S, Path], dict[str, Any]], begin: bool, task: Task[S]) -> _Made:
-    if begin:
-        _begin()
-    content = make(task.source, task.path)
-    return _Made(content, file_sha256(task.path) if content.get("refusal") is None else None)
+def _make(make: Callable[[S, Path], Content], is_shared: bool, task: tuple[S, Path]) -> _Made:
+    if is_shared:
+        _keep_to_one_thread()
+    content = make(*task)
+    return _Made(content, file_sha256(task[1]) if content.get("refusal") is None else None)
 
 
 @lru_cache
-def _begin() -> None:
-    """In a process beside others, Dr.Jit keeps to one thread."""
+def _keep_to_one_thread() -> None:
+    """In a process beside others, Dr.Jit has one."""
     if backend.is_available():
         backend.drjit().set_thread_count(0)
 

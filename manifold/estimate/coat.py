@@ -73,6 +73,10 @@ class ColourSample:
     lab: tuple[float, float, float]
     gloss: Mapping[float, float]
 
+    def made_of(self) -> dict[str, Any]:
+        """What its content depends on, plain values."""
+        return {"lab": list(self.lab), "gloss": {f"{angle:g}": units for angle, units in self.gloss.items()}}
+
 
 @dataclass(frozen=True, eq=False)
 class Coated:

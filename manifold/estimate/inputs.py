@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,6 +45,10 @@ class Sample:
 
     def __str__(self) -> str:
         return " and ".join(str(path) for path, _ in self.parts)
+
+    def made_of(self) -> dict[str, Any]:
+        """What its content depends on, plain values."""
+        return {"parts": [[file_sha256(path), name] for path, name in self.parts], "note": self.note}
 
 
 def is_readings(path: Path) -> bool:
@@ -139,13 +144,17 @@ class Input:
         name: of what is made of it.
         source: where it is.
         sample: which, in a file of several.
+        line: of a table that names it.
     """
 
     name: str
     source: MaterialSource
     sample: str | None = None
+    line: int | None = None
 
     def __str__(self) -> str:
+        if self.line is not None:
+            return f"line {self.line}"
         return str(self.source) if self.sample is None else f"{self.source}: {self.sample}"
 
     def made_of(self) -> dict[str, Any]:
@@ -159,8 +168,15 @@ class Input:
 
         loaded = load_model(source.model, source.library)
         place, colour = loaded.place(source.place), source.colour.made_of()
-        hashes = {"model": file_sha256(source.model), "library": loaded.library.content_hash}
+        model = _sha256(source.model, source.model.stat().st_mtime_ns)
+        hashes = {"model": model, "library": loaded.library.content_hash}
         return hashes | {"latent": place.latent.tolist(), "path": place.path, "colour": colour}
+
+
+@lru_cache
+def _sha256(path: Path, changed_ns: int) -> str:
+    """Of a model, which may be that of many places."""
+    return file_sha256(path)
 
 
 def is_rgl(path: Path) -> bool:

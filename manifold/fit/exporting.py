@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manifold import disk
-from manifold.batch import Batch, Outcome, Task
+from manifold.batch import Batch, Command, Content, Outcome
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.orientation import aligned
 from manifold.colour.difference import VISIBLE
@@ -198,7 +198,7 @@ def export(
     return Outcome(subject.name, path, subject, made.to_json(), notes=notes)
 
 
-class _Source(NamedTuple):
+class ExportSource(NamedTuple):
     """A material to export: its name, what identifies its content, and what reads it."""
 
     name: str
@@ -208,69 +208,62 @@ class _Source(NamedTuple):
     def __str__(self) -> str:
         return self.name
 
+    def made_of(self) -> dict[str, Any]:
+        """What its content depends on, plain values."""
+        return {"material": self.identity}
 
-def export_all(
-    source: Path,
-    target: Target,
-    folder: Path,
-    *,
-    is_mapped: bool = False,
-    with_pictures: bool = False,
-    is_pack: bool = False,
-) -> list[Outcome[_Source]]:
-    """Write every material of a library, or every `.bsdf` file and fit of a folder; what is done is left.
+
+def exports(
+    target: Target, *, is_mapped: bool = False, with_pictures: bool = False, is_pack: bool = False
+) -> Command[ExportSource]:
+    """Write the materials that `export_sources` finds for a target; what is done is left.
 
     Args:
-        source: the library or the folder; of the folder, at every depth.
         target: for all.
-        folder: where to; made if missing. Its `exports.jsonl` names what is done.
-        is_mapped: as in `exports.export`.
+        is_mapped: as in `export`.
         with_pictures: whether to draw each material beside the target's model, into NAME.png.
         is_pack: whether to write a page of balls, too, see `pack`.
-    Returns:
-        One outcome per material; one that cannot be exported does not stop the others.
-    Raises:
-        UsageError: there is nothing to export, or the folder cannot be used.
     """
-    subjects = list(_subjects(source))
-    if not subjects:
-        raise UsageError(
-            f"{source}: neither a library nor a folder with .bsdf files or fits; name another source"
-        )
-    if folder.suffix.lower() == target.suffix and not folder.is_dir():
-        raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
-
-    def made_of(source: _Source) -> dict[str, Any]:
-        own = {"material": source.identity, "target": target.name, "mapped": is_mapped}
-        return own | ({"pack": True} if is_pack else {})
-
+    columns: dict[str, Callable[[Content], Any]] = {
+        "CIEDE2000": lambda content: content["ball"]["unseen_light"],
+        "of principled": lambda content: (content["principled_ball"] or {}).get("unseen_light"),
+        "in the worst light": lambda content: content["ball"]["worst"],
+        "worst light": lambda content: content["ball"]["worst_light"],
+    }
     make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures, is_pack=is_pack)
-    todo = [Task(s.name, folder / f"{s.name}{target.suffix}", s) for s in subjects]
-    outcomes = Batch(folder, "exports").run(todo, make, made_of)
-    if is_pack:
-        made = [(one.name, one.path, one.content) for one in outcomes if one.content is not None]
-        pack.write_index(folder, f"{len(made)} measured materials for {target.title}", made)
-    return outcomes
+    how = {"target": target.name, "mapped": is_mapped} | ({"pack": True} if is_pack else {})
+    conclude = partial(_write_index, target) if is_pack else None
+    return Command("exports", make, how, target.suffix, columns=columns, conclude=conclude)
+
+
+def _write_index(target: Target, made: Batch[ExportSource]) -> None:
+    there = [(one.name, one.path, one.content) for one in made.outcomes if one.content is not None]
+    pack.write_index(made.folder, f"{len(there)} measured materials for {target.title}", there)
 
 
 def _export(
-    source: _Source, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool, is_pack: bool
-) -> dict[str, Any]:
+    source: ExportSource, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool, is_pack: bool
+) -> Content:
     picture = path.with_suffix(".png") if with_pictures else None
     balls = path.parent / pack.BALLS / f"{source.name}.png" if is_pack else None
     made = export(source.read(), target, path, is_mapped=is_mapped, picture=picture, balls=balls)
     return made.content or {}
 
 
-def _subjects(source: Path) -> Iterator[_Source]:
-    """Every material of a source, none read yet."""
+def export_sources(source: Path) -> list[ExportSource]:
+    """Every material of a library, or every `.bsdf` file and fit of a folder, at every depth; none is read yet.
+
+    Raises:
+        UsageError: there is none, or two have the same name.
+    """
     if (source / "zarr.json").is_file():
         library = Library(source)
-        for name in library.names:
-            yield _Source(
+        return [
+            ExportSource(
                 name, library.attributes(name).content_sha256, partial(subject_in_library, library, name)
             )
-        return
+            for name in library.names
+        ]
     fits: dict[str, Path] = {}
     files: dict[str, Path] = {}
     for path in sorted(source.rglob("*")):
@@ -280,6 +273,12 @@ def _subjects(source: Path) -> Iterator[_Source]:
         name = material_name(Path(path.name.removesuffix(".fit.json")))
         if kind.setdefault(name, path) != path:
             raise UsageError(f"{path} and {kind[name]} have the same name; export them into two folders")
+    found = []
     for name in sorted({*fits, *files}):
         used = [path for path in (fits.get(name), files.get(name)) if path is not None]
-        yield _Source(name, "".join(map(file_sha256, used)), partial(subject_of, *used))
+        found.append(ExportSource(name, "".join(map(file_sha256, used)), partial(subject_of, *used)))
+    if not found:
+        raise UsageError(
+            f"{source}: neither a library nor a folder with .bsdf files or fits; name another source"
+        )
+    return found

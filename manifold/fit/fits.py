@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from manifold import disk
-from manifold.batch import APPEARANCE, Batch, Outcome, Task, appearance
+from manifold.batch import APPEARANCE, Command, Content, Outcome, appearance
 from manifold.brdf.measured import BRDF
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import ManifoldError, UsageError
@@ -125,9 +124,17 @@ def fit_file(source: Path | Measured, target: Path, settings: FitSettings) -> Ou
         return Outcome(printable(name), target, measured, failure=failure)
 
 
-def fits_in(folder: Path) -> Batch:
-    """Fits of many materials."""
-    columns: dict[str, Callable[[dict[str, Any]], Any]] = {
+def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input]:
+    """Fit many materials, one JSON each; up-to-date fits are kept.
+
+    Args:
+        settings: how.
+        with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
+    Raises:
+        RendererError: Mitsuba is missing.
+    """
+    backend.imported()
+    columns: dict[str, Callable[[Content], Any]] = {
         "BSDF": lambda content: content["bsdf"]["type"],
         **APPEARANCE,
         "CIEDE2000": lambda content: None if content["ball"] is None else content["ball"]["unseen_light"],
@@ -135,32 +142,10 @@ def fits_in(folder: Path) -> Batch:
         "diffuse": lambda content: content["diffuse_residual"],
         "minima": lambda content: len(content["minima"]),
     }
-    return Batch(folder, "fits", columns, "CIEDE2000", has_balls=True)
-
-
-def fit_all(
-    sources: Sequence[Input], batch: Batch, settings: FitSettings, *, with_pictures: bool = False,
-    workers: Executor | None = None,
-) -> list[Outcome[Input]]:  # fmt: skip
-    """Fit many materials, one JSON each; up-to-date fits are kept.
-
-    Args:
-        sources: see `estimate.inputs.find_inputs`.
-        batch: see `fits_in`.
-        settings: how.
-        with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
-        workers: see `work.run`.
-    Returns:
-        One outcome per source, in order; one that cannot be fitted does not stop the others.
-    Raises:
-        RendererError: Mitsuba is missing.
-        UsageError, FileFormatError, ManifoldError: as `Batch.run`.
-    """
-    backend.imported()
-    how = settings.to_json() | {"pictures": with_pictures}
-    todo = [Task(one.name, batch.folder / f"{one.name}{FIT}", one) for one in sources]
-    make = partial(_fit_input, settings=settings, with_pictures=with_pictures)
-    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers)
+    return Command(
+        "fits", partial(_fit_input, settings=settings, with_pictures=with_pictures),
+        settings.to_json() | {"pictures": with_pictures}, FIT, columns=columns, under="CIEDE2000", has_balls=True,
+    )  # fmt: skip
 
 
 def fit_prediction(place: PlaceSource, output: Path | None, settings: FitSettings) -> Outcome[Prediction]:
@@ -189,7 +174,7 @@ def fit_prediction(place: PlaceSource, output: Path | None, settings: FitSetting
     return Outcome(source.name, path, predicted, content)
 
 
-def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictures: bool) -> dict[str, Any]:
+def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictures: bool) -> Content:
     if isinstance(source.source, PlaceSource):
         content = fit_prediction(source.source, target, settings).content or {}
     else:

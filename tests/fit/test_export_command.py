@@ -12,6 +12,7 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from manifold import progress
+from manifold.batch import batch
 from manifold.cli.main import app
 from manifold.errors import ManifoldError, UsageError
 from manifold.fit import exporting
@@ -117,6 +118,10 @@ def test_a_prediction_is_exported(tmp_path):
     assert made["ball"]["unseen_light"] is not None
 
 
+def exported(source, out):
+    return batch(exporting.exports(TARGETS["gltf"]), exporting.export_sources(source), out).outcomes
+
+
 def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
     source = tmp_path / "source"
     shutil.copytree(folder, source)
@@ -124,7 +129,7 @@ def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
     (source / "broken.fit.json").write_text("{}")
     done = []
     with progress.listen(lambda *step: done.append(step)):
-        outcomes = exporting.export_all(source, TARGETS["gltf"], tmp_path / "out")
+        outcomes = exported(source, tmp_path / "out")
     assert [(o.name, o.failure is None, o.was_there) for o in outcomes] == [
         ("broken", False, False), ("copper", True, False), ("other", True, False),
     ]  # fmt: skip
@@ -134,7 +139,7 @@ def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
     (source / "broken.fit.json").unlink()
     (tmp_path / "out" / "other.glb").write_bytes(b"changed")
     before = (tmp_path / "out" / "copper.glb").stat().st_mtime_ns
-    again = exporting.export_all(source, TARGETS["gltf"], tmp_path / "out")
+    again = exported(source, tmp_path / "out")
     assert [(o.name, o.was_there) for o in again] == [("copper", True), ("other", False)]
     assert (tmp_path / "out" / "copper.glb").stat().st_mtime_ns == before
     assert read_glb(tmp_path / "out" / "other.glb")[0]["materials"][0]["name"] == "copper"
@@ -194,7 +199,7 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
         (tmp_path / part).mkdir()
         shutil.copy(folder / "copper_rgb.fit.json", tmp_path / part)
     with pytest.raises(UsageError, match="have the same name"):
-        exporting.export_all(tmp_path, TARGETS["gltf"], tmp_path / "out")
+        exported(tmp_path, tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -210,7 +215,7 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
         (["nowhere.bsdf", "-o", "x.glb"], "no such file"),
         (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),
         ([".", "-o", "x.glb"], "named like a file, expected a folder"),
-        ([".", "-o", "copper_rgb.bsdf"], "is a file, expected a folder"),
+        ([".", "-o", "copper_rgb.bsdf"], "named like a file, expected a folder"),
     ],
 )
 def test_bad_requests_are_one_clear_error_each(folder, monkeypatch, words, expected):
@@ -223,10 +228,10 @@ def test_bad_requests_are_one_clear_error_each(folder, monkeypatch, words, expec
 
 def test_an_empty_folder_is_one_clear_error(tmp_path):
     with pytest.raises(UsageError, match="neither a library nor a folder"):
-        exporting.export_all(tmp_path, TARGETS["gltf"], tmp_path / "out")
+        exported(tmp_path, tmp_path / "out")
 
 
 def test_a_folder_with_another_index_is_refused(folder, tmp_path):
     (tmp_path / "exports.jsonl").write_text("[]")
     with pytest.raises(ManifoldError, match="not an index of exports"):
-        exporting.export_all(folder, TARGETS["gltf"], tmp_path)
+        exported(folder, tmp_path)

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from manifold import work
 from manifold.analytic.base import Lambert
+from manifold.batch import batch
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
@@ -172,9 +173,8 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
     (folder / "broken.bsdf").write_bytes(b"not a tensor file")
     with work.processes(2) as workers:
-        outcomes = fits.fit_all(
-            find_inputs([FileSource(folder)]), fits.fits_in(tmp_path / "fits"), SETTINGS, workers=workers
-        )
+        command, inputs = fits.fits(SETTINGS), find_inputs([FileSource(folder)])
+        outcomes = batch(command, inputs, tmp_path / "fits", workers).outcomes
     assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]
     assert [o.failure is None for o in outcomes] == [False, True, True]
     assert sorted(p.name for p in (tmp_path / "fits").glob("*.fit.json")) == [

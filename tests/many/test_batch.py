@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from concurrent.futures import Executor, Future
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from helpers.small_library import small_model
 
 from manifold.analytic.base import Lambert
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
-from manifold.batch import Batch, SheetWarning, Task, _Made, ball_path
+from manifold.batch import Command, SheetWarning, _Made, ball_path, batch
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.completions import calibrate_instrument
 from manifold.estimate.inputs import Input, find_inputs, find_samples
@@ -23,15 +24,27 @@ from manifold.plots import figures
 COLUMNS = {"letters": lambda content: content["letters"]}
 
 
-def run(folder, names, make):
-    batch = Batch(folder, "words", COLUMNS)
-    todo = [Task(name, folder / f"{name}.txt", name) for name in names]
-    return batch.run(todo, make, lambda name: {"name": name})
+class Word(NamedTuple):
+    name: str
+
+    def __str__(self):
+        return self.name
+
+    def made_of(self):
+        return {"name": self.name}
 
 
-def written(name, path):
-    path.write_text(name)
-    return {"letters": len(name)}
+def command(make, **settings):
+    return Command("words", make, {}, ".txt", columns=COLUMNS, **settings)
+
+
+def run(folder, names, make, workers=None, **settings):
+    return batch(command(make, **settings), list(map(Word, names)), folder, workers).outcomes
+
+
+def written(word, path):
+    path.write_text(word.name)
+    return {"letters": len(word.name)}
 
 
 def done(result):
@@ -44,16 +57,16 @@ def done(result):
 def test_what_was_made_before_an_interruption_is_not_made_again(tmp_path, moment):
     names, made = [f"word{k}" for k in range(5)], []
 
-    def make(name, path):
+    def make(word, path):
         if len(made) == moment:
             raise KeyboardInterrupt
-        made.append(name)
-        return written(name, path)
+        made.append(word.name)
+        return written(word, path)
 
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, names, make)
     again = []
-    outcomes = run(tmp_path, names, lambda name, path: again.append(name) or written(name, path))
+    outcomes = run(tmp_path, names, lambda word, path: again.append(word.name) or written(word, path))
     assert made + again == names
     assert [o.was_there for o in outcomes] == [name in made for name in names]
 
@@ -63,17 +76,15 @@ def test_a_file_that_a_worker_wrote_elsewhere_is_one_failure(tmp_path):
         def submit(self, function, *args):
             return done((0, _Made({"letters": 4}, "0" * 64), None))
 
-    batch = Batch(tmp_path, "words", COLUMNS)
-    todo = [Task("word", tmp_path / "word.txt", "word")]
-    (outcome,) = batch.run(todo, written, lambda name: {}, workers=Elsewhere())
+    (outcome,) = run(tmp_path, ["word"], written, Elsewhere())
     assert "word.txt: not seen here after a worker wrote it; use a folder that all" in outcome.failure
 
 
 def test_a_failure_stops_nothing_and_stands_in_the_tables(tmp_path):
-    def make(name, path):
-        if name == "bad":
+    def make(word, path):
+        if word.name == "bad":
             raise ManifoldError("bad: not a word")
-        return written(name, path) | ({"refusal": "too bright"} if name == "refused" else {})
+        return written(word, path) | ({"refusal": "too bright"} if word.name == "refused" else {})
 
     outcomes = run(tmp_path, ["a", "bad", "refused", "b"], make)
     assert [o.failure for o in outcomes] == [None, "bad: not a word", "too bright", None]
@@ -98,18 +109,14 @@ def test_a_sheet_that_cannot_be_drawn_is_a_warning(tmp_path, monkeypatch):
         ball.write_bytes(b"no picture")
         return written(name, path)
 
-    batch = Batch(tmp_path, "words", COLUMNS, has_balls=True)
-    todo = [Task("word", tmp_path / "word.txt", "word")]
     with pytest.warns(SheetWarning, match="everything else is written"):
-        (outcome,) = batch.run(todo, make, lambda name: {"name": name})
+        (outcome,) = run(tmp_path, ["word"], make, has_balls=True)
     assert outcome.failure is None
     assert (tmp_path / "words.csv").is_file()
 
 
 def test_no_file_takes_the_place_of_the_table(tmp_path):
-    batch = Batch(tmp_path, "words", COLUMNS)
-    todo = [Task(name, tmp_path / f"{name}.csv", name) for name in ("words", "Words", "word")]
-    outcomes = batch.run(todo, written, lambda name: {"name": name})
+    outcomes = run(tmp_path, ["words", "Words", "word"], written)
     assert [o.failure for o in outcomes] == [
         "has the name of the table of all; rename it",
         "has the name of the table of all; rename it",
@@ -124,7 +131,7 @@ def test_a_folder_is_one_runs_at_a_time(tmp_path):
         with pytest.raises(UsageError, match="another run writes to it; wait until it is done"):
             run(tmp_path, ["b"], written)
         with pytest.raises(UsageError, match="another run writes to it"):  # whatever it writes
-            Batch(tmp_path, "letters").run([], written, lambda name: {})
+            batch(Command("letters", written, {}), [], tmp_path)
         return written(name, path)
 
     (outcome,) = run(tmp_path, ["a"], make)
@@ -138,11 +145,10 @@ def test_a_file_that_another_program_replaces_at_once_is_made_again(tmp_path):
     class Slow(Executor):
         def submit(self, function, *args):
             made = done(function(*args))
-            args[-1].path.write_text("of another program")
+            args[-1][1].write_text("of another program")
             return made
 
-    todo = [Task("word", tmp_path / "word.txt", "word")]
-    Batch(tmp_path, "words", COLUMNS).run(todo, written, lambda name: {"name": name}, workers=Slow())
+    run(tmp_path, ["word"], written, Slow())
     (outcome,) = run(tmp_path, ["word"], written)
     assert not outcome.was_there
     assert (tmp_path / "word.txt").read_text() == "word"

@@ -10,9 +10,10 @@ import pytest
 from helpers.sample_files import write_samples
 from helpers.small_library import small_library
 
-from manifold import cluster, metrics
+from manifold import cluster, many, metrics
 from manifold.analytic.base import Lambert
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.batch import batch
 from manifold.convert.targets import Options
 from manifold.errors import ManifoldError
 from manifold.estimate.inputs import find_inputs, find_samples
@@ -24,7 +25,6 @@ from manifold.evaluate.stability.trials import run_modes, select_modes
 from manifold.library import importing
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.many import tasks
 from manifold.model.manifold import Settings
 from manifold.model.output_file import OutputOptions
 
@@ -152,18 +152,13 @@ def test_completions_and_conversions_are_the_same(tmp_path, workers, rng):
         grey = Lambert(np.full(MA_T12_BANDS.count, 0.1 + 0.2 * k), MA_T12_BANDS)
         write_ma_t12(samples / f"s{k}.xlsx", grey, f"s{k}", rng)
     files = find_inputs([FileSource(tmp_path / "files")])[:2]
-    found = {}
+    command, found = many.completions_of(library, options=OutputOptions(resolution=8)), {}
     for name, someone in (("here", None), ("there", workers)):
         out = tmp_path / name
         outcomes = [
-            *tasks.complete_all(
-                find_samples([samples]), library, tasks.completions_in(out / "a"),
-                options=OutputOptions(resolution=8), workers=someone,
-            ),
-            *tasks.convert_all(
-                files, "rgl", tasks.conversions_in(out / "b"), options=Options(), workers=someone
-            ),
-        ]  # fmt: skip
+            *batch(command, find_samples([samples]), out / "a", someone).outcomes,
+            *batch(many.conversions("rgl", options=Options()), files, out / "b", someone).outcomes,
+        ]
         assert [o.failure for o in outcomes] == [None] * 5
         found[name] = contents(out, "*.bsdf") | contents(out, "*.png")
     assert len(found["here"]) == 2 * 5 + 2

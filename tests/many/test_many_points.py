@@ -14,14 +14,14 @@ import pytest
 from helpers.small_library import NAMES, small_model
 from typer.testing import CliRunner
 
-from manifold.batch import OutputIndex
+from manifold import many
+from manifold.batch import OutputIndex, batch
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate import predictions
+from manifold.estimate.point_table import read_points
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256
-from manifold.many import places
-from manifold.many.point_table import read_points
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
@@ -40,6 +40,12 @@ def table(folder, text):
     path = folder / "points.csv"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def predicted(folder, model, text, **options):
+    """Outcomes of the predictions at a table's places, in a folder `out`."""
+    rows, _ = read_points(table(folder, text), model)
+    return batch(many.predictions_of(model, **options), rows, folder / "out").outcomes
 
 
 def test_rows_are_predicted_as_one_by_one(model, tmp_path):
@@ -68,19 +74,16 @@ def test_rows_are_predicted_as_one_by_one(model, tmp_path):
 
 def test_a_second_run_makes_only_rows_that_changed(model, tmp_path, monkeypatch):
     folder = tmp_path / "out"
-    read = read_points(table(tmp_path, "x,y,name\n0,0,a\n0.1,0,b\n0.2,0,c\n"))
-    assert not any(o.was_there for o in places.predict_all(model, read, folder))
+    assert not any(o.was_there for o in predicted(tmp_path, model, "x,y,name\n0,0,a\n0.1,0,b\n0.2,0,c\n"))
     (folder / "c_rgb.bsdf").write_bytes(b"changed")
-    read = read_points(table(tmp_path, "x;y;name\n0;0;a\n0,15;0;b\n0,2;0;c\n"))  # decimal commas
-    again = places.predict_all(model, read, folder)
+    text = "x;y;name\n0;0;a\n0,15;0;b\n0,2;0;c\n"  # decimal commas
+    again = predicted(tmp_path, model, text)
     assert [(o.source.name, o.was_there) for o in again] == [("a", True), ("b", False), ("c", False)]
     assert again[0].content["latent"] == [0.0, 0.0]
-    assert not any(
-        o.was_there for o in places.predict_all(model, read, folder, options=OutputOptions(resolution=8))
-    )
+    coarse = OutputOptions(resolution=8)
+    assert not any(o.was_there for o in predicted(tmp_path, model, text, options=coarse))
     monkeypatch.setattr(Manifold, "prepare", None)  # nothing to be made, nothing read
-    kept = places.predict_all(model, read, folder, options=OutputOptions(resolution=8))
-    assert all(o.was_there for o in kept)
+    assert all(o.was_there for o in predicted(tmp_path, model, text, options=coarse))
     words = ["predict", "--from", tmp_path / "points.csv", "-M", model, "-o", folder, "--resolution", "8"]
     assert "3 predictions in" in run(*words).stdout
     assert "3 of them kept" in run(*words).stdout
@@ -98,18 +101,20 @@ def test_bad_rows_are_named_by_their_lines_and_the_others_are_made(model, tmp_pa
     assert isinstance(result.exception, FileFormatError)
     made = json.loads((tmp_path / "r.json").read_text())
     assert [row["name"] for row in made["predictions"]] == ["good"]
-    lines = [int(words.split(":")[0].removeprefix("line ")) for words in made["failed"]]
-    assert lines == list(range(3, 15))
+    assert [words.partition(":")[0] for words in made["failed"]] == [
+        "line 5", "line 7", "line 8", "line 9", "line 12", "three", "number", "stranger", "like", "srgb",
+        "good_rgb.bsdf", "predictions",
+    ]  # fmt: skip
     assert made["failed"][-2:] == [
-        "line 13: line 13 and line 2 have the same name, good_rgb.bsdf; use two folders",
-        "line 14: has the name of the table of all; rename it",
+        "good_rgb.bsdf: line 13 and line 2 have the same name, good_rgb.bsdf; use two folders",
+        "predictions: has the name of the table of all; rename it",
     ]
     assert sorted(path.name for path in tmp_path.rglob("*.bsdf")) == ["good_rgb.bsdf"]
 
 
 def test_names_are_rows_numbers_where_there_are_none(tmp_path):
-    read = read_points(table(tmp_path, "\ufeffx1,x2,x3\n\n1,2,3\n4,5,6\n"))
-    assert [(p.line, p.name, p.place) for p in read.points] == [
+    rows, _ = read_points(table(tmp_path, "\ufeffx1,x2,x3\n\n1,2,3\n4,5,6\n"), tmp_path)
+    assert [(p.line, p.name, p.source.place) for p in rows] == [
         (3, "point-0001", (1.0, 2.0, 3.0)), (4, "point-0002", (4.0, 5.0, 6.0)),
     ]  # fmt: skip
 
@@ -129,9 +134,9 @@ def test_names_are_rows_numbers_where_there_are_none(tmp_path):
 def test_tables_are_read_as_spreadsheets_write_them(tmp_path, content):
     path = tmp_path / "points.csv"
     path.write_bytes(content)
-    read = read_points(path)
-    assert [(p.name, p.place) for p in read.points] == [("a", (-0.3, 1.2))]
-    assert read.failures == ()
+    rows, failed = read_points(path, tmp_path)
+    assert [(p.name, p.source.place) for p in rows] == [("a", (-0.3, 1.2))]
+    assert failed == []
 
 
 @pytest.mark.parametrize(
@@ -149,7 +154,7 @@ def test_tables_are_read_as_spreadsheets_write_them(tmp_path, content):
 )
 def test_a_file_that_is_no_table_is_one_clear_error(tmp_path, text, expected):
     with pytest.raises(ManifoldError, match=expected):
-        read_points(table(tmp_path, text))
+        read_points(table(tmp_path, text), tmp_path)
 
 
 def test_pictures_are_rendered_and_kept(model, tmp_path):

@@ -18,6 +18,7 @@ import pytest
 from helpers.browser import chromium, control, visit
 from helpers.small_library import NAMES, small_model
 
+from manifold.batch import batch
 from manifold.errors import UsageError
 from manifold.fit import exporting
 from manifold.fit.exports import TARGETS
@@ -253,7 +254,9 @@ def test_an_export_is_named_after_its_target(served, context):
 
 def test_a_fit_of_the_page_is_found_by_an_export_of_its_folder(context):
     action("fit", HERE, context, context.folder, Path.exists).output.write_text("{}")
-    (outcome,) = exporting.export_all(context.folder, TARGETS["gltf"], context.folder / "out")
+    (outcome,) = batch(
+        exporting.exports(TARGETS["gltf"]), exporting.export_sources(context.folder), context.folder / "out"
+    ).outcomes
     assert "here.fit.json" in outcome.failure  # which says that it is no fit
 
 

@@ -13,6 +13,7 @@ import pytest
 from helpers.small_library import measured
 
 from manifold import work
+from manifold.batch import batch
 from manifold.errors import ManifoldError
 from manifold.estimate.inputs import find_inputs
 from manifold.estimate.sources import FileSource
@@ -56,13 +57,9 @@ def killed(source, target, *, settings, with_pictures):
 
 def test_a_killed_process_is_one_error(folder, monkeypatch):
     monkeypatch.setattr(fits, "_fit_input", killed)
+    command, inputs = fits.fits(FitSettings()), find_inputs([FileSource(folder / "files")])
     with (
-        pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"),
         work.processes(2) as workers,
+        pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"),
     ):
-        fits.fit_all(
-            find_inputs([FileSource(folder / "files")]),
-            fits.fits_in(folder / "out"),
-            FitSettings(),
-            workers=workers,
-        )
+        batch(command, inputs, folder / "out", workers)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 from manifold import disk
 from manifold.errors import FileFormatError, UsageError
+from manifold.estimate.inputs import Input
+from manifold.estimate.sources import PlaceSource
 from manifold.formats.text import decode, number
 from manifold.library.identity import alike, require_material_name
 from manifold.model.colours import ColourChoice
@@ -23,41 +24,8 @@ _EXPECTED = (
 )
 
 
-@dataclass(frozen=True)
-class Point:
-    """One row.
-
-    Attributes:
-        line: of the table, from 1.
-        name: of what is made of it.
-        place: coordinates, or the name of a material, or a path between two.
-        colour: that it asks for.
-    """
-
-    line: int
-    name: str
-    place: tuple[float, ...] | str
-    colour: ColourChoice
-
-    def __str__(self) -> str:
-        return f"line {self.line}"
-
-
-@dataclass(frozen=True)
-class PointTable:
-    """The rows of a file.
-
-    Attributes:
-        points: in the order of the rows.
-        failures: the lines of other rows, and what is wrong with them.
-    """
-
-    points: tuple[Point, ...]
-    failures: tuple[tuple[int, str], ...]
-
-
-def read_points(path: Path) -> PointTable:
-    """Read a table of places; a row that cannot be used does not stop the others.
+def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[list[Input], list[str]]:
+    """Read a table of places on the map of a model, and what is wrong with rows that are none, which stop no others.
 
     Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`
     (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,
@@ -73,8 +41,8 @@ def read_points(path: Path) -> PointTable:
     head = text.partition("\n")[0]
     separator = next((s for s in (";", "\t") if s in head), ",")
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
-    points: list[Point] = []
-    failures: list[tuple[int, str]] = []
+    found: list[Input] = []
+    failures: list[str] = []
     columns: list[str] | None = None
     lines: dict[str, int] = {}  # of names
     try:
@@ -85,18 +53,21 @@ def read_points(path: Path) -> PointTable:
             if columns is None:
                 columns = _columns(path, cells)
                 continue
-            count = len(points) + len(failures) + 1
+            count = len(found) + len(failures) + 1
             if count > MOST_POINTS:
                 raise FileFormatError(f"{path}: more than {MOST_POINTS} rows; make several tables of it")
             try:
-                points.append(_point(reader.line_num, count, columns, cells, path.parent, lines))
+                row = _row(columns, cells)
+                source = PlaceSource(model, _place(row), library, _colour(row, path.parent))
+                name = _name(row, count, reader.line_num, lines)
+                found.append(Input(name, source, line=reader.line_num))
             except UsageError as error:
-                failures.append((reader.line_num, str(error)))
+                failures.append(f"line {reader.line_num}: {error}")
     except csv.Error as error:
         raise FileFormatError(f"{path}, line {reader.line_num}: not a table ({error}); {_EXPECTED}") from None
-    if not points and not failures:
+    if not found and not failures:
         raise UsageError(f"{path}: no row of points; {_EXPECTED}")
-    return PointTable(tuple(points), tuple(failures))
+    return found, failures
 
 
 def _columns(path: Path, cells: list[str]) -> list[str]:
@@ -123,25 +94,27 @@ def _axis(column: str) -> int | None:
     return None if found is None else int(found[1]) - 1
 
 
-def _point(
-    line: int, count: int, columns: list[str], cells: list[str], folder: Path, lines: dict[str, int]
-) -> Point:
-    if len(cells) > len(columns) and any(cells[len(columns) :]):
+def _row(columns: list[str], cells: list[str]) -> dict[str, str]:
+    """The cells that are filled, by column."""
+    if any(cells[len(columns) :]):
         raise UsageError(
             f"found {len(cells)} cells, expected {len(columns)}; put cells with commas in quotes"
         )
-    row = {column: cell for column, cell in zip(columns, cells, strict=False) if cell}
-    place = _place(row)
-    colour = {key: row[key] for key in _COLOURS if key in row}
-    choice = ColourChoice(
-        colour.get("like"), folder / colour["reflectance"] if "reflectance" in colour else None, colour.get("srgb")
-    )  # fmt: skip
+    return {column: cell for column, cell in zip(columns, cells, strict=False) if cell}
+
+
+def _colour(row: dict[str, str], folder: Path) -> ColourChoice:
+    reflectance = folder / row["reflectance"] if "reflectance" in row else None
+    return ColourChoice(row.get("like"), reflectance, row.get("srgb"))
+
+
+def _name(row: dict[str, str], count: int, line: int, lines: dict[str, int]) -> str:
     name = row.get("name") or f"point-{count:04d}"
     require_material_name(name)
     first = lines.setdefault(alike(name), line)
     if first != line:
         raise UsageError(f"found the name '{name}' of line {first}; name every row differently")
-    return Point(line, name, place, choice)
+    return name
 
 
 def _place(row: dict[str, str]) -> tuple[float, ...] | str:

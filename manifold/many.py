@@ -1,0 +1,275 @@
+"""Commands for many materials: what each does with one, for `batch`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import disk
+from manifold.batch import APPEARANCE, Batch, Command, Content, appearance, ball_path
+from manifold.colour.correction import read_correction
+from manifold.convert import conversion
+from manifold.convert.source import open_source
+from manifold.convert.targets import TARGETS, Options
+from manifold.errors import ManifoldError, UsageError
+from manifold.estimate import coat, completions, predictions, reports
+from manifold.estimate.attributes import readings_of_colour
+from manifold.estimate.coat import ColourSample
+from manifold.estimate.inputs import Input, Sample
+from manifold.estimate.sources import PlaceSource
+from manifold.library.identity import file_sha256
+from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.model.located import Reconstruction
+from manifold.model.manifold import load_model
+from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
+from manifold.pictures import renders as pictures
+from manifold.render import images
+from manifold.render.render import RenderSettings, require_d65
+
+Columns = dict[str, Callable[[Content], Any]]
+
+_ERRORS: Columns = {
+    "CIEDE2000": lambda content: content["ball"],
+    "cube root": lambda content: content["cube_root_error"],
+    "linear": lambda content: content["relative_error"],
+}
+
+
+def completions_of(
+    library: Path, *, correction: Path | None = None, count: int = 0, instrument: str | None = None,
+    options: OutputOptions, report: Path | None = None,
+) -> Command[Sample]:  # fmt: skip
+    """Complete the samples that `inputs.find_samples` finds through a library; see `completions.complete_readings`.
+
+    Args:
+        library: of measured materials.
+        correction: of colours, a file.
+        count, instrument, options: as there.
+        report: page that lists a report of each, which lie in a folder beside it; None for none.
+    """
+    how = {
+        "library": Library(library).content_hash,
+        "count": count,
+        "instrument": instrument,
+        **asdict(options),
+    }
+    pages = None
+    if report is not None:
+        disk.require_writable(report)
+        pages = report.parent / f"{report.stem}_reports"
+        how["reports"] = str(pages.absolute())
+    if correction is not None:
+        read_correction(correction)
+        how["correction"] = file_sha256(correction)
+    columns: Columns = {
+        "from": lambda content: content.get("from"),
+        "instrument": lambda content: content["instrument"],
+        "readings": lambda content: content["readings"],
+        **APPEARANCE,
+        "expected CIEDE2000": lambda content: content["expected"]["ball"],
+        "expected cube root": lambda content: content["expected"]["cube_root"],
+        "expected linear": lambda content: content["expected"]["linear"],
+        "residual": lambda content: content["residual"],
+    }
+    make = partial(
+        _complete, library=library, correction=correction, count=count, instrument=instrument, options=options,
+        pages=pages,
+    )  # fmt: skip
+    return Command(
+        "completions", make, how, columns=columns, under="expected CIEDE2000", has_balls=True,
+        conclude=None if report is None else partial(_list_reports, report),
+    )  # fmt: skip
+
+
+def _list_reports(report: Path, made: Batch[Sample]) -> None:
+    pages = f"{report.stem}_reports"
+    cards = [
+        (
+            os.path.relpath(ball_path(one.path), report.parent),
+            f"{pages}/{one.path.stem}.html",
+            one.name,
+            f"expected error of the ball {one.content['expected']['ball']:.1f}",
+        )
+        for one in made.outcomes
+        if one.content is not None and (report.parent / pages / f"{one.path.stem}.html").is_file()
+    ]
+    reports.write_index(report, "Completions", cards)
+
+
+def _complete(
+    sample: Sample, path: Path, *, library: Path, correction: Path | None, count: int, instrument: str | None,
+    options: OutputOptions, pages: Path | None,
+) -> Content:  # fmt: skip
+    readings, learned = completions.read_sample(sample, correction)
+    made = completions.complete_readings(
+        readings, library, path, correction=learned, count=count, instrument=instrument, options=options
+    )
+    if pages is not None:
+        pages.mkdir(parents=True, exist_ok=True)
+        reports.write_completion(pages / f"{path.stem}.html", made, [part for part, _ in sample.parts])
+    return made.to_json() | {"from": ", ".join(part.name for part, _ in sample.parts)} | appearance(path)
+
+
+def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> Command[ColourSample]:
+    """Make materials of the colours and gloss that `coat.read_colours` reads; see `coat.complete_colour`.
+
+    Args:
+        library: of measured materials.
+        is_mixture: of the library's materials, as those without gloss always are.
+        options: of the files.
+    """
+    columns: Columns = {**APPEARANCE, "expected CIEDE2000": lambda content: content["expected"]["ball"]}
+    how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
+    make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
+    return Command("completions", make, how, columns=columns, under="expected CIEDE2000", has_balls=True)
+
+
+def _complete_colour(
+    sample: ColourSample, path: Path, *, library: Path, is_mixture: bool, options: OutputOptions
+) -> Content:
+    made: coat.Coated | completions.Completed
+    if is_mixture or not sample.gloss:
+        readings = readings_of_colour(np.array(sample.lab), sample.gloss, Library(library).bands)
+        made = completions.complete_readings(readings, library, path, options=options)
+    else:
+        made = coat.complete_colour(sample, library, path, options=options)
+    return made.to_json() | appearance(path)
+
+
+def import_outputs(made: Batch[Any], library: Path) -> None:
+    """Import the files of a batch into a library, in place of others of the same names.
+
+    Raises: as `import_files`; `ManifoldError` where one of them cannot be imported.
+    """
+    paths = [o.path for o in made.outcomes if o.failure is None]
+    failed = import_files(library, paths, replace=True).failed if paths else {}
+    if failed:
+        raise ManifoldError("; ".join(failed.values()))
+
+
+def predictions_of(
+    model: Path, *, library: Path | None = None, options: OutputOptions = DEFAULT_OPTIONS
+) -> Command[Input]:
+    """Predict at the places of a model that `point_table.read_points` reads; see `estimate.predict`."""
+    loaded = load_model(model, library)
+    suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
+    columns: Columns = {
+        "latent": lambda content: " ".join(f"{x:.4g}" for x in content["latent"]),
+        "colour": lambda content: content["colour"],
+        "expected CIEDE2000": lambda content: content["expected_ball"],
+    }
+    return Command(
+        "predictions", partial(_predict, options=options), asdict(options), suffix, (".bsdf",), columns,
+        prepare=loaded.prepare,
+    )  # fmt: skip
+
+
+def _predict(source: Input, path: Path, *, options: OutputOptions) -> Content:
+    place = source.source
+    assert isinstance(place, PlaceSource)
+    model = load_model(place.model, place.library)
+    return predictions.predict(model, place.place, path, colour=place.colour, options=options).to_json()
+
+
+def locations(model: Path, *, library: Path | None = None, options: OutputOptions) -> Command[Input]:
+    """Find the latents of measured files, and write the predictions there; see `predictions.locate`."""
+    columns: Columns = {
+        "latent": lambda content: " ".join(content["coordinates"]),
+        "nearest": lambda content: content["nearest"][0][0],
+        **APPEARANCE,
+        **_ERRORS,
+    }
+    content_hash = load_model(model, library).library.content_hash
+    how = {"model": file_sha256(model), "library": content_hash, **asdict(options)}
+    make = partial(_locate, model=model, library=library, options=options)
+    return Command("locations", make, how, columns=columns, under="CIEDE2000", has_balls=True)
+
+
+def _locate(
+    source: Input, path: Path, *, model: Path, library: Path | None, options: OutputOptions
+) -> Content:
+    loaded = load_model(model, library)
+    return _shown(predictions.locate(loaded, source.source, path, options=options), path)
+
+
+def reconstructions_of(
+    library: Path, *, without: tuple[str, ...] = (), numbers: int | None = None, options: OutputOptions
+) -> Command[Input]:
+    """Reconstruct measured files from a library; see `predictions.reconstruct`."""
+    columns = {**APPEARANCE, **_ERRORS}
+    used = {"library": Library(library).content_hash, "without": sorted(without), "numbers": numbers}
+    make = partial(_reconstruct, library=library, without=without, numbers=numbers, options=options)
+    return Command(
+        "reconstructions", make, used | asdict(options), columns=columns, under="CIEDE2000", has_balls=True
+    )
+
+
+def _reconstruct(source: Input, path: Path, *, library: Path, **how: Any) -> Content:
+    return _shown(predictions.reconstruct(library, source.source, path, **how), path)
+
+
+def _shown(made: Reconstruction, path: Path) -> Content:
+    return made.to_json() | ({} if made.refusal is not None else appearance(path))
+
+
+def conversions(to: str, *, correction: Path | None = None, options: Options) -> Command[Input]:
+    """Convert files, or every sample of those with several, into one of `TARGETS`; see `conversion.convert`."""
+    if to not in TARGETS:
+        raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
+    columns: Columns = {
+        "from": lambda content: content["source"],
+        "bands": lambda content: content["bands"],
+        **APPEARANCE,
+        "cube root": lambda content: content["error"]["cube_root"],
+        "linear": lambda content: content["error"]["linear"],
+    }
+    how = {"to": to, **options._asdict()}
+    if correction is not None:
+        how["correction"] = file_sha256(correction)
+    suffix = next(iter(TARGETS[to].suffixes), f".{to}.txt")
+    make = partial(_convert, to=to, correction=correction, options=options)
+    return Command("conversions", make, how, suffix, columns=columns, under="cube root", has_balls=True)
+
+
+def _convert(source: Input, path: Path, *, to: str, correction: Path | None, options: Options) -> Content:
+    with conversion.conversion_input([source.source]) as given:
+        made = conversion.convert(
+            given, path, to=to, sample=source.sample, correction=correction, options=options
+        )
+    brdf = open_source([path]).interpolated
+    return made.to_json() | ({} if isinstance(brdf, UsageError) else appearance(path, brdf))
+
+
+def renders(
+    settings: RenderSettings, *, model: Path | None = None, library: Path | None = None, direct: bool = False
+) -> Command[Input]:
+    """Render the balls of materials; see `pictures.renders.render`.
+
+    Args:
+        settings: of all pictures.
+        model, library: of all materials, where they are places of a table; there is no sheet of these.
+        direct: evaluate the measured materials of predictions while rendering.
+    """
+    columns: Columns = {
+        "material": lambda content: content["route"],
+        "light": lambda content: content["illuminant"],
+    }
+    loaded = None if model is None else load_model(model, library)
+    if loaded is not None and loaded.bands.is_rgb:
+        require_d65(settings.illuminant)
+    return Command(
+        "renders", partial(_render, settings=settings, direct=direct),
+        pictures.settings_key(settings) | {"direct": direct}, ".png", images.SUFFIXES, columns,
+        has_balls=loaded is None, prepare=None if loaded is None else loaded.prepare,
+    )  # fmt: skip
+
+
+def _render(source: Input, path: Path, *, settings: RenderSettings, direct: bool) -> Content:
+    return pictures.render(source.source, path, settings, direct=direct).to_json()

@@ -21,7 +21,7 @@ from scipy.stats import spearmanr
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import panel
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold
@@ -66,7 +66,7 @@ def hold_out(
 
 def errors(truth: MeasuredBRDF, predicted: BRDF) -> tuple[float, float]:
     """CIEDE2000 of the ball in the judged lights, and the error of cube roots."""
-    lights, pairs = panel.judged(), EncodingPairs.default()
+    lights, pairs = panel.judged(), encoding_pairs()
     lit, lit_star = (brdf.eval(lights.wi, lights.wo) for brdf in (truth, predicted))
     f, f_star = (brdf.eval(pairs.wi, pairs.wo) for brdf in (truth, predicted))
     return lights.errors(lit, lit_star, truth.bands).ball, cube_root_error(f, f_star, pairs.cosines)

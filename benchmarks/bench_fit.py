@@ -30,8 +30,8 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.identifiability import DETERMINED
 from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.comparison import brdf_errors
+from manifold.pairs import RusinkiewiczGrid
 from manifold.render import backend, fit_json
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import Layout, principled

@@ -46,8 +46,8 @@ from manifold.io_rgl import read_bsdf
 from manifold.kernels import SquaredExponential
 from manifold.likelihood import LatentObjective, centre_gram, pca_start
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.fitting import gram_matrix
+from manifold.pairs import RusinkiewiczGrid
 
 STARTS = 20
 SIZES = (51, 200, 1000, 5000)

@@ -21,7 +21,6 @@ import numpy as np
 from neural_fits import NeuralBRDF, read_neural_fits, seen_neural
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
 from manifold.evaluate.baselines import fit_nonnegative
 from manifold.evaluate.cross_validation import Method, cross_validate, leave_out
 from manifold.evaluate.errors import BallErrors, MedianAndP90
@@ -29,7 +28,8 @@ from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
+from manifold.metrics import cube_root_error, relative_error
+from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
 DEFAULT = ("nearest", "gplvm_6", "nonnegative", "few_atoms")
@@ -50,7 +50,7 @@ class Network:
         """All three: networks are RGB."""
         return self
 
-    def eval_at(self, pairs: DirectionPairs) -> Array:
+    def eval_at(self, pairs: Pairs) -> Array:
         """f in 1/sr at K pairs, shape (K, 3)."""
         return self.eval(pairs.wi, pairs.wo)
 

@@ -28,8 +28,8 @@ from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.likelihood import pca_start
 from manifold.mapping import Identity
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices
 
 STARTS = 5

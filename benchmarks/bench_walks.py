@@ -33,16 +33,17 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
 from manifold.directions import from_spherical
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.library.store import Library
-from manifold.metrics import cosine_weight, cube_root_error
+from manifold.metrics import cube_root_error
 from manifold.model.walks import PATH_NODES, Walked, step_of, walk_path
+from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands
 
 BALL = ball_colours.ball()
 ELEVATIONS = np.deg2rad([20.0, 45.0, 60.0])
 MIRROR = from_spherical(ELEVATIONS, np.zeros(3)), from_spherical(ELEVATIONS, np.full(3, np.pi))
-GRID = EncodingPairs.default()
+GRID = encoding_pairs()
 WI, WO = (np.vstack(parts) for parts in zip((BALL.wi, BALL.wo), MIRROR, (GRID.wi, GRID.wo), strict=True))
 LIT, END = len(BALL.wi), len(BALL.wi) + len(ELEVATIONS)
 DENSE = 33
@@ -93,7 +94,7 @@ def measures(way: Way, steps: int, bands: Bands) -> tuple[float, ...]:
     pictures = [BALL.xyz(f[:LIT], bands) for f in made]
     sizes = np.array(list(map(ball_colours.delta_e, pictures[:-1], pictures[1:])))
     luminance = np.array([to_xyz(f[:END], bands)[:, 1] for f in made])
-    pixels = np.add.reduceat(luminance[:, :LIT] * BALL.light, BALL.starts, axis=1)
+    pixels = BALL.of(luminance[:, :LIT].T).T
     lightness = [float(to_lab(xyz, ball_colours.srgb_to_xyz(np.ones(3)))[:, 0].mean()) for xyz in pictures]
     highlights = np.log(np.maximum(luminance[:, LIT:], 1e-9))
     return (

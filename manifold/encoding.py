@@ -12,7 +12,8 @@ from scipy.linalg.lapack import dpotrs
 
 from manifold.gpr import GaussianProcess
 from manifold.mapping import Mapping
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
+from manifold.metrics import relative_error
+from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
 Criterion = Callable[[Array, float], tuple[float, Array, float]]
@@ -111,37 +112,14 @@ def decoded_error(decoder: Decoder, f: Array) -> Criterion:
 PAIR_STRIDE = 6  # one in this many of a grid's direction pairs is used to find a latent
 
 
-@dataclass(frozen=True, eq=False)
-class EncodingPairs:
-    """The direction pairs at which a material is compared with what latents decode.
+@cache
+def encoding_pairs(is_isotropic: bool = True) -> Pairs:
+    """Pairs of the default grid at which new materials are compared with predictions; cached: do not write to them.
 
-    Attributes:
-        wi, wo: unit vectors above the horizon, shape (P, 3).
+    Args:
+        is_isotropic: whether all materials are; for others half vectors have all azimuths.
     """
-
-    wi: Array
-    wo: Array
-
-    @classmethod
-    def of_grid(cls, grid: RusinkiewiczGrid, stride: int = PAIR_STRIDE) -> EncodingPairs:
-        """The pairs of a grid above the horizon, one in every `stride` of them."""
-        wi, wo, above = grid.directions()
-        return cls(wi[above][::stride], wo[above][::stride])
-
-    @classmethod
-    @cache
-    def default(cls, is_isotropic: bool = True) -> EncodingPairs:
-        """Those of the default grid, at which new materials are compared with predictions; do not write to them.
-
-        Args:
-            is_isotropic: whether all of them are; for others half vectors have all azimuths.
-        """
-        return cls.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic))
-
-    @property
-    def cosines(self) -> Array:
-        """cos(theta_i) cos(theta_o), shape (P,)."""
-        return cosine_weight(self.wi, self.wo)
+    return RusinkiewiczGrid.named("default").suited_to(is_isotropic).pairs(PAIR_STRIDE)
 
 
 @dataclass(frozen=True, eq=False)

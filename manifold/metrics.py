@@ -1,18 +1,13 @@
-"""Errors between BRDFs, and the grids of direction pairs they are measured on."""
+"""Errors between BRDFs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-
 import numpy as np
 
-from manifold.directions import from_rusinkiewicz, rotate_z
-from manifold.errors import ShapeError, UsageError
-from manifold.records import Array, Mask
+from manifold.errors import ShapeError
+from manifold.records import Array
 
-_LEAST_SQUARED_NORM = 1e-200  # of what is not black
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+_LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
 
 
 def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
@@ -158,83 +153,3 @@ def spectral_angle(f: Array, f_star: Array) -> Array:
 def _unit_or_zero(f: Array) -> Array:
     norm = np.linalg.norm(f, axis=-1, keepdims=True)
     return f / np.where(norm > 0, norm, 1.0)
-
-
-def cosine_weight(wi: Array, wo: Array) -> Array:
-    """`cos(theta_i) cos(theta_o)`, 0 below the horizon, shape (...)."""
-    return np.maximum(wi[..., 2], 0.0) * np.maximum(wo[..., 2], 0.0)
-
-
-@dataclass(frozen=True)
-class RusinkiewiczGrid:
-    """A grid of direction pairs over theta_h and theta_d in [0, 90) and phi_d in [0, 180) degrees.
-
-    Half vectors have azimuth 0, which is enough for isotropic materials; others need `is_turned`.
-
-    Attributes:
-        n_theta_h, n_theta_d, n_phi_d: nodes per angle; phi_d runs fastest.
-        squared_theta_h: space theta_h by squares, dense around the mirror direction, as MERL files do.
-        offset: where in its cell a node lies, from 0 (lower edge) to below 1; 0.5 is the centre.
-        is_turned: turn each pair about the normal, by multiples of the golden section of a turn: as many pairs, whose
-            half vectors have all azimuths at every theta_h.
-    """
-
-    n_theta_h: int = 45
-    n_theta_d: int = 23
-    n_phi_d: int = 12
-    squared_theta_h: bool = True
-    offset: float = 0.5
-    is_turned: bool = False
-
-    def __post_init__(self) -> None:
-        if min(self.n_theta_h, self.n_theta_d, self.n_phi_d) < 1 or not 0.0 <= self.offset < 1.0:
-            raise UsageError(f"{self}: expected at least one node per angle and an offset in [0, 1)")
-
-    @classmethod
-    def named(cls, name: str) -> RusinkiewiczGrid:
-        """`default` (45 x 23 x 12, held-out errors) or `hikichi` (90 x 90 x 180, Hikichi & Iwasaki, eq. 22).
-
-        Raises:
-            UsageError: the name is unknown.
-        """
-        if name not in NAMED_GRIDS:
-            raise UsageError(f"no grid is called '{name}', expected one of {', '.join(NAMED_GRIDS)}")
-        return NAMED_GRIDS[name]
-
-    def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:
-        """This grid, turned where not all materials that are compared on it are isotropic."""
-        return self if is_isotropic else replace(self, is_turned=True)
-
-    @property
-    def n_pairs(self) -> int:
-        """Number of direction pairs, those below the horizon included."""
-        return self.n_theta_h * self.n_theta_d * self.n_phi_d
-
-    def angles(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
-        """`theta_h, theta_d, phi_d` in radians of pairs start to stop, each of shape (stop - start,)."""
-        index = np.arange(start, self.n_pairs if stop is None else min(stop, self.n_pairs))
-        h, d, p = np.unravel_index(index, (self.n_theta_h, self.n_theta_d, self.n_phi_d))
-        fraction_h = (h + self.offset) / self.n_theta_h
-        theta_h = (fraction_h**2 if self.squared_theta_h else fraction_h) * (0.5 * np.pi)
-        theta_d = (d + self.offset) / self.n_theta_d * (0.5 * np.pi)
-        return theta_h, theta_d, (p + self.offset) / self.n_phi_d * np.pi
-
-    def directions(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Mask]:
-        """Pairs start to stop: wi (M, 3), wo (M, 3), and which lie above the horizon, bool (M,)."""
-        wi, wo = from_rusinkiewicz(*self.angles(start, stop))
-        above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
-        if self.is_turned:
-            azimuth = 2.0 * np.pi * ((_GOLDEN * np.arange(start, start + len(wi))) % 1.0)
-            wi, wo = rotate_z(wi, azimuth), rotate_z(wo, azimuth)
-        return wi, wo, above
-
-    def blocks(self, size: int = 65536) -> Iterator[tuple[Array, Array, Mask]]:
-        """`directions` in blocks of at most `size` pairs: the whole 1,458,000-pair grid in bounded memory."""
-        for start in range(0, self.n_pairs, size):
-            yield self.directions(start, start + size)
-
-
-NAMED_GRIDS = {
-    "default": RusinkiewiczGrid(),
-    "hikichi": RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0),
-}

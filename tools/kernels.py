@@ -12,11 +12,11 @@ import numpy as np
 from manifold.analytic import corpus, fresnel
 from manifold.brdf.goniometer import remeasure
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import profile_pairs, valley_depth
 from manifold.brdf.sums import WeightedSum
 from manifold.gplvm import GPLVM
 from manifold.nonnegative import nonnegative_weights
+from manifold.pairs import Pairs
 
 
 def compile_rendering() -> None:
@@ -33,7 +33,7 @@ def compile_rendering() -> None:
     measured.pdf(wi, wo)
     measured.sample(wi, np.full((*wi.shape[:-1], 2), 0.5))
     measured.albedo(wi[:, 0])
-    pairs = DirectionPairs(wi, wo)
+    pairs = Pairs(wi, wo)
     total = np.zeros((len(pairs), measured.bands.count))
     measured.eval_at(pairs)
     WeightedSum([measured], [1.0], cube_root=True).add_to(total, pairs)

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from manifold.brdf.notebook import NotebookPicture
-from manifold.brdf.pairs import DirectionPairs, flat_samples
 from manifold.directions import from_spherical, hemisphere_quadrature, require_directions
 from manifold.errors import ShapeError, UsageError
+from manifold.pairs import Pairs, flat_samples
 from manifold.records import Array, Bands
 
 _ALBEDO_SAMPLES = 4096
@@ -64,7 +64,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
         Raises:
             ShapeError: a direction is not a unit vector (..., 3), or the shapes do not broadcast.
         """
-        pairs = DirectionPairs(wi, wo)
+        pairs = Pairs(wi, wo)
         return _scatter(self._eval, pairs.shape, self.bands.count, pairs.wi, pairs.wo)
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
@@ -95,7 +95,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
 
     def pdf(self, wi: Array, wo: Array) -> Array:
         """Density of `sample` in 1/sr of solid angle, shape (...). Raises: as `eval`."""
-        pairs = DirectionPairs(wi, wo)
+        pairs = Pairs(wi, wo)
         pdf = _scatter(lambda a, b: self._pdf(a, b)[:, None], pairs.shape, 1, pairs.wi, pairs.wo)
         return pdf[..., 0]
 

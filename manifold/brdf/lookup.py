@@ -10,7 +10,7 @@ import numba as nb
 import numpy as np
 
 from manifold.brdf import warp
-from manifold.brdf.pairs import LEVEL, elevation, locate, phi_to_u, signs, theta_to_u
+from manifold.pairs import LEVEL, elevation, locate, phi_to_u, signs, theta_to_u
 from manifold.threads import serialised
 
 

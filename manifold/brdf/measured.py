@@ -11,10 +11,10 @@ import numpy as np
 
 from manifold.brdf import lookup
 from manifold.brdf.notebook import NotebookPicture
-from manifold.brdf.pairs import DirectionPairs, Symmetry, flat_samples
 from manifold.brdf.warp import Warp
 from manifold.directions import require_directions, rotate_z
 from manifold.errors import UsageError
+from manifold.pairs import Pairs, Symmetry, flat_samples
 from manifold.records import Array, Bands, BsdfFile
 
 
@@ -58,6 +58,11 @@ def all_isotropic(brdfs: Iterable[BRDF]) -> bool:
     return all(brdf.is_isotropic for brdf in brdfs)
 
 
+def values_at(brdf: EvaluableBRDF, pairs: Pairs) -> Array:
+    """f in 1/sr at K pairs, shape (K, B); measured materials share the pairs' places in their files."""
+    return brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
+
+
 def require_brdf(brdf: object, where: str) -> None:
     """Raise UsageError unless something has what evaluating a `BRDF` takes: a file or a path has not.
 
@@ -80,7 +85,7 @@ class MeasuredBRDF(NotebookPicture):
         name: of the material.
         bands: the spectral axis.
         is_isotropic: whether the file depends on the difference of the azimuths only.
-        symmetry: the arguments of `DirectionPairs.located`: whether it is isotropic, how often azimuths repeat, and
+        symmetry: the arguments of `Pairs.located`: whether it is isotropic, how often azimuths repeat, and
             the azimuth by which the sample lay turned.
         tables: what `manifold.brdf.lookup` reads.
     Source: Dupuy & Jakob 2018, section 5; f * cos(theta_o) = spectra * ndf / (4 sigma).
@@ -145,13 +150,13 @@ class MeasuredBRDF(NotebookPicture):
         return turned
 
     def _evaluate(self, wi: Array, wo: Array, divide: bool) -> Array:
-        pairs = DirectionPairs(wi, wo)
+        pairs = Pairs(wi, wo)
         out = np.empty((len(pairs), self.bands.count))
         isotropic, repeats, rotation = self.symmetry
         lookup.eval_pairs(*pairs.turned(rotation), isotropic, repeats, divide, self.tables, out)
         return out.reshape(*pairs.shape, out.shape[1])
 
-    def eval_at(self, pairs: DirectionPairs) -> Array:
+    def eval_at(self, pairs: Pairs) -> Array:
         """`eval` of K pairs, shape (K, B), on one core and outside the interpreter's lock.
 
         For callers that distribute materials or blocks of pairs over threads.
@@ -176,7 +181,7 @@ class MeasuredBRDF(NotebookPicture):
 
     def pdf(self, wi: Array, wo: Array) -> Array:
         """Density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
-        pairs = DirectionPairs(wi, wo)
+        pairs = Pairs(wi, wo)
         out = np.empty(len(pairs))
         isotropic, repeats, rotation = self.symmetry
         lookup.pdf_of_pairs(

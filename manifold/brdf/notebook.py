@@ -12,6 +12,7 @@ from manifold.colour.conversion import encode_srgb, xyz_to_srgb
 
 if TYPE_CHECKING:
     from manifold.brdf.measured import BRDF, EvaluableBRDF
+    from manifold.colour.ball_colours import Picture
     from manifold.records import Array, Mask
 
 _PIXELS, _RINGS, _SPOKES = 64, 24, 16
@@ -48,16 +49,12 @@ def sun_image(brdf: EvaluableBRDF, size: int, degrees: float) -> tuple[Array, Ma
     return _picture(brdf, ball_colours.sun_ball(degrees, size), size)
 
 
-def _picture(brdf: EvaluableBRDF, ball: ball_colours.Ball, size: int) -> tuple[Array, Mask]:
-    ends = np.append(ball.starts, len(ball.wi))
+def _picture(brdf: EvaluableBRDF, ball: Picture, size: int) -> tuple[Array, Mask]:
     image, inside = np.zeros((size, size, 3)), np.zeros((size, size), bool)
     column, row = ((0.5 + 0.5 * ball.places * [1.0, -1.0]) * size).astype(int).T
     for first in range(0, len(column), _BLOCK):
         pixels = slice(first, first + _BLOCK)
-        pairs = slice(ends[first], ends[min(first + _BLOCK, len(column))])
-        part = ball_colours.Ball(
-            ball.wi[pairs], ball.wo[pairs], ball.light[pairs], ball.starts[pixels] - ends[first], ball.places[pixels]
-        )  # fmt: skip
+        part = ball.of_pixels(pixels)
         linear = xyz_to_srgb(part.xyz(brdf.eval(part.wi, part.wo), brdf.bands))
         image[row[pixels], column[pixels]] = encode_srgb(linear)
     inside[row, column] = True

@@ -11,7 +11,7 @@ import numpy as np
 from manifold.brdf import warp
 from manifold.brdf.lookup import FASTMATH
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs, Symmetry, phi_to_u, theta_to_u
+from manifold.pairs import Pairs, Symmetry, phi_to_u, theta_to_u
 from manifold.records import Array
 
 _MAGNITUDE = np.int32(0x7FFFFFFF)
@@ -206,7 +206,7 @@ def add_located(located, group, weights, take_root, total):
     """Add the sum of weights f, or of weights times cube roots of f, of K located pairs to total (K, B).
 
     Args:
-        located: as `DirectionPairs.located` gives them, shape (K, 5).
+        located: as `Pairs.located` gives them, shape (K, 5).
         group: `GROUP` materials' tables, of the same types.
         weights: single precision, shape (GROUP,); a material with none is not read.
         take_root: add cube roots.
@@ -262,7 +262,7 @@ class WeightedSum:
                 tables, shares = zip(*group, strict=True)
                 self._groups.append((symmetry, tables, np.array(shares, dtype=np.float32)))
 
-    def add_to(self, total: Array, pairs: DirectionPairs) -> None:
+    def add_to(self, total: Array, pairs: Pairs) -> None:
         """Add the sum at K direction pairs, on one core and outside the interpreter's lock.
 
         Args:

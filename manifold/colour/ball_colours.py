@@ -9,14 +9,16 @@ pairs.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from manifold.colour import lights
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
 from manifold.directions import from_spherical, normalize, rotate_z
+from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices
 
 VIEW = normalize(np.array([0.0, -8.2, 2.3]))
@@ -39,22 +41,34 @@ def environment() -> Array:
     return image
 
 
-@dataclass(frozen=True, eq=False)
-class Ball:
-    """Pixels of a picture of a ball, and the direction pairs that light them.
+class Picture(Pairs):
+    """Sums of BRDF values over direction pairs: pixels of a lit ball, or what an instrument collects.
+
+    Of balls, wi points towards the viewer and wo towards the light, in frames of the surface.
 
     Attributes:
-        wi, wo: towards the viewer, and towards the light, in frames of the surface; unit vectors (P, 3).
-        light: radiance from wo times its cosine and solid angle, shape (P,).
-        starts: first direction pair of each pixel, increasing, shape (K,).
-        places: right and up of each pixel in radii of the ball, shape (K, 2).
+        sums: weights of the values at P pairs in each of K sums, of pixels radiance times cosine and solid angle;
+            sparse, shape (K, P).
+        places: right and up of each pixel in radii of the ball, shape (K, 2); none of other sums.
     """
 
-    wi: Array
-    wo: Array
-    light: Array
-    starts: Indices
-    places: Array
+    def __init__(self, wi: Array, wo: Array, sums: csr_array, places: Array | None = None) -> None:
+        super().__init__(wi, wo)
+        self.sums, self.places = sums, np.empty((0, 2)) if places is None else places
+
+    def of(self, f: Array) -> Array:
+        """The sums of values f (P, ...), shape (K, ...)."""
+        return np.asarray(self.sums @ f.reshape(len(f), -1)).reshape(-1, *f.shape[1:])
+
+    def mean(self, f: Array) -> Array:
+        """The weighted means of values f (P, ...), shape (K, ...)."""
+        totals = self.of(np.ones(len(f)))
+        return self.of(f) / totals.reshape(-1, *(1,) * (f.ndim - 1))
+
+    @cached_property
+    def light(self) -> Array:
+        """The weight of every pair in all sums together, shape (P,)."""
+        return np.asarray(self.sums.sum(axis=0))
 
     def xyz(self, f: Array, bands: Bands) -> Array:
         """CIE XYZ under D65 of each pixel, as a display shows it: shape (K, 3).
@@ -65,14 +79,18 @@ class Ball:
             f: BRDF values at the direction pairs in 1/sr, shape (P, B).
             bands: of f.
         """
-        arrived = to_xyz(f, bands) * self.light[:, None]
-        white = to_xyz(np.ones(bands.count), bands)
-        linear = xyz_to_srgb(np.add.reduceat(arrived, self.starts, axis=0), white)
+        linear = xyz_to_srgb(self.of(to_xyz(f, bands)), to_xyz(np.ones(bands.count), bands))
         return srgb_to_xyz(np.clip(linear, 0.0, 1.0))
 
     def difference(self, f: Array, f_star: Array, bands: Bands) -> float:
         """Mean CIEDE2000 between the balls of two materials, by their values as `xyz` takes them."""
         return delta_e(self.xyz(f, bands), self.xyz(f_star, bands))
+
+    def of_pixels(self, pixels: slice) -> Picture:
+        """Some of the pixels, and the pairs that light them."""
+        sums = self.sums[pixels]
+        used = np.unique(sums.indices)
+        return Picture(self.wi[used], self.wo[used], sums[:, used], self.places[pixels])
 
 
 def delta_e(xyz: Array, xyz_star: Array) -> float:
@@ -80,32 +98,40 @@ def delta_e(xyz: Array, xyz_star: Array) -> float:
     return float(np.mean(delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))))
 
 
+def sums_of_runs(weights: Array, starts: Indices) -> csr_array:
+    """Weights (P,) of pairs as sums over runs that begin at starts (K,), shape (K, P)."""
+    P = len(weights)
+    return csr_array((weights, np.arange(P), np.append(starts, P)), shape=(len(starts), P))
+
+
 @dataclass(frozen=True, eq=False)
 class LitPairs:
     """The direction pairs that light the pixels of a ball, whatever the light.
 
     Attributes:
-        wi, wo, starts, places: as in `Ball`.
+        pairs: towards the viewer, and towards the light.
         world: directions towards the light, unit vectors (P, 3).
         weight: cosine times solid angle, shape (P,).
+        starts: first direction pair of each pixel, increasing, shape (K,).
+        places: right and up of each pixel in radii of the ball, shape (K, 2).
     """
 
-    wi: Array
-    wo: Array
+    pairs: Pairs
     world: Array
     weight: Array
     starts: Indices
     places: Array
 
-    def under(self, radiance: Array) -> Ball:
+    def under(self, radiance: Array) -> Picture:
         """The ball under radiance (P,) from `world`."""
-        return Ball(self.wi, self.wo, radiance * self.weight, self.starts, self.places)
+        sums = sums_of_runs(radiance * self.weight, self.starts)
+        return Picture(self.pairs.wi, self.pairs.wo, sums, self.places)
 
 
 @lru_cache(maxsize=8)
 def ball(
     pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, turned_deg: float = 0.0
-) -> Ball:
+) -> Picture:
     """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors; cached: do not write to it.
 
     Args:
@@ -133,7 +159,7 @@ def lit_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) 
     pixel = np.nonzero(lit)[0]
     starts = np.searchsorted(pixel, np.arange(len(wi)))
     weight = wo[lit][:, 2] * (4.0 * cosine * area)[lit]
-    return LitPairs(wi[pixel], normalize(wo[lit]), world, weight, starts, np.column_stack([x, y]))
+    return LitPairs(Pairs(wi[pixel], normalize(wo[lit])), world, weight, starts, np.column_stack([x, y]))
 
 
 def frames(pixels: int) -> tuple[Array, Array, Array]:
@@ -151,7 +177,7 @@ def frames(pixels: int) -> tuple[Array, Array, Array]:
 
 
 @lru_cache(maxsize=32)
-def sun_ball(degrees: float, pixels: int) -> Ball:
+def sun_ball(degrees: float, pixels: int) -> Picture:
     """The lit pixels of a ball under a distant lamp, one direction pair each; cached: do not write to it.
 
     A white diffuser that faces the lamp has the radiance 1.
@@ -165,7 +191,8 @@ def sun_ball(degrees: float, pixels: int) -> Ball:
     lamp = np.cos(np.deg2rad(degrees)) * VIEW + np.sin(np.deg2rad(degrees)) * right
     lit = frame[:, 2] @ lamp > 0.0
     wi, wo = frame[lit] @ VIEW, frame[lit] @ lamp
-    return Ball(wi, wo, np.pi * wo[:, 2], np.arange(len(wi)), np.column_stack([x, y])[lit])
+    sums = sums_of_runs(np.pi * wo[:, 2], np.arange(len(wi)))
+    return Picture(wi, wo, sums, np.column_stack([x, y])[lit])
 
 
 def radiance_at(image: Array, directions: Array) -> Array:

@@ -6,15 +6,18 @@ are of other ones: means over these, and the worst of them by its name. Which is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.sparse import csr_array, vstack
 
 from manifold.colour import ball_colours, difference, lights
-from manifold.colour.ball_colours import Ball
+from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import rotate_z
+from manifold.pairs import Pairs
 from manifold.records import Array, Bands
 
 FITTED = (
@@ -66,48 +69,27 @@ class LookErrors:
         }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A ball in several lights, whose pixels are sums over one table of direction pairs.
+class Panel(Picture):
+    """A ball in several lights: the pixels of one after those of the other.
 
     Attributes:
         names: of the L lights.
-        balls: the ball in each.
-        wi, wo: all direction pairs, unit vectors (P, 3).
-        parts: where those of each ball stand in the table.
+        counts: of the pixels of each, shape (L,).
     """
 
-    names: tuple[str, ...]
-    balls: tuple[Ball, ...]
-    wi: Array
-    wo: Array
-    parts: tuple[slice, ...]
+    def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[csr_array]) -> None:
+        """Pixels of each light as sums over the same pairs."""
+        super().__init__(pairs.wi, pairs.wo, csr_array(vstack(sums)))
+        self.names, self.counts = names, np.array([len(each.indptr) - 1 for each in sums])
 
     @property
     def pixel_weights(self) -> Array:
         """Weights (K,) of all pixels with which lights count the same, whose mean is 1."""
-        counts = np.array([len(ball.starts) for ball in self.balls])
-        return np.repeat(counts.mean() / counts, counts)
-
-    def pixels(self, f: Array) -> Array:
-        """Radiance (..., K) of the pixels of all lights, one after the other, of values f (..., P) in 1/sr."""
-        return np.concatenate(
-            [
-                np.add.reduceat(f[..., part] * ball.light, ball.starts, axis=-1)
-                for ball, part in zip(self.balls, self.parts, strict=True)
-            ],
-            axis=-1,
-        )
-
-    def xyz(self, f: Array, bands: Bands) -> Array:
-        """CIE XYZ (K, 3) of the pixels of all lights, see `Ball.xyz`, of values f (P, B)."""
-        return np.concatenate(
-            [ball.xyz(f[part], bands) for ball, part in zip(self.balls, self.parts, strict=True)]
-        )
+        return np.repeat(self.counts.mean() / self.counts, self.counts)
 
     def compare(self, xyz: Array, xyz_star: Array) -> LookErrors:
         """How differently two balls look, by what `xyz` returns."""
-        each = np.cumsum([len(ball.starts) for ball in self.balls])[:-1]
+        each = np.cumsum(self.counts)[:-1]
         found = np.split(difference.delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3))), each)
         itp = np.split(difference.delta_e_itp(xyz, xyz_star), each)
         lights = {name: float(one.mean()) for name, one in zip(self.names, found, strict=True)}
@@ -128,12 +110,13 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
         sun_pixels: across the balls under suns.
     """
     soft = ball_colours.lit_ball(*lit)
-    balls, parts, end = [], [], len(soft.wi)
+    pairs, parts = soft.pairs, list[tuple[int, csr_array]]()
     for name in names:
         kind, _, degrees = name.partition(" ")
         if kind == "sun":
-            balls.append(ball_colours.sun_ball(float(degrees), sun_pixels))
-            parts.append(slice(end, end := end + len(balls[-1].wi)))
+            sun = ball_colours.sun_ball(float(degrees), sun_pixels)
+            parts.append((len(pairs), sun.sums))
+            pairs += sun
             continue
         radiance: Array
         if kind == "white":
@@ -143,16 +126,22 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
         else:
             world = rotate_z(soft.world, np.deg2rad(float(degrees)))
             radiance = ball_colours.radiance_at(ball_colours.environment(), world)
-        balls.append(soft.under(radiance))
-        parts.append(slice(0, len(soft.wi)))
-    suns = [ball for ball, part in zip(balls, parts, strict=True) if part.start]
-    wi, wo = (np.concatenate([getattr(one, key) for one in (soft, *suns)]) for key in ("wi", "wo"))
-    return Panel(names, tuple(balls), wi, wo, tuple(parts))
+        parts.append((0, soft.under(radiance).sums))
+    shifted = [
+        csr_array((sums.data, sums.indices + first, sums.indptr), (sums.shape[0], len(pairs)))
+        for first, sums in parts
+    ]
+    return Panel(names, pairs, shifted)
 
 
 def fitted(*lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
     """The panel that fits see."""
     return panel(FITTED, *lit, sun_pixels=sun_pixels)
+
+
+def sun(degrees: float) -> Picture:
+    """The ball under one of the suns, as in panels."""
+    return ball_colours.sun_ball(degrees, _SUN_PIXELS)
 
 
 def judged() -> Panel:

@@ -31,7 +31,8 @@ from manifold.estimate.predictions import predict
 from manifold.estimate.sources import MaterialSource, PlaceSource, source_file
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.metrics import cube_root_error, relative_error
+from manifold.pairs import cosine_weight
 from manifold.plots import html_page
 from manifold.records import Array, Bands, BsdfFile
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf import goniometer
-from manifold.brdf.pairs import LEVEL
 from manifold.convert.source import LEAST_COSINE, Source
 from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
@@ -18,7 +17,7 @@ from manifold.formats import astm, bird, csv_table, fred, lighttools, merl, open
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
-from manifold.metrics import RusinkiewiczGrid
+from manifold.pairs import LEVEL, RusinkiewiczGrid
 from manifold.records import Array
 
 _BLOCK = 65536  # pairs evaluated at once

@@ -12,8 +12,8 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import BRDF, all_isotropic
-from manifold.colour import panel
-from manifold.encoding import EncodingPairs
+from manifold.colour import ball_colours, panel
+from manifold.encoding import encoding_pairs
 from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.residual import coordinates
@@ -26,6 +26,7 @@ from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import DICTIONARY
 from manifold.names import counted
+from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
 MOST_MATERIALS = 1000
@@ -52,7 +53,7 @@ def ball_coordinates() -> Array:
 @cache
 def grid_coordinates() -> Array:
     """Coordinates of the encoding grid, whatever the azimuths of its half vectors, see `residual.coordinates`."""
-    grid = EncodingPairs.default()
+    grid = encoding_pairs()
     return coordinates(grid.wi, grid.wo)
 
 
@@ -92,7 +93,7 @@ class LibraryAtoms:
     materials: Sequence[BRDF]
     directions: Array
     weights: Array
-    grid: EncodingPairs
+    grid: Pairs
     ball: Array
     is_linear: bool = False
 
@@ -122,10 +123,10 @@ class LibraryAtoms:
         cache = MaterialCache(library, names, is_nonnegative=True)
         coats = dielectric_coats(bands.select(chosen))
         materials: list[BRDF] = [*cache.in_bands(chosen.tolist()), *coats.values()]
-        grid, lights = EncodingPairs.default(all_isotropic(materials)), panel.judged()
-        on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, lights))
-        ball = lights.balls[0]  # in the studio
-        some = slice(None, len(ball.wi), _BALL_STRIDE)
+        grid, lights = encoding_pairs(all_isotropic(materials)), panel.judged()
+        on_grid, on_ball = (_roots_at(materials, pairs) for pairs in (grid, lights))
+        ball = ball_colours.ball()  # in the studio, whose pairs are the first
+        some = slice(None, len(ball), _BALL_STRIDE)
         of_grid, of_ball = grid.cosines ** (2.0 / 3.0), ball.light[::_BALL_STRIDE] ** (2.0 / 3.0)
         energy = [
             float(np.sum(roots**2 @ weights))
@@ -208,34 +209,36 @@ class LibraryAtoms:
 
     def at(self, wi: Array, wo: Array) -> Array:
         """Atoms at direction pairs (P, 3): cube roots, or f in 1/sr, shape (n, P)."""
-        return self._from_roots(_roots_at(self.materials, wi, wo), wi, wo)
+        return self._at(Pairs(wi, wo))
 
-    def _from_roots(self, roots: Array, wi: Array, wo: Array) -> Array:
-        """From cube roots of bands and Lambertian at direction pairs (P, 3), shape (n, P)."""
+    def _at(self, pairs: Pairs) -> Array:
+        return self._from_roots(_roots_at(self.materials, pairs), pairs)
+
+    def _from_roots(self, roots: Array, pairs: Pairs) -> Array:
+        """From cube roots of bands and Lambertian at P pairs, shape (n, P)."""
         if not self.is_linear:
             return roots
         measured = roots[: self.n_measured]
         powers = [measured ** (3.0 * exponent) for exponent in self.dictionary.exponents[1:]]
-        return np.vstack([roots[:-1] ** 3, *powers, self.dictionary.lobes.values(wi, wo)])
+        return np.vstack([roots[:-1] ** 3, *powers, self.dictionary.lobes.values(pairs.wi, pairs.wo)])
 
     @cached_property
     def on_grid(self) -> Array:
         """Atoms of values times both cosines at the encoding grid, shape (n, P_g)."""
-        grid = self.grid
-        return self._from_roots(self.directions[:, : self.n_grid], grid.wi, grid.wo) * grid.cosines
+        return self._from_roots(self.directions[:, : self.n_grid], self.grid) * self.grid.cosines
 
     @cached_property
     def on_ball(self) -> Array:
         """Pixels of a ball in the judged lights, of atoms of values, shape (n, K)."""
         lights = panel.judged()
-        return lights.pixels(self._from_roots(self.ball, lights.wi, lights.wo))
+        return lights.of(self._from_roots(self.ball, lights).T).T
 
     def gloss(self, angles_deg: Sequence[float]) -> Array:
         """Means of atoms over the apertures of gloss meters at G angles: cube roots, or f in 1/sr, shape (n, G)."""
         means = np.empty((len(self), len(angles_deg)))
         for k, meter in enumerate(map(gloss_meter, angles_deg)):
-            atoms = self.at(meter.wi, meter.wo).T
-            means[:, k] = meter.mean(atoms) if self.is_linear else np.cbrt(meter.mean(atoms**3))
+            atoms = self._at(meter).T
+            means[:, k] = meter.mean(atoms)[0] if self.is_linear else np.cbrt(meter.mean(atoms**3)[0])
         return means
 
     def predicted(self, weights: Array, bands: Bands | None = None) -> PredictedBRDF:
@@ -265,7 +268,7 @@ def dielectric_coats(bands: Bands) -> dict[str, Plastic]:
     }
 
 
-def _roots_at(materials: Sequence[BRDF], wi: Array, wo: Array) -> Array:
-    """Cube roots of atoms and, last, of the Lambertian of albedo 1 at direction pairs (P, 3), shape (n + 1, P)."""
-    roots = np.ascontiguousarray(roots_at(materials, EncodingPairs(wi, wo)))
-    return np.vstack([roots, LAMBERTIAN.lobes.cube_roots(wi, wo)])
+def _roots_at(materials: Sequence[BRDF], pairs: Pairs) -> Array:
+    """Cube roots of atoms and, last, of the Lambertian of albedo 1 at direction pairs, shape (n + 1, P)."""
+    roots = np.ascontiguousarray(roots_at(materials, pairs))
+    return np.vstack([roots, LAMBERTIAN.lobes.cube_roots(pairs.wi, pairs.wo)])

@@ -19,15 +19,16 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares, minimize
 
 from manifold import progress
-from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
+from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF, values_at
 from manifold.colour import panel
+from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import luminance, srgb_to_xyz, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, to_lab
 from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_spherical, rotate_z
-from manifold.encoding import Decoder, EncodingPairs
+from manifold.encoding import Decoder
 from manifold.errors import UsageError
-from manifold.estimate.gloss import GlossMeter, gloss_meter, gloss_units
+from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.formats.readings import Readings, gloss_fault
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
@@ -35,6 +36,7 @@ from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.decoding import decoder_at
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike
+from manifold.pairs import Pairs
 from manifold.records import Array, Bands
 
 _GLOSS_WEIGHT = 1e3  # of a squared error of log gloss, against squared distance in length scales
@@ -261,13 +263,13 @@ class _Search:
         return self._decoder(_LIGHT[None], _NORMAL[None])
 
     @cached_property
-    def _meters(self) -> dict[float, tuple[GlossMeter, Decoder]]:
+    def _meters(self) -> dict[float, tuple[Picture, Decoder]]:
         meters = {angle: gloss_meter(angle) for angle in self._angles}
         return {a: (m, self._decoder(m.wi, m.wo)) for a, m in meters.items()}
 
     def _decoder(self, wi: Array, wo: Array) -> Decoder:
         model, back = self._model, -self._rotation_rad
-        pairs = EncodingPairs(rotate_z(wi, back), rotate_z(wo, back))
+        pairs = Pairs(rotate_z(wi, back), rotate_z(wo, back))
         return decoder_at(pairs, model.space, model.materials, model.settings)
 
     def colours(self, x: Array, factor: Array) -> Array:
@@ -288,8 +290,8 @@ class _Search:
             penalty = _COLOUR_WEIGHT * float(off @ off)
             for angle, asked in units.items():
                 meter, decoder = self._meters[angle]
-                collected = self._space.reflectance_of(x, colours, decoder, meter.weights)
-                gloss = 100.0 * float(luminance(collected, self._model.bands)) / meter.full_scale
+                in_bands = self._space.reflectance_of(x, colours, decoder, meter.light)
+                gloss = float(luminance(in_bands, self._model.bands))
                 penalty += _GLOSS_WEIGHT * np.log(max(gloss, LEAST_GLOSS) / asked) ** 2
             return float(np.sum((x - start) ** 2)) + penalty
 
@@ -421,7 +423,7 @@ def _from_ball(sought: BRDF) -> Callable[[BRDF], float]:
     lights = panel.judged()
 
     def xyz(brdf: BRDF) -> Array:
-        return lights.xyz(np.maximum(brdf.eval(lights.wi, lights.wo), 0.0), brdf.bands)
+        return lights.xyz(np.maximum(values_at(brdf, lights), 0.0), brdf.bands)
 
     own = xyz(sought)
     return lambda brdf: lights.compare(own, xyz(brdf)).ball

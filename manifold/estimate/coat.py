@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from manifold import __version__, disk
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF, values_at
 from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.colour import panel
@@ -395,9 +395,9 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
     """
     bands, meters = brdf.bands, [gloss_meter(angle) for angle in gloss]
     old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)
-    values = [(np.maximum(brdf.eval(m.wi, m.wo), 0.0), _parts(old, m.wi, m.wo)) for m in meters]
+    values = [(np.maximum(values_at(brdf, m), 0.0), _parts(old, m.wi, m.wo)) for m in meters]
     highlights = [
-        m.mean(np.maximum(f - base, 0.0)) / m.mean(surface)
+        m.of(np.maximum(f - base, 0.0))[0] / m.of(surface)[0]
         for m, (f, (surface, base)) in zip(meters, values, strict=True)
     ]
     strength = np.maximum(np.mean(highlights, axis=0), 1.0)
@@ -405,7 +405,7 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
 
     def off(new: Plastic) -> Array:
         made = [
-            m.units(luminance(exchanged(f, parts, _parts(new, m.wi, m.wo), strength), bands))
+            float(m.of(luminance(exchanged(f, parts, _parts(new, m.wi, m.wo), strength), bands))[0])
             for m, (f, parts) in zip(meters, values, strict=True)
         ]
         seen = lab_of_factor(exchanged(factor, of_old, _factors(new), strength), bands)

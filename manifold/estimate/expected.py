@@ -14,7 +14,7 @@ from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion, complete_at
-from manifold.estimate.gloss import gloss_meter
+from manifold.estimate.gloss import value_of_unit
 from manifold.formats.readings import MOST_GLOSS, Readings
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error, relative_error
@@ -173,7 +173,7 @@ def leave_out(
     glossy = np.empty((len(own), 0)) if at_gloss is None else at_gloss
     is_read = _nearest(axis, readings.bands)
     gloss = {
-        angle: min(float(mean) / gloss_meter(angle).mean_value(1.0), MOST_GLOSS[angle])
+        angle: min(float(mean) / value_of_unit(angle), MOST_GLOSS[angle])
         for angle, mean in zip(readings.gloss, luminance(glossy[own].T ** 3, axis), strict=True)
     }
     read = Readings(

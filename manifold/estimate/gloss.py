@@ -9,13 +9,13 @@ Source: ISO 2813, ASTM D523: angles, apertures, and the glass.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from manifold.analytic.fresnel import fresnel_dielectric
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.measured import EvaluableBRDF, values_at
+from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.colour.conversion import luminance
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
@@ -28,37 +28,9 @@ _SOURCE_NODES, _RECEPTOR_NODES = (2, 5), (21, 41)  # gloss of measured mirrors w
 _GLASS_INDEX = 1.567
 
 
-@dataclass(frozen=True, eq=False)
-class GlossMeter:
-    """One geometry of a gloss meter.
-
-    Attributes:
-        wi, wo: direction pairs from the source to the receptor, shape (P, 3).
-        weights: of f at them, in sr: their sum with f is the share of the light that is collected, shape (P,).
-        full_scale: that share of black glass, 100 gloss units.
-    """
-
-    wi: Array
-    wo: Array
-    weights: Array
-    full_scale: float
-
-    def units(self, values: Array) -> Array:
-        """Gloss units of f in 1/sr at its pairs, shape (P, ...); shape (...)."""
-        return np.asarray(100.0 * np.tensordot(self.weights, values, 1) / self.full_scale)
-
-    def mean_value(self, units: float) -> float:
-        """The mean of f over the receptor, in 1/sr, that makes so many gloss units."""
-        return float(0.01 * units * self.full_scale / self.weights.sum())
-
-    def mean(self, values: Array) -> Array:
-        """The mean over the receptor of f in 1/sr at its pairs, shape (P, ...); shape (...)."""
-        return np.asarray(np.tensordot(self.weights, values, 1) / self.weights.sum())
-
-
 @cache
-def gloss_meter(angle_deg: float) -> GlossMeter:
-    """The geometry at one of `GLOSS_ANGLES_DEG`.
+def gloss_meter(angle_deg: float) -> Picture:
+    """What a gloss meter at one of `GLOSS_ANGLES_DEG` collects: one sum, in gloss units.
 
     Raises:
         UsageError: gloss meters have no such angle.
@@ -69,12 +41,20 @@ def gloss_meter(angle_deg: float) -> GlossMeter:
     source, _ = _aperture(theta, np.pi, SOURCE_DEG, _SOURCE_NODES)
     receptor, solid_angles = _aperture(theta, 0.0, RECEPTORS_DEG[int(angle_deg)], _RECEPTOR_NODES)
     light = source[:, 2] / source[:, 2].sum()
-    return GlossMeter(
-        np.repeat(source, len(receptor), axis=0),
-        np.tile(receptor, (len(source), 1)),
-        np.outer(light, solid_angles * receptor[:, 2]).ravel(),
-        float(fresnel_dielectric(np.array([np.cos(theta)]), np.array([_GLASS_INDEX]))[0, 0]),
-    )
+    collected = np.outer(light, solid_angles * receptor[:, 2]).ravel()  # of f, in sr
+    wi, wo = np.repeat(source, len(receptor), axis=0), np.tile(receptor, (len(source), 1))
+    return Picture(wi, wo, sums_of_runs(100.0 * collected / black_glass(angle_deg), np.zeros(1, int)))
+
+
+def black_glass(angle_deg: float) -> float:
+    """The share of the light that polished black glass reflects, 100 gloss units."""
+    cosine = np.array([np.cos(np.deg2rad(angle_deg))])
+    return float(fresnel_dielectric(cosine, np.array([_GLASS_INDEX]))[0, 0])
+
+
+def value_of_unit(angle_deg: float) -> float:
+    """The mean of f over the receptor, in 1/sr, that makes one gloss unit."""
+    return 1.0 / float(gloss_meter(angle_deg).light.sum())
 
 
 def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_DEG) -> dict[float, float]:
@@ -88,7 +68,7 @@ def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_
     units = {}
     for angle in angles_deg:
         meter = gloss_meter(angle)
-        units[angle] = float(meter.units(luminance(brdf.eval(meter.wi, meter.wo), brdf.bands)))
+        units[angle] = float(meter.of(luminance(values_at(brdf, meter), brdf.bands))[0])
     return units
 
 

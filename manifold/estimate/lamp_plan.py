@@ -110,7 +110,7 @@ def determined(
     meter = gloss_meter(_GLOSS_DEG)
     pairs = [aspecular_pair(45.0, aspecular) for aspecular in (45.0, 15.0, 110.0)]
     wi, wo = (np.array(ends) for ends in zip(*pairs, strict=True))
-    at, shine = atoms.at(wi, wo), atoms.at(meter.wi, meter.wo) @ meter.weights
+    at, shine = atoms.at(wi, wo), meter.of(atoms.at(meter.wi, meter.wo).T)[0]
     errors = []
     for m in evenly_spaced(len(atoms.names), _LEFT_OUT):
         own = channel_atoms(atoms, m)

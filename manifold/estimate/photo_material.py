@@ -21,15 +21,16 @@ from manifold.colour import panel
 from manifold.colour.conversion import luminance, srgb_to_xyz
 from manifold.estimate.atoms import LibraryAtoms, shown_shares
 from manifold.estimate.expected import KINDS, Calibration, cached
-from manifold.estimate.gloss import gloss_meter
+from manifold.estimate.gloss import value_of_unit
 from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, Hypotheses, Mixtures
 from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
-from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.metrics import cube_root_error, relative_error
 from manifold.model.estimator import explain
 from manifold.model.observation import LEAST, Observation
 from manifold.model.prediction import PredictedBRDF
+from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
 _LEFT_OUT = 16  # materials by which expected errors are calibrated
@@ -307,9 +308,8 @@ def _of_gloss(
     atoms: LibraryAtoms, gloss: Mapping[float, float], made: Array, pixels: Observation
 ) -> list[Observation]:
     """Gloss in every channel, of the colour that weights (3, n) make it; each counts as much as a reading."""
-    meters, means = [gloss_meter(angle) for angle in gloss], atoms.gloss(tuple(gloss))
-    read = np.array([meter.mean_value(units) for meter, units in zip(meters, gloss.values(), strict=True)])
-    unit = np.array([meter.mean_value(1.0) for meter in meters])
+    means, unit = atoms.gloss(tuple(gloss)), np.array([value_of_unit(angle) for angle in gloss])
+    read = unit * list(gloss.values())
     of_channels = np.maximum(made @ means, np.finfo(float).tiny)
     seen = read * of_channels / luminance(of_channels.T, Bands(None))
     weights = np.full(len(read), pixels.weights.mean())

@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 
 from manifold.colour.conversion import luminance
 from manifold.directions import from_spherical
-from manifold.estimate.gloss import gloss_differences, gloss_meter
+from manifold.estimate.gloss import gloss_differences, value_of_unit
 from manifold.estimate.mixtures import SCALE_SPREAD, Hypotheses, Mixtures, log_prior_of, material_prior
 from manifold.estimate.residual import cells, coordinates, covariance
 from manifold.formats.readings import Readings
@@ -97,7 +97,7 @@ class GlossReadings:
     @classmethod
     def of(cls, readings: Readings, atoms: Array) -> GlossReadings:
         """The gloss of a material, with that of atoms as cube roots (n + 1, G)."""
-        unit = np.array([gloss_meter(angle).mean_value(1.0) for angle in readings.gloss])
+        unit = np.array([value_of_unit(angle) for angle in readings.gloss])
         mean = unit * list(readings.gloss.values())
         theta = np.deg2rad(list(readings.gloss), dtype=float)
         where = coordinates(from_spherical(theta, np.pi), from_spherical(theta, 0.0))

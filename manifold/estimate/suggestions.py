@@ -236,10 +236,10 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
         mean_on_ball: expected cube roots at the pairs that light a ball, shape (P_b,).
     """
     lights, f = panel.judged(), np.maximum(mean_on_ball, 0.0) ** 3
-    total = np.maximum(lights.pixels(f[None])[0], np.finfo(float).tiny)
+    total = np.maximum(lights.of(f), np.finfo(float).tiny)
 
     def with_pixels(of: Array) -> Array:
-        return np.asarray(lights.pixels(covariance(of, ball_coordinates()) * f) / total)
+        return np.asarray(lights.of((covariance(of, ball_coordinates()) * f).T).T / total)
 
     own, of_pixels = covariance(where, where), with_pixels(where)
     if len(taken):
@@ -263,7 +263,7 @@ def _noise(square: Array, share: float) -> Array:
 
 def _pixels(roots: Array) -> Array:
     """Cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): shape (h, K)."""
-    return np.asarray(np.cbrt(np.minimum(panel.judged().pixels(np.maximum(roots, 0.0) ** 3), 1.0)))
+    return np.asarray(np.cbrt(np.minimum(panel.judged().of(np.maximum(roots, 0.0).T ** 3).T, 1.0)))
 
 
 def _mean_roots(atoms: LibraryAtoms, roots: Array) -> Array:

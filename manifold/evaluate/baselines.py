@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from manifold.encoding import EncodingPairs
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.tabulated import Data
 from manifold.mapping import Identity, Mapping, mapping_named
 from manifold.model.combination import Combination
 from manifold.model.reconstruction import DICTIONARY, MAX_BANDS, ComparedValues
+from manifold.pairs import Pairs
 from manifold.records import Array, Indices
 
 _IDENTITY = mapping_named("identity")
@@ -121,7 +121,7 @@ def fit_nonnegative(sample_bands: int, numbers: Callable[[int], int] | None = No
         bands = data.available_bands(sample_bands)
 
         def compare() -> tuple[ComparedValues, Array]:
-            compared = ComparedValues(EncodingPairs(data.wi[:: data.stride], data.wo[:: data.stride]))
+            compared = ComparedValues(Pairs(data.wi[:: data.stride], data.wo[:: data.stride]))
             return compared, compared.of_atoms([m.select_bands(bands.tolist()) for m in data.materials])
 
         compared, atoms = data.cached(("reconstruction", sample_bands), compare)

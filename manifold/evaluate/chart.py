@@ -22,8 +22,8 @@ from manifold.evaluate.methods import settings
 from manifold.evaluate.results import KeptResults
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
 from manifold.library.store import Library
-from manifold.metrics import RusinkiewiczGrid
 from manifold.names import counted, names_like
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile
 
 ERRORS = {

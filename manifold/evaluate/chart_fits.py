@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from manifold.brdf.pairs import DirectionPairs
 from manifold.evaluate.held_out import HeldOut
 from manifold.evaluate.stopwatch import ChartRow, RelativeTime, summary
 from manifold.fit import principled
 from manifold.fit.principled import FitResult
+from manifold.pairs import Pairs
 from manifold.records import Array, BsdfFile, evenly_spaced
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import evaluator
@@ -24,7 +24,7 @@ _TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "f
 _REPEATS = 3
 _BYTES_PER_NUMBER = 8
 
-_Predictor = Callable[[DirectionPairs], Callable[[], Array]]
+_Predictor = Callable[[Pairs], Callable[[], Array]]
 """From direction pairs to what predicts f in all bands there."""
 
 
@@ -66,7 +66,7 @@ def _row(
     )  # fmt: skip
 
 
-def _evaluator(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
+def _evaluator(result: FitResult, pairs: Pairs) -> Callable[[], Array]:
     """The BRDF of a fit in the bands of its samples, f in 1/sr (P, B)."""
     made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
     p = made.layout.join(result.values | result.spectra)

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import Plausibility, plausibilities
 from manifold.colour import panel
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
@@ -18,6 +17,7 @@ from manifold.colour.panel import LookErrors
 from manifold.evaluate.tabulated import Data
 from manifold.metrics import RunningErrors
 from manifold.model.combination import Combination, Values, evaluate
+from manifold.pairs import Pairs
 from manifold.records import Array, Indices
 
 _HIGHEST_COSINE = float(np.cos(np.deg2rad(80.0)))  # nearer to the horizon values grow as 1 / cos
@@ -137,7 +137,7 @@ class BallErrors:
         """Colour the balls in bands (B',)."""
         self._lights = panel.judged()
         self._bands = materials[0].bands.select(bands)
-        self.pairs = DirectionPairs(self._lights.wi, self._lights.wo)
+        self.pairs: Pairs = self._lights
         self.values = Values.at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
         self._chosen = bands
         self._xyz = [self._lights.xyz(f, self._bands) for f in self.values.f]
@@ -179,7 +179,7 @@ def colour_results(
     materials: Sequence[MeasuredBRDF], predictions: Predictions
 ) -> list[tuple[ColourResult, ...]]:
     """Colour errors of all predictions, method by method, illuminant by illuminant."""
-    values, bands = Values.at(materials, DirectionPairs(*multi_angle_pairs())), materials[0].bands
+    values, bands = Values.at(materials, Pairs(*multi_angle_pairs())), materials[0].bands
 
     def result(predicted: Array, illuminant: str) -> ColourResult:
         both = (e.mean(axis=1) for e in colour_differences(values.f, predicted, bands, illuminant))
@@ -201,7 +201,7 @@ def plausibility_results(
     here = [[c.in_bands(bands) for c in each] for each in predictions]
 
     def predict(wi: Array, wo: Array) -> Array:
-        values = Values.at(selected, DirectionPairs(wi, wo))
+        values = Values.at(selected, Pairs(wi, wo))
         return np.concatenate([evaluate(each, values) for each in here])
 
     found = plausibilities(predict, all(material.is_isotropic for material in materials))

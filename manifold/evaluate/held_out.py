@@ -14,7 +14,6 @@ import numpy as np
 
 from manifold import metrics
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
@@ -22,9 +21,9 @@ from manifold.evaluate.errors import BallErrors
 from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_pairs, summary
 from manifold.evaluate.storage_forms import Storage
 from manifold.evaluate.tabulated import MAX_BANDS, Data
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.prediction import PredictedBRDF
+from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, evenly_spaced
 
 FOLDS = 10
@@ -62,8 +61,7 @@ class HeldOut:
         tabulate = partial(Data.evaluate, materials, grid, bands)
         self.data = tabulate()
         self._tabulating = [self.watch.lap(tabulate)[1] for _ in range(_REPEATS)]
-        wi, wo, above = grid.directions()
-        self.pairs, self.balls = DirectionPairs(wi[above], wo[above]), BallErrors(materials, bands)
+        self.pairs, self.balls = grid.pairs(), BallErrors(materials, bands)
         self._block = some_pairs(_BLOCK_PAIRS, grid)
         # Settings that differ only in how files are stored, or in their threshold, share a fit.
         self._fits: dict[Fit, _Fitted] = {}
@@ -178,7 +176,7 @@ class StoredMaterials:
 
 
 def _predictor(
-    stored: StoredMaterials, combination: Combination, block: DirectionPairs, *, is_dense: bool
+    stored: StoredMaterials, combination: Combination, block: Pairs, *, is_dense: bool
 ) -> Callable[[], object]:
     """A function that predicts values at the direction pairs of a block, in all bands, as the package does."""
     if is_dense:

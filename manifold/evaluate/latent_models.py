@@ -7,13 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.brdf.measured import all_isotropic
 from manifold.encoding import Decoder, Encoder
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.mapping import CubeRoot, Mapping, mapping_named
-from manifold.model.appearance import roots_at
+from manifold.model.appearance import appearance_pairs, appearance_weight, roots_at
 from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
 from manifold.model.combination import Combination
@@ -64,11 +65,11 @@ def _fit_blend(s: Settings) -> Fit:
         )
         tables, rows = every.subset(training), every.samples.rows(training)
         space, _ = tables.fit(min(s.latent_dim, len(training) - 1), s.covariance())
-        roots, pairs = tables.samples.roots, tables.samples.pairs
-        search = PlaceSearch(space, roots, pairs.weight(roots))
+        roots, pairs = tables.samples.roots, appearance_pairs(all_isotropic(data.materials))
+        search = PlaceSearch(space, roots, appearance_weight(roots))
 
         def encode(i: int) -> Combination:
-            x, colours, _ = search.find(roots_at([data.materials[i]], pairs.pairs), bands)
+            x, colours, _ = search.find(roots_at([data.materials[i]], pairs), bands)
             spread = np.zeros((data.n_bands, len(every.samples.roots)))
             spread[:, rows] = space.weights(x, colours)
             return Combination(CubeRoot(), spread, bands)

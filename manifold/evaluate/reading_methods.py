@@ -17,7 +17,7 @@ from manifold.estimate.suggestions import readings_to_take
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings
-from manifold.metrics import cosine_weight
+from manifold.pairs import cosine_weight
 from manifold.records import Array, Indices
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF

@@ -20,8 +20,8 @@ from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.model_methods import model_methods
 from manifold.evaluate.tabulated import MAX_BANDS, Data
 from manifold.gpr import IsolatedLatentsWarning
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.manifold import Manifold
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import evenly_spaced
 
 _PARTS = 8  # tasks of a method

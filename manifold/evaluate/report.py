@@ -34,11 +34,11 @@ from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data, block_pairs
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model import fitting
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked

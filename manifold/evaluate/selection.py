@@ -20,9 +20,9 @@ from manifold.evaluate.errors import BallErrors, MedianAndP90, measure_errors
 from manifold.evaluate.latent_models import fit_settings
 from manifold.evaluate.tabulated import Data
 from manifold.mapping import MAPPINGS
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.settings import Settings
 from manifold.names import counted
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import evenly_spaced
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid

@@ -14,8 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
-from manifold.metrics import RusinkiewiczGrid
+from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
 REFERENCE = "syn_satin_gold"
@@ -135,9 +134,7 @@ def one_core() -> Iterator[None]:
         nb.set_num_threads(threads)
 
 
-def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> DirectionPairs:
+def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> Pairs:
     """Direction pairs above the horizon, spread evenly over a grid, by default 45 x 23 x 12."""
-    wi, wo, above = (grid or RusinkiewiczGrid.named("default")).directions()
-    rows = np.flatnonzero(above)
-    rows = rows[np.linspace(0, len(rows) - 1, count).astype(int)]
-    return DirectionPairs(wi[rows], wo[rows])
+    pairs = (grid or RusinkiewiczGrid.named("default")).pairs()
+    return pairs[np.linspace(0, len(pairs) - 1, count).astype(int)]

@@ -12,9 +12,10 @@ from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.encoding import PAIR_STRIDE
 from manifold.mapping import Mapping
-from manifold.metrics import RusinkiewiczGrid, relative_error
+from manifold.metrics import relative_error
 from manifold.model import fitting
 from manifold.model.combination import Values
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices, evenly_spaced
 
 MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195

@@ -18,7 +18,7 @@ from manifold.directions import to_rusinkiewicz
 from manifold.errors import RendererError
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import Minimum, Residuals
-from manifold.metrics import RusinkiewiczGrid
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import bsdf_keys, evaluator, load_bsdf

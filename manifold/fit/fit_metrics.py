@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.measured import EvaluableBRDF, values_at
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
@@ -95,7 +95,7 @@ class BallDifference:
 
         def errors(lights: Panel) -> LookErrors:
             return lights.compare(
-                *(lights.xyz(brdf.eval(lights.wi, lights.wo), brdf.bands) for brdf in (fitted, material))
+                *(lights.xyz(values_at(brdf, lights), brdf.bands) for brdf in (fitted, material))
             )
 
         look = errors(panel.judged())
@@ -107,10 +107,8 @@ class BallDifference:
         return f"{self.unseen_light:.2f}{worst}; in the lights of the fit {self.fitted_light:.2f}"
 
 
-_NEAR_DEG, _HIGHLIGHT_SUN = (
-    25.0,
-    "sun 45",
-)  # what counts as the highlight, and the light in which it is looked at
+_NEAR_DEG = 25.0  # angle from the mirror direction within which is the highlight
+_HIGHLIGHT_SUN_DEG = 45.0  # angle between view and the sun under which it is looked at
 _MISSED, _MISSED_SHARE = (
     5.0,
     2.0,
@@ -122,12 +120,10 @@ def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | No
 
     Such are the rainbows of flakes and films in models without them: other parameters cannot make up for it.
     """
-    lights = panel.panel((_HIGHLIGHT_SUN,))
-    part = lights.parts[0]
-    wi, wo = lights.wi[part], lights.wo[part]
-    xyz, xyz_star = (lights.balls[0].xyz(brdf.eval(wi, wo), brdf.bands) for brdf in (fitted, material))
+    ball = panel.sun(_HIGHLIGHT_SUN_DEG)
+    xyz, xyz_star = (ball.xyz(values_at(brdf, ball), brdf.bands) for brdf in (fitted, material))
     differences = delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))
-    is_near = half_vector(wi, wo)[:, 2] > np.cos(np.deg2rad(_NEAR_DEG))
+    is_near = half_vector(ball.wi, ball.wo)[:, 2] > np.cos(np.deg2rad(_NEAR_DEG))
     near, rest = float(differences[is_near].mean()), float(differences[~is_near].mean())
     if near < max(_MISSED, _MISSED_SHARE * rest):
         return None

@@ -15,7 +15,7 @@ from manifold.colour.panel import Panel
 from manifold.directions import require_directions, rotate_z
 from manifold.errors import ShapeError, UsageError
 from manifold.formats.readings import Readings
-from manifold.metrics import RusinkiewiczGrid
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Bands, Indices
 
 MIN_PAIRS = 4
@@ -45,8 +45,8 @@ class Pixels:
 
     def of(self, f_cos: Array) -> Array:
         """Pixels (..., K, B) of values f cos(theta_o) (..., P, B) at the direction pairs of the panel."""
-        f = np.moveaxis(f_cos / self.lights.wo[:, 2:], -1, -2)
-        return np.moveaxis(self.lights.pixels(f), -1, -2)
+        f = np.moveaxis(f_cos / self.lights.wo[:, 2:], -2, 0)
+        return np.moveaxis(self.lights.of(f), 0, -2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold import progress
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.colour import panel
-from manifold.encoding import EncodingPairs
 from manifold.errors import LibraryError
 from manifold.library import staging, visible_normals
 from manifold.library.compact import EXTRA, Compact, decode
@@ -30,7 +29,8 @@ from manifold.library.schema import COEFFICIENTS, TABLES
 from manifold.library.staging import write_material
 from manifold.library.store import Library
 from manifold.library.zarr_arrays import open_group
-from manifold.metrics import RusinkiewiczGrid, cube_root_error
+from manifold.metrics import cube_root_error
+from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import AnyArray, Array, BsdfFile
 
 CUBE_ROOT_PER_BALL = 0.05
@@ -191,8 +191,8 @@ def _kept_tables(file: BsdfFile) -> dict[str, AnyArray]:
 
 
 @cache
-def _pairs(is_isotropic: bool) -> EncodingPairs:
-    return EncodingPairs.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic), stride=1)
+def _pairs(is_isotropic: bool) -> Pairs:
+    return RusinkiewiczGrid.named("default").suited_to(is_isotropic).pairs()
 
 
 def _errors_from(file: BsdfFile) -> Callable[[BsdfFile], tuple[float, float]]:
@@ -201,7 +201,7 @@ def _errors_from(file: BsdfFile) -> Callable[[BsdfFile], tuple[float, float]]:
 
     def values(other: BsdfFile) -> tuple[Array, Array]:
         brdf = MeasuredBRDF(other)
-        return lights.xyz(brdf.eval(lights.wi, lights.wo), brdf.bands), brdf.eval(pairs.wi, pairs.wo)
+        return lights.xyz(values_at(brdf, lights), brdf.bands), values_at(brdf, pairs)
 
     xyz, f = values(file)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold import progress
-from manifold.brdf.measured import MeasuredBRDF, all_isotropic
+from manifold.brdf.measured import MeasuredBRDF, all_isotropic, values_at
 from manifold.brdf.plausibility import (
     LAYOUT_AZIMUTHS_DEG,
     profile_pairs,
@@ -20,9 +20,9 @@ from manifold.brdf.plausibility import (
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.kernels import Kernel
-from manifold.model.appearance import OF_BALL, AppearancePairs, appearance_pairs, roots_at
+from manifold.model.appearance import OF_BALL, appearance_weight, roots_at
 from manifold.model.blend_space import BlendSpace
 from manifold.model.blending import Layout, blend_layout
 from manifold.model.colour_paths import ColourPaths, fit_paths, sample_rows
@@ -155,7 +155,6 @@ class BlendSamples:
     Attributes:
         bands: which bands are samples, shape (B_s,).
         roots: cube roots of the samples at the appearance pairs, shape (N B_s, P).
-        pairs: these pairs.
         on_ball: cube roots of the samples at all pairs of the ball in the judged lights, shape (N B_s, P').
         sphere, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
         reflectances: of the materials in all bands, shape (N, B).
@@ -163,7 +162,6 @@ class BlendSamples:
 
     bands: Indices
     roots: Floats
-    pairs: AppearancePairs
     on_ball: Halves
     sphere: tuple[Floats, Array]
     albedo: list[tuple[Floats, Array]]
@@ -180,7 +178,6 @@ class BlendSamples:
         return BlendSamples(
             self.bands,
             self.roots[rows],
-            self.pairs,
             self.on_ball[rows],
             (inside[rows], measure),
             albedo,
@@ -189,16 +186,17 @@ class BlendSamples:
 
     def paths(self, landmarks: Indices | None = None) -> ColourPaths:
         """Colour paths, made of a material's own samples and those of landmarks, by default of all."""
-        grid = slice(None, self.pairs.n_grid)
-        cosines = self.pairs.pairs.cosines[grid]
-        return fit_paths(self.roots[:, grid], cosines, len(self.bands), self.sphere, self.albedo, landmarks)
+        cosines = encoding_pairs().cosines
+        return fit_paths(
+            self.roots[:, : len(cosines)], cosines, len(self.bands), self.sphere, self.albedo, landmarks
+        )
 
 
 def evaluate(
     materials: Iterable[MeasuredBRDF], bands: Indices, is_isotropic: bool
 ) -> tuple[Appearance, BlendSamples]:
     """What maps of blends are fitted to, of materials one after another; `bands` (B_s,) become samples."""
-    ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), EncodingPairs.default(is_isotropic)
+    ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), encoding_pairs(is_isotropic)
     lights = panel.judged()
     wi_wo = profile_pairs() if is_isotropic else profile_pairs(azimuths_deg=LAYOUT_AZIMUTHS_DEG)
     spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
@@ -209,30 +207,26 @@ def evaluate(
     reflectances = []
     for material in materials:
         brdf = material.select_bands(evenly_spaced(material.bands.count, _BANDS).tolist())
-        xyz = ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands)
-        f = np.maximum(brdf.eval(grid.wi, grid.wo), 0.0)
+        xyz = ball.xyz(np.maximum(values_at(brdf, ball), 0.0), brdf.bands)
+        f = np.maximum(values_at(brdf, grid), 0.0)
         profile = np.cbrt(np.maximum(brdf.eval(*wi_wo), 0.0))  # [I, D', B]
         looks.append(
             (to_lab(xyz, white), (np.log(f + _FLOOR) * amplitude).ravel().astype(np.float32), profile)
         )
         sample = material.select_bands(bands.tolist())
         in_grid, lit = (roots_at([sample], pairs).astype(np.float32) for pairs in (grid, lights))
-        roots.append(
-            np.hstack([in_grid, lit[:, : len(ball.wi)][:, OF_BALL]])
-        )  # those of the studio come first
+        roots.append(np.hstack([in_grid, lit[:, : len(ball)][:, OF_BALL]]))  # those of the studio come first
         on_ball.append(lit.astype(np.float16))
-        for kept, (pairs, _) in zip(inside, spheres, strict=True):
-            kept.append(roots_at([sample], pairs).astype(np.float32))
-        (at, measure), *_ = spheres
-        reflectances.append(measure @ material.eval(at.wi, at.wo))
+        for kept, sphere in zip(inside, spheres, strict=True):
+            kept.append(roots_at([sample], sphere).astype(np.float32))
+        reflectances.append(spheres[0].of(values_at(material, spheres[0]))[0])
     lab, logs, profiles = (np.stack(each) for each in zip(*looks, strict=True))
     allowed = np.maximum(valley_depth((profiles**3).mean(axis=3)).max(axis=1), _MEASURED_VALLEY)
-    sphere, *albedo = [
-        (np.concatenate(values), measure) for values, (_, measure) in zip(inside, spheres, strict=True)
+    in_sphere, *albedo = [
+        (np.concatenate(values), sphere.light) for values, sphere in zip(inside, spheres, strict=True)
     ]
     samples = BlendSamples(
-        bands, np.concatenate(roots), appearance_pairs(is_isotropic), np.concatenate(on_ball), sphere, albedo,
-        np.stack(reflectances),
+        bands, np.concatenate(roots), np.concatenate(on_ball), in_sphere, albedo, np.stack(reflectances),
     )  # fmt: skip
     return Appearance(lab, logs, profiles, allowed), samples
 
@@ -304,7 +298,7 @@ def fit_landmarks(
 
 def _signatures(samples: BlendSamples, landmarks: Indices) -> Array:
     """Coordinates (N, r) of the materials in the span of a few landmarks: distances of cube roots, approximately."""
-    weight = samples.pairs.weight(samples.roots[samples.rows(landmarks)]).astype(np.float32)
+    weight = appearance_weight(samples.roots[samples.rows(landmarks)]).astype(np.float32)
     rows = (samples.roots * weight).reshape(len(samples.reflectances), -1)
     some = rows[landmarks[:SIGNATURE]]
     return signatures(some @ some.T, rows @ some.T)

@@ -13,13 +13,13 @@ import scipy
 from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 
-from manifold.encoding import Decoder, EncodingPairs
+from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
 from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
-from manifold.model.appearance import appearance_pairs, roots_at
+from manifold.model.appearance import appearance_pairs, appearance_weight, roots_at
 from manifold.model.blending import NEIGHBOURS, blend_weights, widest_gap
 from manifold.model.colour_paths import ColourPaths, between, interpolate, sample_rows
 from manifold.model.combination import Combination
@@ -27,6 +27,7 @@ from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, re
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
+from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices
 
 _TRIED_PLACES, _REFINED_PLACES = 150, 3  # of the search for a new material's place
@@ -181,14 +182,14 @@ class BlendSpace(LatentSpace):
         """Bands whose values are compared to find a place: the samples of the paths."""
         return self.bands
 
-    def embedding_pairs(self, is_isotropic: bool = True) -> EncodingPairs:
+    def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
         """Direction pairs of the encoding grid and of a ball's light."""
-        return appearance_pairs(is_isotropic).pairs
+        return appearance_pairs(is_isotropic)
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
         """Place, coordinates and gains of a material with values f (B, P) in all bands, by the cube-root error."""
-        samples, n_grid = decoder.mapped, appearance_pairs().n_grid
-        search = PlaceSearch(self, samples, appearance_pairs().weight(samples))
+        samples, n_grid = decoder.mapped, len(encoding_pairs())
+        search = PlaceSearch(self, samples, appearance_weight(samples))
         x, colours, residual = search.find(np.cbrt(np.maximum(f, 0.0)), self.bands)
         predicted = (self.weights(x, colours) @ samples[:, :n_grid]) ** 3
         error = relative_error(f[:, :n_grid].T, predicted.T, decoder.cosines[:n_grid])
@@ -202,7 +203,7 @@ class BlendSpace(LatentSpace):
         at = np.searchsorted(table.bands, self.bands)
         roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)
         samples = roots[:, at].reshape(N * B, -1)
-        search = PlaceSearch(self, samples, appearance_pairs().weight(samples), table.bands)
+        search = PlaceSearch(self, samples, appearance_weight(samples), table.bands)
 
         def find(i: int) -> tuple[Array, Combination, float]:
             x, colours, residual = search.find(roots[i], at, without=i)

@@ -14,11 +14,10 @@ import numpy as np
 
 from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
 from manifold.errors import ShapeError
 from manifold.mapping import Mapping
-from manifold.metrics import cosine_weight
 from manifold.model.dictionary import Dictionary
+from manifold.pairs import Pairs, cosine_weight
 from manifold.records import Array, Indices
 
 
@@ -41,7 +40,7 @@ class Values:
     _lobes: dict[tuple[Mapping, Lobes], Array] = field(default_factory=dict, repr=False, kw_only=True)
 
     @classmethod
-    def at(cls, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Values:
+    def at(cls, materials: Sequence[MeasuredBRDF], pairs: Pairs) -> Values:
         """Those of N materials of the same bands at direction pairs."""
         f = np.empty((len(materials), len(pairs), materials[0].bands.count))
         for k, material in enumerate(materials):

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 from manifold.brdf.measured import BRDF, all_isotropic, require_brdf
 from manifold.colour import panel
 from manifold.colour.panel import LookErrors
-from manifold.encoding import EncodingPairs
-from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
+from manifold.metrics import cube_root_error, relative_error
+from manifold.pairs import RusinkiewiczGrid
 
 
 class BRDFErrors(NamedTuple):
@@ -58,7 +58,7 @@ def brdf_errors(brdf: BRDF, predicted: BRDF) -> BRDFErrors:
     require_brdf(predicted, "the prediction")
     brdf.bands.require_same(predicted.bands, "the prediction", "resample it")
     grid = RusinkiewiczGrid.named("default").suited_to(all_isotropic([brdf, predicted]))
-    pairs, lights = EncodingPairs.of_grid(grid, stride=1), panel.judged()
+    pairs, lights = grid.pairs(), panel.judged()
     f, f_star = (each.eval(pairs.wi, pairs.wo) for each in (brdf, predicted))
     lit, lit_star = (each.eval(lights.wi, lights.wo) for each in (brdf, predicted))
     look = lights.errors(lit, lit_star, brdf.bands)

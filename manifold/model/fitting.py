@@ -14,13 +14,13 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.mapping import Mapping, mapping_named
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import MOST_LAID_OUT, Settings
 from manifold.names import counted
+from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.records import Array, evenly_spaced
 
 BLOCK_PAIRS = 1024  # direction pairs held at once: 51 materials x 195 bands x 1024 pairs are 80 MB

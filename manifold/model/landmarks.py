@@ -9,9 +9,9 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial import KDTree
 
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.metrics import relative_error
-from manifold.model.appearance import appearance_pairs, roots_at
+from manifold.model.appearance import appearance_weight, roots_at
 from manifold.model.blend_space import BlendSpace, PlaceSearch, Rows
 from manifold.model.blending import (
     DAMPING,
@@ -28,6 +28,7 @@ from manifold.model.blending import (
 from manifold.model.colour_paths import sample_rows
 from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
+from manifold.pairs import Pairs
 from manifold.records import Array, Indices
 
 _TRIED_PLACES, _STARTS = 150, 3  # of the search for the place of a sample among the landmarks
@@ -215,7 +216,7 @@ class LandmarkSearch:
         self._space, self._samples, self._target_bands = space, samples, target_bands
         self._landmarks, self._signatures = space.landmarks, space.signatures
         of_landmarks = samples[sample_rows(self._landmarks, len(space.bands))]
-        self._weight = appearance_pairs().weight(of_landmarks)
+        self._weight = appearance_weight(of_landmarks)
         self._coarse = PlaceSearch(space.of_landmarks, of_landmarks, self._weight, target_bands)
         few = (of_landmarks * self._weight).reshape(len(self._landmarks), -1)
         self._some = few[: self._signatures.shape[1]]
@@ -240,11 +241,10 @@ class LandmarkSearch:
 
     def embed(self, f: Array) -> Embedded:
         """The latent of a material with values f (B, P) in all bands at the embedding pairs."""
-        space, pairs = self._space, appearance_pairs()
+        space, cosines = self._space, encoding_pairs().cosines
         x, colours, residual = self.find(np.cbrt(np.maximum(f, 0.0)), space.bands)
-        predicted = combined(space.weights(x, colours), self._samples)[:, : pairs.n_grid] ** 3
-        grid = slice(None, pairs.n_grid)
-        error = relative_error(f[:, grid].T, predicted.T, pairs.pairs.cosines[grid])
+        predicted = combined(space.weights(x, colours), self._samples)[:, : len(cosines)] ** 3
+        error = relative_error(f[:, : len(cosines)].T, predicted.T, cosines)
         return Embedded(x, colours, error, residual)
 
     def _alike(self, row: Array) -> Indices:
@@ -263,11 +263,11 @@ def combined(weights: Array, samples: Rows) -> Array:
 class SamplesOnDemand:
     """Cube roots of the samples of a map at direction pairs, (N B_s, P); materials are read once, when asked for."""
 
-    def __init__(self, space: BlendSpace, materials: MaterialCache, pairs: EncodingPairs) -> None:
+    def __init__(self, space: BlendSpace, materials: MaterialCache, pairs: Pairs) -> None:
         self._materials, self._pairs, self._bands = materials, pairs, space.bands
         self._is_known = np.zeros(len(space.X), dtype=bool)
         # Memory that is not written is not taken.
-        self._values = np.empty((len(space.X) * len(space.bands), len(pairs.cosines)), dtype=np.float32)
+        self._values = np.empty((len(space.X) * len(space.bands), len(pairs)), dtype=np.float32)
 
     def __getitem__(self, rows: Indices) -> Array:
         """Rows (m, P) by their indices (m,)."""

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from manifold.encoding import Decoder, EncodingPairs
+from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import ShapeError, UsageError
 from manifold.gpr import GaussianProcess
 from manifold.kernels import Kernel, first_equal_row
@@ -20,6 +20,7 @@ from manifold.model.combination import Combination
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
+from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices
 
 LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
@@ -157,13 +158,13 @@ class LatentSpace(ABC):
         """
         return mapped.reshape(-1, mapped.shape[2]), cosines
 
-    def embedding_pairs(self, is_isotropic: bool = True) -> EncodingPairs:
+    def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
         """Direction pairs at which a new material is compared with what the space predicts.
 
         Args:
             is_isotropic: whether both are.
         """
-        return EncodingPairs.default(is_isotropic)
+        return encoding_pairs(is_isotropic)
 
     @abstractmethod
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:

@@ -10,10 +10,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from manifold import progress
+from manifold.brdf.measured import values_at
 from manifold.colour import panel
+from manifold.encoding import encoding_pairs
 from manifold.mapping import CubeRoot
 from manifold.metrics import cube_root_error
-from manifold.model.appearance import roots_at
+from manifold.model.appearance import appearance_pairs, roots_at
 from manifold.model.blend_fitting import BlendSamples
 from manifold.model.blend_space import BlendSpace
 from manifold.model.blending import blend_weights, widest_gap
@@ -34,12 +36,13 @@ def landmark_left_out(
 
     The errors are those of `MaterialTable.errors`; only materials that are left out are read.
     """
-    at, pairs, lights = np.searchsorted(bands, space.bands), samples.pairs, panel.judged()
-    search, grid = LandmarkSearch(space, samples.roots, bands), slice(None, samples.pairs.n_grid)
+    at, lights = np.searchsorted(bands, space.bands), panel.judged()
+    search = LandmarkSearch(space, samples.roots, bands)
+    pairs, grid = appearance_pairs(materials.is_isotropic), encoding_pairs(materials.is_isotropic)
 
     def find(i: int) -> tuple[Array, Combination, float]:
         (brdf,) = materials.filled([materials.names[i]])
-        target = roots_at([brdf.select_bands(bands.tolist())], pairs.pairs)
+        target = roots_at([brdf.select_bands(bands.tolist())], pairs)
         x, colours, residual = search.find(target, at, without=i)
         others = np.delete(np.arange(len(space.X)), i)
         u = np.zeros(len(space.X))
@@ -52,12 +55,11 @@ def landmark_left_out(
         truth = brdf.select_bands(bands.tolist())
         on_ball, in_grid = (
             np.maximum(combined(combination.weights, table), 0.0).T ** 3
-            for table in (samples.on_ball, samples.roots[:, grid])
+            for table in (samples.on_ball, samples.roots[:, : len(grid)])
         )
-        at_grid = truth.eval(pairs.pairs.wi[grid], pairs.pairs.wo[grid])
         return (
-            lights.errors(truth.eval(lights.wi, lights.wo), on_ball, truth.bands).ball,
-            cube_root_error(at_grid, in_grid, pairs.pairs.cosines[grid]),
+            lights.errors(values_at(truth, lights), on_ball, truth.bands).ball,
+            cube_root_error(values_at(truth, grid), in_grid, grid.cosines),
         )
 
     return find, measure

@@ -5,9 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.brdf.pairs import DirectionPairs
 from manifold.colour import panel
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.metrics import cube_root_error
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Indices
@@ -25,15 +24,15 @@ class MaterialTable:
         """Select the bands of all materials."""
         self.bands = bands
         self.materials = [material.select_bands(bands.tolist()) for material in materials]
-        self._lights, self._pairs = panel.judged(), EncodingPairs.default(all_isotropic(materials))
+        self._lights, self._pairs = panel.judged(), encoding_pairs(all_isotropic(materials))
 
     @cached_property
     def _on_ball(self) -> Values:
-        return Values.at(self.materials, DirectionPairs(self._lights.wi, self._lights.wo))
+        return Values.at(self.materials, self._lights)
 
     @cached_property
     def _in_grid(self) -> Values:
-        return Values.at(self.materials, DirectionPairs(self._pairs.wi, self._pairs.wo))
+        return Values.at(self.materials, self._pairs)
 
     def errors(self, i: int, combination: Combination) -> tuple[float, float]:
         """CIEDE2000 of the ball, mean over the judged lights, and cube-root error of a prediction of material i."""

@@ -13,17 +13,16 @@ import numpy as np
 
 from manifold.analytic.base import choose_lobe, cosine_hemisphere
 from manifold.analytic.free_lobes import Lobes, normal_distribution
-from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic
+from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic, values_at
 from manifold.brdf.notebook import NotebookPicture
-from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.sums import WeightedSum
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.directions import half_vector, require_directions
 from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity, Mapping
-from manifold.metrics import cosine_weight
 from manifold.model.combination import Combination
+from manifold.pairs import Pairs, cosine_weight
 from manifold.records import Array, Bands
 from manifold.threads import one_blas_thread
 
@@ -191,7 +190,7 @@ class PredictedBRDF(NotebookPicture):
         """
         if self._measured is not None:
             return self._measured.eval(wi, wo)
-        pairs = DirectionPairs(wi, wo)
+        pairs = Pairs(wi, wo)
         out = np.empty((len(pairs), self.bands.count))
         # Few pairs are shared out too, but not so finely that calls take longer than values. Sums of matrices depend on
         # the size of blocks, which therefore does not depend on the number of threads.
@@ -253,7 +252,7 @@ class PredictedBRDF(NotebookPicture):
         """
         return quadrature_albedo(self, wi, resolution)
 
-    def _combine(self, pairs: DirectionPairs, out: Array) -> None:
+    def _combine(self, pairs: Pairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""
         cosines = cosine_weight(pairs.wi, pairs.wo)
         if self._is_per_band:
@@ -295,12 +294,10 @@ class _MappedSum:
     def __init__(self, brdfs: Sequence[BRDF], weights: Array, mapping: Mapping):
         self._terms, self._mapping = list(zip(brdfs, weights, strict=True)), mapping
 
-    def add_to(self, total: Array, pairs: DirectionPairs) -> None:
+    def add_to(self, total: Array, pairs: Pairs) -> None:
         """Add the sum at K direction pairs to total (K, B)."""
-        cosines = cosine_weight(pairs.wi, pairs.wo)
         for brdf, weight in self._terms:
-            f = brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
-            total += weight * self._mapping.forward(f, cosines)
+            total += weight * self._mapping.forward(values_at(brdf, pairs), pairs.cosines)
 
 
 class ClippedBRDF(WrappedBRDF):

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 
 from manifold.analytic.free_lobes import Lobes
-from manifold.brdf.measured import BRDF, all_isotropic
+from manifold.brdf.measured import BRDF, all_isotropic, values_at
 from manifold.colour import panel
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.errors import UsageError
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
@@ -20,6 +20,7 @@ from manifold.model.few_atoms import few_atoms
 from manifold.model.materials import MaterialCache
 from manifold.model.observation import LEAST, Observation
 from manifold.model.prediction import PredictedBRDF
+from manifold.pairs import Pairs
 from manifold.records import Array, Indices, evenly_spaced
 
 DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0), Lobes(soft_degree=4))
@@ -40,20 +41,18 @@ class ComparedValues:
             last of the values.
     """
 
-    def __init__(self, pairs: EncodingPairs) -> None:
+    def __init__(self, pairs: Pairs) -> None:
         """Compare BRDFs at direction pairs (P, 3)."""
         self._lights = panel.fitted()
-        self._wi = np.concatenate([pairs.wi, self._lights.wi])
-        self._wo = np.concatenate([pairs.wo, self._lights.wo])
-        self._cosines = pairs.cosines
+        self._pairs, self._cosines = pairs + self._lights, pairs.cosines
         self.pixel_weights = self._lights.pixel_weights
-        self._lobes = self._of_values(DICTIONARY.lobes.values(self._wi, self._wo))
+        self._lobes = self._of_values(DICTIONARY.lobes.values(self._pairs.wi, self._pairs.wo))
 
     @classmethod
     @cache
     def default(cls, is_isotropic: bool) -> ComparedValues:
-        """At the pairs of `EncodingPairs.default`."""
-        return cls(EncodingPairs.default(is_isotropic))
+        """At the encoding pairs."""
+        return cls(encoding_pairs(is_isotropic))
 
     def weights(self, atoms: Array, brdf: BRDF, numbers: int | None = None) -> Array:
         """Weights (B, n) of n atoms, the last of which are the lobes of `DICTIONARY`, for a BRDF of B bands.
@@ -77,18 +76,18 @@ class ComparedValues:
 
     def of(self, brdf: BRDF) -> Array:
         """Those of a BRDF of B bands, shape (B, R)."""
-        return self._of_values(brdf.eval(self._wi, self._wo).T)
+        return self._of_values(values_at(brdf, self._pairs).T)
 
     def of_atoms(self, materials: Sequence[BRDF]) -> Array:
         """Those of the atoms of `DICTIONARY`, of N materials in the sample bands (B_s,): shape (n', R)."""
-        samples = [np.maximum(brdf.eval(self._wi, self._wo).T, 0.0) for brdf in materials]
+        samples = [np.maximum(values_at(brdf, self._pairs).T, 0.0) for brdf in materials]
         powers = [self._of_values(f**exponent) for exponent in DICTIONARY.exponents for f in samples]
         return np.vstack([*powers, self._lobes])
 
     def _of_values(self, f: Array) -> Array:
         """From f in 1/sr, shape (n, P + P_ball)."""
         P = len(self._cosines)
-        return np.hstack([f[:, :P] * self._cosines, self._lights.pixels(f[:, P:])])
+        return np.hstack([f[:, :P] * self._cosines, self._lights.of(f[:, P:].T).T])
 
 
 def observations(atoms: Array, material: Array, pixel_weights: Array) -> list[Observation]:

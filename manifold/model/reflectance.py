@@ -94,11 +94,10 @@ class ReflectanceColours:
         if part is None:
             return self._space, *self._sphere
         materials, space = part
-        pairs, measure = integrating_sphere()
-        names = [self._materials.names[k] for k in materials]
-        return space, decoder_at(pairs, space, self._materials, self._settings, names), measure
+        sphere, names = integrating_sphere(), [self._materials.names[k] for k in materials]
+        return space, decoder_at(sphere, space, self._materials, self._settings, names), sphere.light
 
     @cached_property
     def _sphere(self) -> tuple[Decoder, Array]:
-        pairs, measure = integrating_sphere()
-        return decoder_at(pairs, self._space, self._materials, self._settings), measure
+        sphere = integrating_sphere()
+        return decoder_at(sphere, self._space, self._materials, self._settings), sphere.light

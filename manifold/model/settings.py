@@ -9,7 +9,7 @@ from typing import Any, cast
 from manifold.errors import UsageError
 from manifold.kernels import Kernel, kernel_named, require_mu
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid
+from manifold.pairs import RusinkiewiczGrid
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
     "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},

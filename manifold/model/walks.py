@@ -20,7 +20,6 @@ from manifold.colour.ball_colours import ball
 from manifold.colour.conversion import srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.mapping import Identity
-from manifold.metrics import cosine_weight
 from manifold.model.appearance import appearance_pairs
 from manifold.model.combination import Combination
 from manifold.model.prediction import PredictedBRDF
@@ -78,9 +77,9 @@ def roughness_at(position: float) -> float:
 
 def fit_highlight(brdf: BRDF) -> Highlight:
     """The lobe, over a Lambertian base, of least cube-root error at the pairs of grid and ball."""
-    pairs = appearance_pairs(brdf.is_isotropic).pairs
+    pairs = appearance_pairs(brdf.is_isotropic)
     f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
-    weight = np.cbrt(cosine_weight(pairs.wi, pairs.wo))
+    weight = np.cbrt(pairs.cosines)
     schlick = (1.0 - cos_theta_d(pairs.wi, pairs.wo)) ** 5
 
     def solved(position: int, bands: Sequence[int]) -> tuple[Array, float]:
@@ -183,14 +182,13 @@ class Walked:
         gain = lit.light @ moved / np.maximum(lit.light @ (own * fresnel), np.finfo(float).tiny)
         highlight = replace(highlight, gain=gain)
         rest, shaped, smooth = (
-            to_srgb(part, brdf.bands) * lit.light[:, None]
-            for part in (f - moved, moved / own, gain * fresnel)
+            to_srgb(part, brdf.bands) for part in (f - moved, moved / own, gain * fresnel)
         )
         balls = []
         for k in range(len(ROUGHNESSES)):
             kept = highlight.shape_kept(k)
             lobe = lobe_at(lit.wi, lit.wo, k)
-            balls.append(np.add.reduceat(rest + lobe * (kept * shaped + (1.0 - kept) * smooth), lit.starts))
+            balls.append(lit.of(rest + lobe * (kept * shaped + (1.0 - kept) * smooth)))
         return cls(highlight, np.stack(balls))
 
     def ball_at(self, positions: Array) -> Array:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from manifold.analytic.free_lobes import cos_theta_d
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.brdf.sums import WeightedSum
 from manifold.colour import ball_colours
@@ -25,12 +24,13 @@ from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_rusinkiewicz, from_spherical, normalize
 from manifold.errors import UsageError
-from manifold.estimate.gloss import RECEPTORS_DEG, SOURCE_DEG, gloss_meter
+from manifold.estimate.gloss import RECEPTORS_DEG, SOURCE_DEG, black_glass
 from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
 from manifold.model.walks import ROUGHNESSES, Walked, walk_path
+from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices, evenly_spaced
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
@@ -151,7 +151,7 @@ def _gloss_meter() -> tuple[Array, Array, Array]:
     centre, across = from_spherical(theta, 0.0), np.array([0.0, 1.0, 0.0])
     wo = normalize(centre + np.tan(X)[:, None] * np.cross(across, centre) + np.tan(Y)[:, None] * across)
     cell = 2.0 * np.outer(np.diff(x_edges), np.diff(y_edges)).ravel()  # on both sides
-    weights = 100.0 * seen * cell * wo[:, 2] / gloss_meter(GLOSS_DEG).full_scale
+    weights = 100.0 * seen * cell * wo[:, 2] / black_glass(GLOSS_DEG)
     return np.broadcast_to(from_spherical(theta, np.pi), wo.shape), wo, weights
 
 
@@ -391,7 +391,7 @@ def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
     total = np.zeros((len(pairs.wi), material.bands.count))
     half = WeightedSum([material], [0.5], cube_root=True)
     for side in (np.ones(3), mirror):
-        half.add_to(total, DirectionPairs(pairs.wi * side, pairs.wo * side))
+        half.add_to(total, Pairs(pairs.wi * side, pairs.wo * side))
     return (np.maximum(total, 0.0) * pairs.amplitude[:, None]).astype(np.float32)
 
 

@@ -20,7 +20,7 @@ from helpers.small_library import NAMES, measured, small_library, small_model
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import relative_error
@@ -422,7 +422,7 @@ def _some_pairs():
 
 def _two_materials(*files):
     """Values of two files on the grid of reports, and the weights of its pairs."""
-    pairs = EncodingPairs.default()
+    pairs = encoding_pairs()
     return *(MeasuredBRDF(read_bsdf(file)).eval(pairs.wi, pairs.wo) for file in files), pairs.cosines
 
 

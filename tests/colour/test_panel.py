@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.colour import panel
+from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.records import Bands
 
@@ -14,7 +14,7 @@ RGB = Bands(None)
 
 def pixels_of(name: str, f: np.ndarray) -> np.ndarray:
     lights = panel.panel((name,))
-    return lights.pixels(np.broadcast_to(f, (1, len(lights.wi))))[0]
+    return lights.of(np.broadcast_to(f, len(lights)))
 
 
 def test_no_judged_light_is_fitted():
@@ -27,8 +27,7 @@ def test_a_white_diffuser_in_white_light_is_white_everywhere():
 
 @pytest.mark.parametrize("degrees", [20, 45, 130])
 def test_a_sun_lights_a_diffuser_by_the_cosine(degrees):
-    lights = panel.panel((f"sun {degrees}",))
-    (ball,) = lights.balls
+    ball = panel.panel((f"sun {degrees}",)).of_pixels(slice(None))
     np.testing.assert_allclose(pixels_of(f"sun {degrees}", np.array([1.0 / np.pi])), ball.wo[:, 2])
     between = np.rad2deg(np.arccos(np.sum(ball.wi * ball.wo, axis=1)))
     np.testing.assert_allclose(between, degrees)
@@ -36,20 +35,18 @@ def test_a_sun_lights_a_diffuser_by_the_cosine(degrees):
 
 def test_lights_count_the_same_whatever_their_pixels():
     lights = panel.judged()
-    weights, end = lights.pixel_weights, 0
+    weights = lights.pixel_weights
     assert weights.mean() == pytest.approx(1.0)
-    totals = []
-    for ball in lights.balls:
-        totals.append(weights[end : (end := end + len(ball.starts))].sum())
+    totals = [part.sum() for part in np.split(weights, np.cumsum(lights.counts)[:-1])]
     np.testing.assert_allclose(totals, totals[0])
 
 
 def test_errors_name_the_worst_light():
     lights = panel.judged()
-    f = np.full((len(lights.wi), 3), 0.5 / np.pi)
+    f = np.full((len(lights), 3), 0.5 / np.pi)
     assert lights.errors(f, f, RGB).ball == 0.0
-    darker = f.copy()
-    darker[lights.parts[3]] *= 0.5
+    darker, before = f.copy(), int(lights.counts[:3].sum())
+    darker[lights.sums[before : before + int(lights.counts[3])].indices] *= 0.5
     found = lights.errors(darker, f, RGB)
     assert found.worst_light == panel.JUDGED[3]
     assert found.ball == pytest.approx(found.worst / len(panel.JUDGED))
@@ -58,7 +55,14 @@ def test_errors_name_the_worst_light():
 
 
 def test_pixels_are_those_of_their_balls():
-    lights = panel.fitted()
-    f = np.random.default_rng(0).random((len(lights.wi), 3)) * 0.1
-    pixels = srgb_to_xyz(np.clip(lights.pixels(f.T).T, 0.0, 1.0))
-    np.testing.assert_allclose(pixels, lights.xyz(f, RGB), atol=1e-9)
+    lights = panel.panel(("studio 0", "sun 45", "white"))
+    f = np.random.default_rng(0).random((len(lights), 3)) * 0.1
+    np.testing.assert_allclose(srgb_to_xyz(np.clip(lights.of(f), 0.0, 1.0)), lights.xyz(f, RGB), atol=1e-9)
+    studio, sun = ball_colours.ball(), panel.sun(45)
+    first, second = np.cumsum(lights.counts)[:2]
+    np.testing.assert_allclose(lights.of(f)[:first], studio.of(f[: len(studio)]))
+    np.testing.assert_allclose(lights.of(f)[first:second], sun.of(f[len(studio) :]))
+    some = studio.of_pixels(slice(7, 20))
+    used = np.unique(studio.sums[7:20].indices)
+    np.testing.assert_allclose(some.of(f[used]), studio.of(f[: len(studio)])[7:20])
+    np.testing.assert_allclose(some.mean(np.full(len(some), 3.0)), 3.0)

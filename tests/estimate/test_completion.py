@@ -20,7 +20,7 @@ from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
 from manifold.directions import from_spherical
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.estimate import calibrate, complete, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
@@ -271,15 +271,14 @@ def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
 def test_residuals_of_all_hypotheses_are_known_near_readings_as_regression_says(rng):
     where, taken = (rng.random((n, 3)) * 4.0 for n in (6, 3))
     lights = panel.judged()
-    ball = lights.balls[0]
     lit, on_ball, level = coordinates(lights.wi, lights.wo), rng.random(len(lights.wi)), rng.random(6) + 0.5
     found = _residual(where, taken, level, on_ball)
     gain = np.linalg.solve(covariance(taken, taken) + 0.3 * np.eye(3), covariance(taken, where)).T
     left = covariance(where, where) - gain @ covariance(taken, where)
     expected = 0.1**2 * left * np.outer(level, level)
     np.testing.assert_allclose(found.at_candidates.T @ found.at_candidates, expected, atol=1e-6)
-    first = slice(ball.starts[0], ball.starts[1])  # the pairs of one pixel
-    light = on_ball[first] ** 3 * ball.light[first]
+    pixel = lights.sums[[0]]
+    first, light = pixel.indices, on_ball[pixel.indices] ** 3 * pixel.data
     to_pixel = (covariance(where, lit[first]) - gain @ covariance(taken, lit[first])) @ light / light.sum()
     pixel = np.cbrt(min(light.sum(), 1.0))
     np.testing.assert_allclose(
@@ -352,7 +351,7 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(atoms, library):
     grid = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(10.0), 0.7)
     np.testing.assert_allclose(made.brdf.eval(*grid), brdf.eval(*grid), rtol=0.1)
     np.testing.assert_allclose(made.brdf.eval(wi, wo), made.predicted, rtol=1e-6)
-    pairs = EncodingPairs.default()
+    pairs = encoding_pairs()
     np.testing.assert_allclose(made.brdf.eval(pairs.wi, pairs.wo), made.on_grid, rtol=1e-5, atol=1e-9)
     assert sum(a.probability for a in made.alternatives) <= 1.0 + 1e-9
     assert len(made.spread_at(wi, wo)) == 12

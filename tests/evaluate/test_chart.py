@@ -24,8 +24,8 @@ from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_
 from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
+from manifold.pairs import RusinkiewiczGrid
 from manifold.plots import figures
 
 FILES = [small_library.measured(name) for name in small_library.NAMES]

@@ -19,8 +19,9 @@ from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import MAPPINGS, mapping_named
-from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error, rmse
+from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.combination import Combination, Values, evaluate
+from manifold.pairs import RusinkiewiczGrid
 
 GRID = RusinkiewiczGrid(14, 8, 6)
 METHODS = {m.key: m for m in standard_methods()}

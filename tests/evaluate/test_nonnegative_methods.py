@@ -14,8 +14,8 @@ from manifold.evaluate.errors import BallErrors, measure_errors
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.prediction import PredictedBRDF
+from manifold.pairs import RusinkiewiczGrid
 
 METHODS = {m.key: m for m in standard_methods()}
 KEYS = ["nonnegative", "few_atoms"]

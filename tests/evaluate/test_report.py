@@ -11,10 +11,10 @@ from helpers.reference import left_out
 from helpers.small_library import NAMES, measured, small_library
 from matplotlib.transforms import Bbox
 
-from manifold import metrics
+from manifold import pairs
 from manifold.brdf.plausibility import plausibility
 from manifold.colour.difference import colour_differences, multi_angle_pairs
-from manifold.encoding import EncodingPairs
+from manifold.encoding import encoding_pairs
 from manifold.evaluate import report, tabulated
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.errors import BallErrors
@@ -25,16 +25,11 @@ from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import (
-    RusinkiewiczGrid,
-    cosine_weight,
-    cube_root_error,
-    relative_error,
-    rmse,
-)
+from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.appearance import appearance_pairs
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.materials import MaterialCache
+from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.plots import figures, map_figure
 
 KINDS = ("material",)
@@ -43,9 +38,9 @@ KINDS = ("material",)
 @pytest.fixture(scope="module", autouse=True)
 def small_grid():
     """The default grid with a tenth of its pairs: what holds for these holds for all."""
-    made_of_it = (appearance_pairs, EncodingPairs.default)
+    made_of_it = (appearance_pairs, encoding_pairs)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(metrics.NAMED_GRIDS, "default", RusinkiewiczGrid(20, 11, 6))
+        patch.setitem(pairs.NAMED_GRIDS, "default", RusinkiewiczGrid(20, 11, 6))
         for made in made_of_it:
             made.cache_clear()
         yield
@@ -200,7 +195,7 @@ def test_three_errors_stand_side_by_side(models, reports):
 def test_other_grids_are_walked_in_blocks(models, monkeypatch):
     """The published grid, made coarser for the test: the same weights, other pairs, errors as if evaluated at once."""
     grid = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
-    monkeypatch.setitem(metrics.NAMED_GRIDS, "hikichi", grid)
+    monkeypatch.setitem(pairs.NAMED_GRIDS, "hikichi", grid)
     monkeypatch.setattr(tabulated, "_BLOCK_VALUES", 2000)
     model = models["material"]
     made = report.make_report(model, "hikichi")

@@ -11,7 +11,7 @@ from manifold.evaluate import seen_fits
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.errors import measure_errors
 from manifold.evaluate.tabulated import Data
-from manifold.metrics import RusinkiewiczGrid
+from manifold.pairs import RusinkiewiczGrid
 
 
 @pytest.fixture(scope="module")

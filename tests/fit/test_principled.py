@@ -26,7 +26,7 @@ from manifold.fit.gauss_newton import GaussNewton, Minimum, select_minima
 from manifold.fit.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import RusinkiewiczGrid
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import LaneEvaluator, ScalarEvaluator, evaluator

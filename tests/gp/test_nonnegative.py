@@ -14,11 +14,11 @@ from scipy.optimize import nnls
 from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ShapeError
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.model.estimator import explain
 from manifold.model.few_atoms import few_atoms
 from manifold.model.reconstruction import observations
 from manifold.nonnegative import nonnegative_weights
+from manifold.pairs import RusinkiewiczGrid, cosine_weight
 
 
 def problem(rng, n, rows, *, rank=None):

@@ -10,7 +10,7 @@ import pytest
 from helpers.sample_files import write_samples
 from helpers.small_library import small_library
 
-from manifold import cluster, many, metrics
+from manifold import cluster, many, pairs
 from manifold.analytic.base import Lambert
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.batch import batch
@@ -114,7 +114,7 @@ def numbers_of(made):
 
 @pytest.mark.slow
 def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
-    monkeypatch.setitem(metrics.NAMED_GRIDS, "default", metrics.RusinkiewiczGrid(20, 11, 6))
+    monkeypatch.setitem(pairs.NAMED_GRIDS, "default", pairs.RusinkiewiczGrid(20, 11, 6))
     sent, submit = [], workers.submit
     monkeypatch.setattr(workers, "submit", lambda f, *args: (sent.append(args[-1]), submit(f, *args))[1])
     pipeline.embed(small_library(tmp_path), tmp_path / "model.h5", Settings(kind="material"))
@@ -126,7 +126,7 @@ def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
 def test_a_chart_has_the_same_errors(tmp_path, workers):
     library = Library(small_library(tmp_path))
     files, keys = [library.read(name) for name in library.names], ["nearest", "linear", "pca_2_cube-root"]
-    grid = metrics.RusinkiewiczGrid(20, 11, 6)
+    grid = pairs.RusinkiewiczGrid(20, 11, 6)
     here, there = (
         make_chart(files, keys, grid=grid, library=library, workers=who) for who in (None, workers)
     )

@@ -10,15 +10,8 @@ from hypothesis import strategies as st
 
 from manifold.directions import from_rusinkiewicz, from_spherical, half_vector, to_rusinkiewicz
 from manifold.errors import ShapeError, UsageError
-from manifold.metrics import (
-    RunningErrors,
-    RusinkiewiczGrid,
-    cosine_weight,
-    cube_root_error,
-    relative_error,
-    rmse,
-    spectral_angle,
-)
+from manifold.metrics import RunningErrors, cube_root_error, relative_error, rmse, spectral_angle
+from manifold.pairs import RusinkiewiczGrid, cosine_weight
 
 
 @given(pairs=st.integers(1, 8), bands=st.integers(1, 8))

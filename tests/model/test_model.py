@@ -29,12 +29,13 @@ from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse
+from manifold.metrics import rmse
 from manifold.model import fitting, model_file
 from manifold.model.fitting import BrightMaterialWarning
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
+from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.records import Bands
 
 

@@ -15,7 +15,6 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.brdf.sums import WeightedSum, cube_root
 from manifold.directions import from_spherical, hemisphere_quadrature
@@ -24,6 +23,7 @@ from manifold.mapping import mapping_named
 from manifold.model.combination import Combination, Values
 from manifold.model.dictionary import Dictionary
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
+from manifold.pairs import Pairs
 from manifold.records import Bands
 
 RGB = Bands(None)
@@ -116,7 +116,7 @@ def test_a_weighted_sum_is_that_of_its_materials(measured_materials, count, cube
     materials = [measured_materials[k % len(measured_materials)] for k in range(count)]
     weights = rng.normal(size=count)
     found = np.zeros((1000, 3))
-    WeightedSum(materials, weights, cube_root=cube_root).add_to(found, DirectionPairs(wi, wo))
+    WeightedSum(materials, weights, cube_root=cube_root).add_to(found, Pairs(wi, wo))
     terms = np.array([material.eval(wi, wo) for material in materials])
     terms = np.cbrt(terms) if cube_root else terms
     # Values, weights and the sums of four materials are in single precision: about 6e-8 each, of the terms.
@@ -126,7 +126,7 @@ def test_a_weighted_sum_is_that_of_its_materials(measured_materials, count, cube
 
 def test_values_at_located_pairs_are_those_of_eval(measured_materials, rng):
     wi, wo = directions(rng, 300)
-    pairs = DirectionPairs(wi, wo)
+    pairs = Pairs(wi, wo)
     for material in measured_materials:
         np.testing.assert_allclose(material.eval_at(pairs), material.eval(wi, wo), rtol=1e-12)
 

@@ -17,12 +17,13 @@ from manifold.directions import from_spherical, half_vector
 from manifold.errors import BandMismatchError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error
+from manifold.metrics import cube_root_error, relative_error
 from manifold.model import reconstruction
 from manifold.model.comparison import brdf_errors
 from manifold.model.located import reconstruct_file
 from manifold.model.manifold import Manifold
 from manifold.model.reconstruction import reconstruct
+from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.records import Bands
 
 LEFT_OUT = "syn_satin_gold"

@@ -19,10 +19,11 @@ from manifold.estimate.predictions import predict
 from manifold.estimate.sources import FileSource
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
+from manifold.metrics import relative_error
 from manifold.model.located import locate, reconstruct_file
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
+from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.records import Bands, BsdfFile
 
 PAIRS = RusinkiewiczGrid(20, 11, 7, is_turned=True).directions()[:2]

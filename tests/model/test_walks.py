@@ -13,13 +13,14 @@ from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
-from manifold.encoding import EncodingPairs
-from manifold.metrics import cosine_weight, cube_root_error
+from manifold.encoding import encoding_pairs
+from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold
 from manifold.model.walks import RoughenedBRDF, Walked, fit_highlight, roughness_at, step_of
+from manifold.pairs import cosine_weight
 from manifold.records import Bands
 
-PAIRS = EncodingPairs.default()
+PAIRS = encoding_pairs()
 
 
 @pytest.fixture(scope="module")

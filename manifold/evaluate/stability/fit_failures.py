@@ -20,7 +20,8 @@ from manifold.evaluate.stability.trials import Limit, Measurement, Mode
 from manifold.fit.fit_samples import FitSamples, from_brdf
 from manifold.fit.identifiability import DETERMINED
 from manifold.fit.principled import METHODS, FitResult, fit_bsdf
-from manifold.metrics import RusinkiewiczGrid, relative_error
+from manifold.metrics import relative_error
+from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Bands
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import PRINCIPLED_DEFAULT, BsdfFamily, principled

@@ -24,17 +24,17 @@ from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.encoding import EncodingPairs
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import RusinkiewiczGrid, relative_error
+from manifold.metrics import relative_error
 from manifold.model import diagnostics
 from manifold.model.latent_space import LatentSpace
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.settings import Settings
+from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array, Bands, BsdfFile
 
 BANDS = Bands((450.0, 550.0, 650.0))
@@ -114,10 +114,9 @@ class TestBed:
         return Data.evaluate([MeasuredBRDF(file) for file in self.family], _GRID)
 
     @cached_property
-    def pairs(self) -> EncodingPairs:
+    def pairs(self) -> Pairs:
         """Direction pairs that errors are measured at, other ones than materials are embedded by."""
-        wi, wo, above = _GRID.directions()
-        return EncodingPairs(wi[above], wo[above])
+        return _GRID.pairs()
 
     def error(self, found: BRDF, truth: BRDF) -> float:
         """Relative error, weighted by both cosines."""

@@ -1,22 +1,25 @@
-"""Direction pairs in the coordinates of RGL files: located once for many materials."""
+"""Pairs of directions: grids of them, and their coordinates in RGL files, located once for many materials."""
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numba as nb
 import numpy as np
 
-from manifold.directions import require_directions, rotate_z
-from manifold.errors import ShapeError
-from manifold.records import Array
+from manifold.directions import from_rusinkiewicz, require_directions, rotate_z
+from manifold.errors import ShapeError, UsageError
+from manifold.records import Array, Indices, Mask
 
 LEVEL = 1e-9
 """Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""
 
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
 Symmetry = tuple[bool, int, float]
-"""What `DirectionPairs.located` takes."""
+"""What `Pairs.located` takes."""
 
 
 @nb.njit(cache=True, inline="always")
@@ -98,7 +101,12 @@ def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
     return flat_wi.reshape(-1, 3), flat_u.reshape(-1, 2), shape
 
 
-class DirectionPairs:
+def cosine_weight(wi: Array, wo: Array) -> Array:
+    """`cos(theta_i) cos(theta_o)`, 0 below the horizon, shape (...)."""
+    return np.maximum(wi[..., 2], 0.0) * np.maximum(wo[..., 2], 0.0)
+
+
+class Pairs:
     """K pairs of directions, checked and flat.
 
     Attributes:
@@ -125,14 +133,27 @@ class DirectionPairs:
     def __len__(self) -> int:
         return len(self.wi)
 
-    def blocks(self, size: int) -> Iterator[tuple[slice, DirectionPairs]]:
+    def blocks(self, size: int) -> Iterator[tuple[slice, Pairs]]:
         """Runs of at most `size` pairs, and where they stand among all."""
         for start in range(0, len(self), size):
             rows = slice(start, start + size)
-            block = copy.copy(self)
-            block.wi, block.wo, block._located = self.wi[rows], self.wo[rows], {}
-            block.shape = block.wi.shape[:1]
-            yield rows, block
+            yield rows, self[rows]
+
+    def __getitem__(self, rows: slice | Indices | Mask) -> Pairs:
+        """Some of the pairs."""
+        part = Pairs.__new__(Pairs)
+        part.wi, part.wo, part._located = self.wi[rows], self.wo[rows], {}
+        part.shape = part.wi.shape[:1]
+        return part
+
+    def __add__(self, others: Pairs) -> Pairs:
+        """These pairs, then others."""
+        return Pairs(np.concatenate([self.wi, others.wi]), np.concatenate([self.wo, others.wo]))
+
+    @cached_property
+    def cosines(self) -> Array:
+        """cos(theta_i) cos(theta_o), shape (K,)."""
+        return cosine_weight(self.wi, self.wo)
 
     def turned(self, angle_rad: float) -> tuple[Array, Array]:
         """Both directions turned about the normal, (K, 3) each."""
@@ -157,3 +178,83 @@ class DirectionPairs:
             _locate_all(*self.turned(rotation_rad), isotropic, reduction, out)
             self._located[key] = out
         return self._located[key]
+
+
+@dataclass(frozen=True)
+class RusinkiewiczGrid:
+    """A grid of direction pairs over theta_h and theta_d in [0, 90) and phi_d in [0, 180) degrees.
+
+    Half vectors have azimuth 0, which is enough for isotropic materials; others need `is_turned`.
+
+    Attributes:
+        n_theta_h, n_theta_d, n_phi_d: nodes per angle; phi_d runs fastest.
+        squared_theta_h: space theta_h by squares, dense around the mirror direction, as MERL files do.
+        offset: where in its cell a node lies, from 0 (lower edge) to below 1; 0.5 is the centre.
+        is_turned: turn each pair about the normal, by multiples of the golden section of a turn: as many pairs, whose
+            half vectors have all azimuths at every theta_h.
+    """
+
+    n_theta_h: int = 45
+    n_theta_d: int = 23
+    n_phi_d: int = 12
+    squared_theta_h: bool = True
+    offset: float = 0.5
+    is_turned: bool = False
+
+    def __post_init__(self) -> None:
+        if min(self.n_theta_h, self.n_theta_d, self.n_phi_d) < 1 or not 0.0 <= self.offset < 1.0:
+            raise UsageError(f"{self}: expected at least one node per angle and an offset in [0, 1)")
+
+    @classmethod
+    def named(cls, name: str) -> RusinkiewiczGrid:
+        """`default` (45 x 23 x 12, held-out errors) or `hikichi` (90 x 90 x 180, Hikichi & Iwasaki, eq. 22).
+
+        Raises:
+            UsageError: the name is unknown.
+        """
+        if name not in NAMED_GRIDS:
+            raise UsageError(f"no grid is called '{name}', expected one of {', '.join(NAMED_GRIDS)}")
+        return NAMED_GRIDS[name]
+
+    def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:
+        """This grid, turned where not all materials that are compared on it are isotropic."""
+        return self if is_isotropic else replace(self, is_turned=True)
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of direction pairs, those below the horizon included."""
+        return self.n_theta_h * self.n_theta_d * self.n_phi_d
+
+    def angles(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
+        """`theta_h, theta_d, phi_d` in radians of pairs start to stop, each of shape (stop - start,)."""
+        index = np.arange(start, self.n_pairs if stop is None else min(stop, self.n_pairs))
+        h, d, p = np.unravel_index(index, (self.n_theta_h, self.n_theta_d, self.n_phi_d))
+        fraction_h = (h + self.offset) / self.n_theta_h
+        theta_h = (fraction_h**2 if self.squared_theta_h else fraction_h) * (0.5 * np.pi)
+        theta_d = (d + self.offset) / self.n_theta_d * (0.5 * np.pi)
+        return theta_h, theta_d, (p + self.offset) / self.n_phi_d * np.pi
+
+    def directions(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Mask]:
+        """Pairs start to stop: wi (M, 3), wo (M, 3), and which lie above the horizon, bool (M,)."""
+        wi, wo = from_rusinkiewicz(*self.angles(start, stop))
+        above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
+        if self.is_turned:
+            azimuth = 2.0 * np.pi * ((_GOLDEN * np.arange(start, start + len(wi))) % 1.0)
+            wi, wo = rotate_z(wi, azimuth), rotate_z(wo, azimuth)
+        return wi, wo, above
+
+    def pairs(self, stride: int = 1) -> Pairs:
+        """The pairs above the horizon, one in every `stride` of them."""
+        wi, wo, above = self.directions()
+        return Pairs(wi[above][::stride], wo[above][::stride])
+
+    def blocks(self, size: int = 65536) -> Iterator[tuple[Array, Array, Mask]]:
+        """`directions` in blocks of at most `size` pairs: the whole 1,458,000-pair grid in bounded memory."""
+        for start in range(0, self.n_pairs, size):
+            yield self.directions(start, start + size)
+
+
+NAMED_GRIDS = {
+    "default": RusinkiewiczGrid(),
+    "hikichi": RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0),
+}

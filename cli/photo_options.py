@@ -14,7 +14,7 @@ from . import terminal
 if TYPE_CHECKING:
     from manifold.estimate.lamp_plan import Determined, LampPlan
     from manifold.estimate.photographs import FromPhotographs
-from manifold.estimate.sightings import PhotoRequest
+    from manifold.estimate.sightings import PhotoRequest
 
 PhotoOption = Annotated[
     list[Path] | None,

@@ -28,13 +28,17 @@ def folder(tmp_path_factory):
     return path
 
 
-def _loaded(folder, *commands):
+def _loaded(folder, *commands, heavy=HEAVY):
     """Which of the heavy modules are loaded after each command of one process."""
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, json.dumps(commands), json.dumps(HEAVY)],
+        [sys.executable, "-c", SCRIPT, json.dumps(commands), json.dumps(heavy)],
         cwd=folder, capture_output=True, text=True, check=True,
     )  # fmt: skip
     return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_the_version_and_help_load_no_numbers(folder):
+    assert _loaded(folder, ["--version"], ["predict", "--help"], heavy=["numpy", *HEAVY]) == [[], []]
 
 
 def test_a_prediction_loads_neither_scikit_learn_nor_mitsuba(folder):

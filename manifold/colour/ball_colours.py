@@ -8,7 +8,6 @@ pairs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -86,6 +85,12 @@ class Picture(Pairs):
         """Mean CIEDE2000 between the balls of two materials, by their values as `xyz` takes them."""
         return delta_e(self.xyz(f, bands), self.xyz(f_star, bands))
 
+    def under(self, radiance: Array) -> Picture:
+        """A picture in white light in another one, of radiance (P,) along wo."""
+        sums = self.sums.copy()
+        sums.data *= radiance[sums.indices]
+        return Picture(self.wi, self.wo, sums, self.places)
+
     def of_pixels(self, pixels: slice) -> Picture:
         """Some of the pixels, and the pairs that light them."""
         sums = self.sums[pixels]
@@ -104,30 +109,6 @@ def sums_of_runs(weights: Array, starts: Indices) -> csr_array:
     return csr_array((weights, np.arange(P), np.append(starts, P)), shape=(len(starts), P))
 
 
-@dataclass(frozen=True, eq=False)
-class LitPairs:
-    """The direction pairs that light the pixels of a ball, whatever the light.
-
-    Attributes:
-        pairs: towards the viewer, and towards the light.
-        world: directions towards the light, unit vectors (P, 3).
-        weight: cosine times solid angle, shape (P,).
-        starts: first direction pair of each pixel, increasing, shape (K,).
-        places: right and up of each pixel in radii of the ball, shape (K, 2).
-    """
-
-    pairs: Pairs
-    world: Array
-    weight: Array
-    starts: Indices
-    places: Array
-
-    def under(self, radiance: Array) -> Picture:
-        """The ball under radiance (P,) from `world`."""
-        sums = sums_of_runs(radiance * self.weight, self.starts)
-        return Picture(self.pairs.wi, self.pairs.wo, sums, self.places)
-
-
 @lru_cache(maxsize=8)
 def ball(
     pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, turned_deg: float = 0.0
@@ -138,13 +119,13 @@ def ball(
         pixels, rings, spokes: how fine.
         turned_deg: how far the studio is turned about the vertical; 180 has its key light behind the ball.
     """
-    lit = lit_ball(pixels, rings, spokes)
-    return lit.under(radiance_at(environment(), rotate_z(lit.world, np.deg2rad(turned_deg))))
+    white, world = white_ball(pixels, rings, spokes)
+    return white.under(radiance_at(environment(), rotate_z(world, np.deg2rad(turned_deg))))
 
 
 @lru_cache(maxsize=8)
-def lit_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> LitPairs:
-    """The direction pairs of `ball`; cached: do not write to them."""
+def white_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> tuple[Picture, Array]:
+    """`ball` under the radiance 1 from everywhere, and the world's directions of wo (P, 3); do not write to them."""
     x, y, frame = frames(pixels)
     u = (np.arange(rings) + 0.5) / rings
     theta = np.repeat(0.5 * np.pi * u * u, spokes)
@@ -159,7 +140,8 @@ def lit_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) 
     pixel = np.nonzero(lit)[0]
     starts = np.searchsorted(pixel, np.arange(len(wi)))
     weight = wo[lit][:, 2] * (4.0 * cosine * area)[lit]
-    return LitPairs(Pairs(wi[pixel], normalize(wo[lit])), world, weight, starts, np.column_stack([x, y]))
+    sums, places = sums_of_runs(weight, starts), np.column_stack([x, y])
+    return Picture(wi[pixel], normalize(wo[lit]), sums, places), world
 
 
 def frames(pixels: int) -> tuple[Array, Array, Array]:

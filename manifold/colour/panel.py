@@ -109,8 +109,8 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
         lit: pixels, rings and spokes of the balls in soft lights, as in `ball_colours.ball`.
         sun_pixels: across the balls under suns.
     """
-    soft = ball_colours.lit_ball(*lit)
-    pairs, parts = soft.pairs, list[tuple[int, csr_array]]()
+    white, world = ball_colours.white_ball(*lit)
+    pairs, parts = white[:], list[tuple[int, csr_array]]()
     for name in names:
         kind, _, degrees = name.partition(" ")
         if kind == "sun":
@@ -118,15 +118,14 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
             parts.append((len(pairs), sun.sums))
             pairs += sun
             continue
-        radiance: Array
         if kind == "white":
-            radiance = np.ones(len(soft.world))
+            soft = white
         elif kind == "overcast":
-            radiance = ball_colours.radiance_at(lights.environment(kind), soft.world)
+            soft = white.under(ball_colours.radiance_at(lights.environment(kind), world))
         else:
-            world = rotate_z(soft.world, np.deg2rad(float(degrees)))
-            radiance = ball_colours.radiance_at(ball_colours.environment(), world)
-        parts.append((0, soft.under(radiance).sums))
+            towards = rotate_z(world, np.deg2rad(float(degrees)))
+            soft = white.under(ball_colours.radiance_at(ball_colours.environment(), towards))
+        parts.append((0, soft.sums))
     shifted = [
         csr_array((sums.data, sums.indices + first, sums.indptr), (sums.shape[0], len(pairs)))
         for first, sums in parts

@@ -23,7 +23,7 @@ from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.estimate import LibraryAtoms, complete
+from manifold.estimate import Completion, LibraryAtoms
 from manifold.estimate.gloss import gloss_units
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
@@ -100,7 +100,7 @@ def main() -> None:
         for k, paint in enumerate(paints(given.paints, rng)):
             values = paint.eval(wi, wo) * (1.0 + NOISE * rng.standard_normal((len(wi), 1)))
             read = Readings(f"paint {k}", "simulated", wi, wo, None, values)
-            found["completion"].append(errors(paint, complete(atoms, read).brdf, atoms))
+            found["completion"].append(errors(paint, Completion.of(atoms, read).brdf, atoms))
             if given.no_principled:
                 continue
             try:

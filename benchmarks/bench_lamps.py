@@ -375,9 +375,9 @@ def _together(one: Material, taken: Taken, rows: dict[str, dict[int, list[float]
     read = Readings("left out", "twelve", wi, wo, None, np.maximum(one.truth.eval(wi, wo), 0.0))
     balls, exposure = _seen([taken], Shot("", "sun", "geometry and card"))
     assert balls is not None
-    from manifold.estimate.completion import complete
+    from manifold.estimate.completion import Completion
 
-    of_readings = complete(replace(one.atoms, is_linear=False), read)
+    of_readings = Completion.of(replace(one.atoms, is_linear=False), read)
     alone = brdf_errors(one.truth, ClippedBRDF(of_readings.brdf)).ball
     rows.setdefault("twelve readings", {}).setdefault(0, []).append(alone)
     for name, seen in (("picture", balls), ("readings and picture", [*balls, read])):
@@ -423,7 +423,7 @@ def _turned(lamp: Lamp, degrees: float) -> Lamp:
 
 def cost(library: Path) -> None:
     """Seconds and memory of 1 and 10 pictures of 12 megapixels."""
-    from manifold.estimate.photographs import complete_photographs
+    from manifold.estimate import photographs
 
     with TemporaryDirectory() as folder:
         paths = []
@@ -442,9 +442,9 @@ def cost(library: Path) -> None:
             paths.append(path)
         for count in (1, 10):
             start = time.perf_counter()
-            complete_photographs(
-                PhotoRequest(paths[:count], lamps=["found"], exposure=None, each=True),
+            photographs.complete(
                 library,
+                PhotoRequest(paths[:count], lamps=["found"], exposure=None, each=True),
                 Path(folder) / "m.bsdf",
             )
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

@@ -16,7 +16,7 @@ import numpy as np
 
 from manifold.colour.difference import colour_differences
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import complete
+from manifold.estimate.completion import Completion
 from manifold.formats.readings import Readings
 from manifold.formats.registry import read_readings
 from manifold.library.store import Library
@@ -25,7 +25,7 @@ from manifold.records import Array
 
 def met(atoms: LibraryAtoms, readings: Readings) -> Array:
     """CIEDE2000 at every reading."""
-    found = complete(atoms, readings).colour_misfits
+    found = Completion.of(atoms, readings).colour_misfits
     assert found is not None
     return found
 
@@ -39,8 +39,8 @@ def left_out(atoms: LibraryAtoms, readings: Readings) -> Array:
             readings, wi=readings.wi[others], wo=readings.wo[others], values=readings.values[others],
             weights=readings.weights[others], scatter=readings.scatter[others],
         )  # fmt: skip
-        made = complete(atoms, some)
-        truth = complete(atoms, readings).readings  # in the bands of the library
+        made = Completion.of(atoms, some)
+        truth = Completion.of(atoms, readings).readings  # in the bands of the library
         f = made.brdf.eval(truth.wi[k : k + 1], truth.wo[k : k + 1])
         found.append(colour_differences(truth.values[k : k + 1], f, truth.bands, "D65")[0][0])
     return np.array(found)

@@ -30,7 +30,7 @@ from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import complete
+from manifold.estimate.completion import Completion
 from manifold.estimate.expected import KINDS
 from manifold.estimate.photo_material import PhotoMaterial, errors_of, find_material
 from manifold.estimate.photograph import Circle, Photograph
@@ -158,7 +158,7 @@ def together(
     values = np.maximum(truth.eval(wi, wo), 0.0)
     readings = Readings("sample", "MA-T12", wi, wo, None, values)
     made = [
-        complete(replace(without, is_linear=False), readings).brdf,
+        Completion.of(replace(without, is_linear=False), readings).brdf,
         *(
             find_material(without, observed, atoms.bands, np.eye(3)).brdf
             for observed in ([seen], [seen, readings])

@@ -17,8 +17,7 @@ from scipy.stats import spearmanr
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
-from manifold.estimate import LibraryAtoms, calibrate, suggest
-from manifold.estimate.completion import complete_at
+from manifold.estimate import Completion, LibraryAtoms, calibrate, suggest
 from manifold.estimate.expected import KINDS, errors_of
 from manifold.estimate.suggestions import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
@@ -43,7 +42,8 @@ def errors(
     atoms: LibraryAtoms, m: int, others: LibraryAtoms, at: Array, wi: Array, wo: Array, chosen: Array
 ) -> Array:
     """Of material m completed from some of the directions."""
-    made = complete_at(others, read(atoms, m, at, wi, wo, chosen), at[atoms.material_of != m][:, chosen])
+    left = at[atoms.material_of != m][:, chosen]
+    made = Completion.of(others, read(atoms, m, at, wi, wo, chosen), (left, np.empty((len(left), 0))))
     return np.array(errors_of(atoms, m, made.on_grid, made.on_ball))
 
 
@@ -63,7 +63,10 @@ def suggestions(atoms: LibraryAtoms) -> dict[str, object]:
         for _ in range(CHOSEN):
             known = None
             if chosen:
-                known = complete_at(others, read(atoms, m, at, wi, wo, np.array(chosen)), at[~own][:, chosen])
+                left = at[~own][:, chosen]
+                known = Completion.of(
+                    others, read(atoms, m, at, wi, wo, np.array(chosen)), (left, np.empty((len(left), 0)))
+                )
             found = suggest(others, 1, known)
             chosen.append(int(np.argmin(np.sum((wi - found.wi) ** 2 + (wo - found.wo) ** 2, axis=1))))
 

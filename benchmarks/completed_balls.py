@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.estimate import LibraryAtoms, complete, suggest
-from manifold.estimate.completion import Completion
+from manifold.estimate import Completion, LibraryAtoms, suggest
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.sources import FileSource
 from manifold.formats.readings import Readings, geometry_ma_t12
@@ -43,12 +42,12 @@ def completions(brdf: BRDF, name: str, others: LibraryAtoms) -> tuple[Completion
     """From the MA-T12's geometries, with gloss beside them, and with readings, each suggested by those before."""
     wi, wo = geometry_ma_t12()
     read = readings_of(brdf, name, wi, wo)
-    first = found = complete(others, read)
-    glossy = complete(others, replace(read, gloss=gloss_units(brdf, GLOSS_DEG)))
+    first = found = Completion.of(others, read)
+    glossy = Completion.of(others, replace(read, gloss=gloss_units(brdf, GLOSS_DEG)))
     for _ in range(SUGGESTED):
         following = suggest(others, 1, found)
         wi, wo = np.vstack([wi, following.wi]), np.vstack([wo, following.wo])
-        found = complete(others, readings_of(brdf, name, wi, wo))
+        found = Completion.of(others, readings_of(brdf, name, wi, wo))
     return first, glossy, found
 
 

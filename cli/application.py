@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any
+from dataclasses import fields, is_dataclass
+from typing import Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -33,8 +34,43 @@ class Application(typer.Typer):
     """A Typer of such commands."""
 
     def command(self, *args: Any, **kwargs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        """As `typer.Typer.command`."""
-        return super().command(*args, cls=Command, **kwargs)
+        """As `typer.Typer.command`; a parameter that is a dataclass of options is these options."""
+        add = super().command(*args, cls=Command, **kwargs)
+
+        def added(command: Callable[..., Any]) -> Callable[..., Any]:
+            add(with_groups(command))
+            return command
+
+        return added
+
+
+def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
+    """A command of its parameters, and the fields of those of them that are dataclasses of options."""
+    signature = inspect.signature(command, eval_str=True)
+    groups = {p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)}
+    if not groups:
+        return command
+    parameters = []
+    for parameter in signature.parameters.values():
+        group = groups.get(parameter.name)
+        hints = {} if group is None else get_type_hints(group, include_extras=True)
+        own = [
+            parameter.replace(name=one.name, annotation=hints[one.name], default=one.default)
+            for one in (() if group is None else fields(group))
+        ]
+        parameters += own or [parameter]
+
+    def run(**given: Any) -> Any:
+        made = {
+            name: group(**{one.name: given.pop(one.name) for one in fields(group)})
+            for name, group in groups.items()
+        }
+        return command(**given, **made)
+
+    run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    return run
 
 
 app = Application(

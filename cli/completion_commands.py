@@ -101,20 +101,7 @@ def complete(
     ] = False,
     illuminant: options.IlluminantOption = None,
     observer: options.ObserverOption = None,
-    photo: photo_options.PhotoOption = None,
-    light: photo_options.LightOption = None,
-    circle: photo_options.CircleOption = None,
-    turn: photo_options.TurnOption = None,
-    elevation: photo_options.ElevationOption = 0.0,
-    distance: photo_options.DistanceOption = None,
-    exposure: photo_options.ExposureOption = None,
-    camera: photo_options.CameraOption = None,
-    lamp: photo_options.LampOption = None,
-    grey: photo_options.GreyOption = None,
-    linear: photo_options.LinearOption = False,
-    dark: photo_options.DarkOption = None,
-    light_ball: photo_options.LightBallOption = None,
-    cylinder: photo_options.CylinderOption = None,
+    photos: photo_options.PhotoOptions = photo_options.NONE,
     picture: Annotated[
         bool,
         typer.Option(
@@ -147,7 +134,7 @@ def complete(
     samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept. Their
     --report is an index of one page each.
     """
-    from manifold.estimate import completions, inputs, reports
+    from manifold.estimate import completions, inputs, instruments, reports, suggestions
     from manifold.estimate.attributes import readings_of_colour
     from manifold.estimate.inputs import find_samples
     from manifold.library.store import Library
@@ -159,7 +146,8 @@ def complete(
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
         )
-    if report is not None and (photo or not (readings or lab)):
+    request = photos.request()
+    if report is not None and (request or not (readings or lab)):
         raise UsageError("--report goes with readings or a colour; leave it out")
     if mixture and lab is None:
         raise UsageError("--mixture goes with --lab; leave it out")
@@ -167,45 +155,29 @@ def complete(
     def parsed(text: str) -> Array:
         return completions.parse_lab(text, options.viewing_of(illuminant, observer))
 
-    if photo:
-        request = photo_options.photo_request(
-            photo,
-            light,
-            circle,
-            turn,
-            elevation,
-            distance,
-            exposure,
-            camera,
-            lamp,
-            grey,
-            linear,
-            dark,
-            light_ball,
-            cylinder,
-        )
+    if request is not None:
         from manifold.estimate import photographs
 
         given = completions.parse_gloss(gloss or [])
-        measured = completions.read(readings, sample, correction, unit=unit)[0] if readings else None
+        measured = instruments.read(readings, sample, correction, unit=unit)[0] if readings else None
         if lab is not None:
             measured = readings_of_colour(parsed(lab), {}, Library(library).bands)
-        target = or_default(output, f"{photo[0].stem}.bsdf")
+        target = or_default(output, f"{request.photographs[0].stem}.bsdf")
         with progress.shown("Completing"):
-            seen = photographs.complete_photographs(
-                request, library, target, readings=measured, gloss=given,
+            seen = photographs.complete(
+                library, request, target, readings=measured, gloss=given,
                 picture=checked(target.with_suffix(".png"), "picture") if picture else None, count=suggest,
-                options=OutputOptions(physical, terminal.is_strict(), resolution, incidences),
+                options=written,
             )  # fmt: skip
         photo_options.show_photographs(results, f"Completed {target}", seen)
         return
-    if lamp:
+    if photos.lamp:
         if readings or lab or not suggest:
             raise UsageError("--lamp goes with --photo, or before a picture with --suggest K; leave it out")
-        from manifold.estimate.lamp_plan import plan_first
+        from manifold.estimate.lamp_plan import plan_lamps
 
         with progress.shown("Leaving materials out"):
-            plan = plan_first(library, suggest)
+            plan = plan_lamps(library, suggest)
         photo_options.show_plan(results, plan, "")
         results.document(plan.to_json())
         return
@@ -214,7 +186,7 @@ def complete(
             raise UsageError(
                 "no file of readings; name one, or give --suggest K for the directions to measure first"
             )
-        first = completions.suggest_first(library, suggest, instrument)
+        first = suggestions.suggest(library, suggest, None, instrument)
         _show_suggested(results, first, "Measure first", instrument)
         results.document({"suggested_deg": first.angles_deg.tolist()})
         return
@@ -241,7 +213,7 @@ def complete(
             one = coat.ColourSample(f"L {L:.4g}, a {a:.4g}, b {b:.4g}", (L, a, b), units)
             target = or_default(output, "completed.bsdf")
             with progress.shown("Completing"):
-                coated = coat.complete_colour(one, library, target, options=written)
+                coated = coat.complete(library, one, target, options=written)
                 if picture:
                     from manifold.estimate.sources import FileSource
                     from manifold.pictures import renders
@@ -283,9 +255,9 @@ def complete(
         target = or_default(output, "completed.bsdf")
     else:
         taken, learned = (
-            completions.read(readings or [], sample, correction, units, unit)
+            instruments.read(readings or [], sample, correction, units, unit)
             if merge or sample is not None or unit is not None
-            else completions.read_sample(samples[0], correction, units)
+            else instruments.read_sample(samples[0], correction, units)
         )
         target = or_default(output, completions.file_name(taken))
     taken = replace(taken, viewing=options.viewing_of(illuminant, observer, taken.viewing))
@@ -293,8 +265,8 @@ def complete(
         taken = replace(taken, repeatability=repeatability / 100.0)
     ball = checked(target.with_suffix(".png"), "picture") if picture else None
     with progress.shown("Completing"):
-        made = completions.complete_readings(
-            taken, library, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
+        made = completions.complete(
+            library, taken, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
             options=written,
         )  # fmt: skip
     source = ", ".join(path.name for path in readings) if readings else "a colour"
@@ -345,9 +317,9 @@ def calibrate(
     leave-one-out error, sample by sample, of those that make at most a quarter of the samples worse. Give six or more
     samples of different colours: one sample determines the correction of its own colour only.
     """
-    from manifold.estimate import completions, reports
+    from manifold.estimate import instruments, reports
 
-    learned, samples = completions.calibrate_instrument(pairs, output)
+    learned, samples = instruments.calibrate(pairs, output)
     results = terminal.Results(json)
     results.rows(f"Colour correction {output}", {"samples": len(samples), "form": learned.form})
     left_out = "reading by reading of the one sample" if len(samples) == 1 else "sample by sample"
@@ -368,7 +340,7 @@ def calibrate(
             for name, row in zip(samples, colours, strict=False)
         ],
     )
-    notes = completions.calibration_notes(learned, samples)
+    notes = instruments.calibration_notes(learned, samples)
     if report is not None:
         reports.write_calibration(report, learned, samples, notes)
         results.text(f"Report: {report}\n")

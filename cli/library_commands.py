@@ -351,8 +351,7 @@ def find(
     printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss counts in steps of
     a fifth, about as visible as a CIEDE2000 of 1.
     """
-    from manifold.estimate import coat, completions
-    from manifold.estimate.attributes import find, find_like
+    from manifold.estimate import attributes, coat, completions
     from manifold.library.store import Library
 
     if (material is None) == (lab is None and not gloss):
@@ -368,7 +367,9 @@ def find(
         document = {}
         with progress.shown("Reading materials"):
             colours = coat.read_colours(Path(lab), units, viewing)
-            nearest = {one.name: find(opened, one.lab, one.gloss)[:count] for one in colours}
+            nearest = {
+                one.name: attributes.find(opened, lab=one.lab, gloss=one.gloss)[:count] for one in colours
+            }
         for name, some in nearest.items():
             results.text(f"{name}:\n")
             _show_found(results, some)
@@ -376,11 +377,9 @@ def find(
         results.document({"found": document})
         return
     with progress.shown("Reading materials"):
-        if material is not None:
-            found = find_like(opened, _sought(material, sample, model, library))
-        else:
-            colour = None if lab is None else completions.parse_lab(lab, viewing)
-            found = find(opened, colour, units)
+        sought = None if material is None else _sought(material, sample, model, library)
+        colour = None if lab is None else completions.parse_lab(lab, viewing)
+        found = attributes.find(opened, sought, lab=colour, gloss=units)
     _show_found(results, found[:count])
     results.document({"found": [one.to_json() for one in found[:count]]})
 

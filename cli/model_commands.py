@@ -354,20 +354,7 @@ def locate(
             "materials, the folder. [default for several: locations]"
         ),
     ] = None,
-    photo: photo_options.PhotoOption = None,
-    light: photo_options.LightOption = None,
-    circle: photo_options.CircleOption = None,
-    turn: photo_options.TurnOption = None,
-    elevation: photo_options.ElevationOption = 0.0,
-    distance: photo_options.DistanceOption = None,
-    exposure: photo_options.ExposureOption = None,
-    camera: photo_options.CameraOption = None,
-    lamp: photo_options.LampOption = None,
-    grey: photo_options.GreyOption = None,
-    linear: photo_options.LinearOption = False,
-    dark: photo_options.DarkOption = None,
-    light_ball: photo_options.LightBallOption = None,
-    cylinder: photo_options.CylinderOption = None,
+    photos: photo_options.PhotoOptions = photo_options.NONE,
     picture: Annotated[
         Path | None,
         written("--picture", help="Of photographs: these beside their prediction, and differences."),
@@ -387,29 +374,13 @@ def locate(
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
-    if photo:
+    if (request := photos.request()) is not None:
         if materials:
             raise UsageError(f"found {materials[0]} and --photo, expected one of them")
-        request = photo_options.photo_request(
-            photo,
-            light,
-            circle,
-            turn,
-            elevation,
-            distance,
-            exposure,
-            camera,
-            lamp,
-            grey,
-            linear,
-            dark,
-            light_ball,
-            cylinder,
-        )
         from manifold.estimate import photographs
 
         with progress.shown("Comparing pixels"):
-            seen = photographs.locate_photographs(
+            seen = photographs.locate(
                 model, request, output, library=library, picture=picture,
                 options=OutputOptions(physical, terminal.is_strict()),
             )  # fmt: skip

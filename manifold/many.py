@@ -18,7 +18,7 @@ from manifold.convert import conversion
 from manifold.convert.source import open_source
 from manifold.convert.targets import TARGETS, Options
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate import coat, completions, predictions, reports
+from manifold.estimate import coat, completions, instruments, predictions, reports
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.coat import ColourSample
 from manifold.estimate.inputs import Input, Sample
@@ -46,7 +46,7 @@ def completions_of(
     library: Path, *, correction: Path | None = None, count: int = 0, instrument: str | None = None,
     options: OutputOptions, report: Path | None = None,
 ) -> Command[Sample]:  # fmt: skip
-    """Complete the samples that `inputs.find_samples` finds through a library; see `completions.complete_readings`.
+    """Complete the samples that `inputs.find_samples` finds through a library; see `completions.complete`.
 
     Args:
         library: of measured materials.
@@ -107,9 +107,9 @@ def _complete(
     sample: Sample, path: Path, *, library: Path, correction: Path | None, count: int, instrument: str | None,
     options: OutputOptions, pages: Path | None,
 ) -> Content:  # fmt: skip
-    readings, learned = completions.read_sample(sample, correction)
-    made = completions.complete_readings(
-        readings, library, path, correction=learned, count=count, instrument=instrument, options=options
+    readings, learned = instruments.read_sample(sample, correction)
+    made = completions.complete(
+        library, readings, path, correction=learned, count=count, instrument=instrument, options=options
     )
     if pages is not None:
         pages.mkdir(parents=True, exist_ok=True)
@@ -118,7 +118,7 @@ def _complete(
 
 
 def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> Command[ColourSample]:
-    """Make materials of the colours and gloss that `coat.read_colours` reads; see `coat.complete_colour`.
+    """Make materials of the colours and gloss that `coat.read_colours` reads; see `coat.complete`.
 
     Args:
         library: of measured materials.
@@ -137,9 +137,9 @@ def _complete_colour(
     made: coat.Coated | completions.Completed
     if is_mixture or not sample.gloss:
         readings = readings_of_colour(np.array(sample.lab), sample.gloss, Library(library).bands)
-        made = completions.complete_readings(readings, library, path, options=options)
+        made = completions.complete(library, readings, path, options=options)
     else:
-        made = coat.complete_colour(sample, library, path, options=options)
+        made = coat.complete(library, sample, path, options=options)
     return made.to_json() | appearance(path)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from balls import show
 
 import manifold as mf
-from manifold.estimate import LibraryAtoms, complete
+from manifold.estimate import Completion, LibraryAtoms
 from manifold.formats import Readings, geometry_ma_t12
 
 work = Path(os.environ["MANIFOLD_DOCS_WORK"])
@@ -28,7 +28,7 @@ mirror_o = mf.directions.from_spherical(np.deg2rad([20.0, 60.0]), 0.0)
 
 def completed(wi, wo):
     """The sample's BRDF, from its values at some directions."""
-    return complete(atoms, Readings("sample", "instrument", wi, wo, None, sample.eval(wi, wo))).brdf
+    return Completion.of(atoms, Readings("sample", "instrument", wi, wo, None, sample.eval(wi, wo))).brdf
 
 
 show(

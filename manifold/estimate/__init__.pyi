@@ -1,5 +1,6 @@
 from .atoms import LibraryAtoms
-from .completion import Completion, complete
+from .completion import Completion
+from .completions import complete
 from .expected import Calibration, calibrate
 from .photo_material import PhotoMaterial, find_material
 from .photograph import Circle, Photograph, find_outlines, read_photograph

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -369,57 +370,45 @@ class Found:
 
 def find(
     library: Library,
-    lab: ArrayLike | None,
-    gloss: Mapping[float, float],
+    material: BRDF | Readings | None = None,
+    *,
+    lab: ArrayLike | None = None,
+    gloss: Mapping[float, float] = MappingProxyType({}),
 ) -> list[Found]:
-    """The materials of a library, those nearest to a colour and gloss first.
+    """The materials of a library, those first that look most like another, or are nearest to a colour and gloss.
 
     Args:
         library: of measured materials.
+        material: a BRDF, compared as balls in the judged lights of `colour.panel`; or readings, compared at their
+            geometries, in which case materials without gloss near it may be listed.
         lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any.
         gloss: gloss units by angle in degrees, 20, 60 or 85.
     Raises:
-        UsageError: gloss meters have no such angle.
+        UsageError: gloss meters have no such angle, or the readings have no colours.
         LibraryError: a material cannot be read.
     """
+    differs = None if material is None else _difference_from(material)
     found = []
     for k, name in enumerate(library.names):
         brdf = MeasuredBRDF(library.read(name))
         own, units = lab_of(brdf), gloss_units(brdf, gloss or (60.0,))
         difference = None if lab is None else float(delta_e_2000_lab(np.asarray(lab), own))
+        if differs is not None:
+            difference = differs(brdf)
         steps = [
             np.log(max(units[a], LEAST_GLOSS) / max(asked, LEAST_GLOSS)) / _JUST_VISIBLE
             for a, asked in gloss.items()
         ]
-        found.append(
-            Found(name, own, units, difference, float(np.hypot(difference or 0.0, np.linalg.norm(steps))))
-        )
+        distance = float(np.hypot(difference or 0.0, np.linalg.norm(steps)))
+        found.append(Found(name, own, units, difference, distance))
         progress.report(k + 1, len(library.names), "materials")
     return sorted(found, key=lambda one: one.distance)
 
 
-def find_like(library: Library, sought: BRDF | Readings) -> list[Found]:
-    """The materials of a library, those that look most like another first.
-
-    Args:
-        library: of measured materials.
-        sought: a BRDF, compared as balls in the judged lights of `colour.panel`; or readings, compared at their
-            geometries, in which case materials without gloss near it may be listed.
-    Raises:
-        LibraryError: a material cannot be read.
-        UsageError: the readings have no colours.
-    """
-    differs = _from_readings(sought) if isinstance(sought, Readings) else _from_ball(sought)
-    found = []
-    for k, name in enumerate(library.names):
-        brdf = MeasuredBRDF(library.read(name))
-        difference = differs(brdf)
-        found.append(Found(name, lab_of(brdf), gloss_units(brdf, (60.0,)), difference, difference))
-        progress.report(k + 1, len(library.names), "materials")
-    return sorted(found, key=lambda one: one.distance)
-
-
-def _from_ball(sought: BRDF) -> Callable[[BRDF], float]:
+def _difference_from(sought: BRDF | Readings) -> Callable[[BRDF], float]:
+    """CIEDE2000 of BRDFs from another, as balls, or from readings at their geometries."""
+    if isinstance(sought, Readings):
+        return _from_readings(sought)
     lights = panel.judged()
 
     def xyz(brdf: BRDF) -> Array:

@@ -197,14 +197,14 @@ def nearest_coat(
     return coat(best), float(np.exp(best[0]))
 
 
-def complete_colour(
-    sample: ColourSample, library: Path, output: Path, *, options: OutputOptions = COMPLETION_OPTIONS
+def complete(
+    library: Path, sample: ColourSample, output: Path, *, options: OutputOptions = COMPLETION_OPTIONS
 ) -> Coated:
     """Write a coat over a Lambertian of a colour and gloss as an RGL file.
 
     Args:
-        sample: the colour and gloss.
         library: whose bands the file has, and on whose materials the expected error is measured.
+        sample: the colour and gloss.
         output: the file to write; its name becomes the material's.
         options: of the file.
     Raises:

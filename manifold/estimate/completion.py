@@ -82,6 +82,47 @@ class Completion:
     gloss_misfits: Mapping[float, float]
     written: BRDF | None = None
 
+    @classmethod
+    def of(cls, atoms: LibraryAtoms, readings: Readings, at: tuple[Array, Array] | None = None) -> Completion:
+        """Complete readings of a material to all directions, with the materials of a library as prior.
+
+        Args:
+            atoms: of the library.
+            readings: at P direction pairs, and G of gloss.
+            at: cube roots of atoms at these, shapes (n, P) and (n, G), where they are known and the readings are in
+                the bands of the library.
+        Raises:
+            BandMismatchError: the bands of readings and library do not go together.
+            UsageError: no reading is left, or all are zero.
+        """
+        if at is None:
+            readings = _usable(for_library(readings, atoms.bands))
+            at = atoms.at(readings.wi, readings.wo), atoms.gloss(tuple(readings.gloss))
+        at_readings, at_gloss = at
+        where = coordinates(readings.wi, readings.wo)
+        weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
+        read = ReadingRoots(at_readings, np.cbrt(np.maximum(readings.values, 0.0)).T, weights, where)
+        gloss = GlossReadings.of(readings, at_gloss)
+        all_where, ones = np.vstack([where, gloss.where]), np.ones(len(gloss.roots))
+        of_mean = ReadingRoots(
+            np.hstack([at_readings, gloss.atoms]), np.append(_mean_roots(readings), gloss.roots)[None],
+            np.append(weights, ones), all_where,
+        )  # fmt: skip
+        mixtures = posterior(of_mean, atoms.gram, atoms.material_of, len(atoms.names))
+        hypotheses = band_mixtures(mixtures, read, atoms.gram, atoms.material_of, gloss, len(atoms.names))
+        combined = completion_weights(read, atoms.gram, hypotheses.mean, atoms.usable(hypotheses.mean))
+        mixed, glossy = combined @ at_readings, combined @ gloss.atoms
+        residual = residual_factors(
+            np.hstack([read.material, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), all_where,
+            np.append(readings.weights, ones), readings.repeatability,
+        )  # fmt: skip
+        differences = gloss.differences(glossy)
+        in_library = replace(residual, strength=in_all_bands(residual.strength, readings, atoms.bands))
+        return cls(
+            atoms, readings, at_readings, hypotheses, in_all_bands(combined, readings, atoms.bands), in_library,
+            (mixed * residual.at(where)).T ** 3, dict(zip(readings.gloss, differences.tolist(), strict=True)),
+        )  # fmt: skip
+
     def as_written(self, brdf: BRDF) -> Completion:
         """The same with the errors of a file that it was written to."""
         f, read, nm = (
@@ -277,50 +318,6 @@ class Completion:
         names = (*self.atoms.names, *self.atoms.coats, "Lambertian")
         totals: Array = np.bincount(self.atoms.material_of, weights, len(names)).astype(np.float64)
         return shown_shares(names, totals)
-
-
-def complete(atoms: LibraryAtoms, readings: Readings) -> Completion:
-    """Complete readings of a material to all directions, with the materials of a library as prior.
-
-    Args:
-        atoms: of the library.
-        readings: at P direction pairs.
-    Raises:
-        BandMismatchError: the bands of readings and library do not go together.
-        UsageError: no reading is left, or all are zero.
-    """
-    readings = _usable(for_library(readings, atoms.bands))
-    at_gloss = atoms.gloss(tuple(readings.gloss))
-    return complete_at(atoms, readings, atoms.at(readings.wi, readings.wo), at_gloss)
-
-
-def complete_at(
-    atoms: LibraryAtoms, readings: Readings, at_readings: Array, at_gloss: Array | None = None
-) -> Completion:
-    """`complete`, given cube roots of atoms at the readings (n + 1, P) and at their gloss (n + 1, G), if any."""
-    where = coordinates(readings.wi, readings.wo)
-    weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
-    read = ReadingRoots(at_readings, np.cbrt(np.maximum(readings.values, 0.0)).T, weights, where)
-    gloss = GlossReadings.of(readings, np.empty((len(at_readings), 0)) if at_gloss is None else at_gloss)
-    all_where, ones = np.vstack([where, gloss.where]), np.ones(len(gloss.roots))
-    of_mean = ReadingRoots(
-        np.hstack([at_readings, gloss.atoms]), np.append(_mean_roots(readings), gloss.roots)[None],
-        np.append(weights, ones), all_where,
-    )  # fmt: skip
-    mixtures = posterior(of_mean, atoms.gram, atoms.material_of, len(atoms.names))
-    hypotheses = band_mixtures(mixtures, read, atoms.gram, atoms.material_of, gloss, len(atoms.names))
-    combined = completion_weights(read, atoms.gram, hypotheses.mean, atoms.usable(hypotheses.mean))
-    mixed, glossy = combined @ at_readings, combined @ gloss.atoms
-    residual = residual_factors(
-        np.hstack([read.material, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), all_where,
-        np.append(readings.weights, ones), readings.repeatability,
-    )  # fmt: skip
-    differences = gloss.differences(glossy)
-    in_library = replace(residual, strength=in_all_bands(residual.strength, readings, atoms.bands))
-    return Completion(
-        atoms, readings, at_readings, hypotheses, in_all_bands(combined, readings, atoms.bands), in_library,
-        (mixed * residual.at(where)).T ** 3, dict(zip(readings.gloss, differences.tolist(), strict=True)),
-    )  # fmt: skip
 
 
 def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: Mask | None = None) -> Array:

@@ -13,7 +13,7 @@ from manifold import __version__
 from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import Completion, complete_at
+from manifold.estimate.completion import Completion
 from manifold.estimate.gloss import value_of_unit
 from manifold.formats.readings import MOST_GLOSS, Readings
 from manifold.library.store import Library
@@ -181,7 +181,7 @@ def leave_out(
         None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm)[is_read],
         at_readings[own].T[:, is_read] ** 3, readings.weights, gloss=gloss, repeatability=readings.repeatability,
     )  # fmt: skip
-    return complete_at(atoms.without(m).in_atom_bands(), read, at_readings[~own], glossy[~own])
+    return Completion.of(atoms.without(m).in_atom_bands(), read, (at_readings[~own], glossy[~own]))
 
 
 def _nearest(bands: Bands, to: Bands) -> Mask:

@@ -1,4 +1,4 @@
-"""Readings of two instruments put together: a goniometer, its colours corrected to a spectrophotometer.
+"""Readings of one sample by one or several instruments, read from files and put together, colours corrected.
 
 A colour correction is learned at the directions that both instruments read, and applied to all readings of the
 goniometer. For these directions its values are interpolated in half and difference angles.
@@ -6,21 +6,30 @@ goniometer. For these directions its values are interpolated in half and differe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.optimize import brentq
 from scipy.spatial import QhullError, cKDTree
 
-from manifold.colour.correction import ColourCorrection, learn_correction
+from manifold import disk
+from manifold.colour.correction import ColourCorrection, learn_correction, read_correction, write_correction
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import BandMismatchError, UsageError
+from manifold.estimate.inputs import Sample, find_samples
+from manifold.formats import registry
 from manifold.formats.readings import Between, Readings
+from manifold.library.identity import alike
+from manifold.names import counted
 from manifold.records import Array
 
+_ENOUGH_SAMPLES = 6  # of a colour correction; see docs/explanation/completion.md
+_SHOWN_WORSE = 5
 _CAMERA_BANDS = 3
 _SAME_PLACE = 1e-3  # between pairs of directions, in half and difference angles, in radians
 _MOST_READINGS = 2000  # of a goniometer
@@ -184,3 +193,135 @@ def _joined(reference: Readings, other: Readings) -> Readings:
         notes=tuple(dict.fromkeys((*reference.notes, *other.notes))),
         gloss={**other.gloss, **reference.gloss},
     )
+
+
+def read(
+    paths: Sequence[Path],
+    sample: str | None = None,
+    correction: Path | None = None,
+    gloss: Mapping[float, float] = MappingProxyType({}),
+    unit: str | None = None,
+) -> tuple[Readings, ColourCorrection | None]:
+    """Readings of one sample from its files; those of several instruments are put together.
+
+    Args:
+        paths: of one instrument, or of several, whose colours are right first.
+        sample: which of a file's samples, of every file that holds several.
+        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
+        gloss: of the sample, in gloss units, by angle in degrees; that of the files, where they have some, otherwise.
+        unit: of values in files that say none, see `registry.read`.
+    Returns:
+        The readings, and the colour correction that was learned from the files of two instruments, if any.
+    Raises:
+        FileFormatError: a file is of no known format, or damaged.
+        BandMismatchError: bands of the files, or of the correction, do not go together.
+        UsageError: a file cannot be read, or has no such sample.
+    """
+    is_only = len(paths) == 1
+    readings = [
+        registry.read_readings(path, sample, _MOST_READINGS, is_only=is_only, unit=unit) for path in paths
+    ]
+    names = list(dict.fromkeys(one.name for one in readings))
+    if sample is not None and sample not in names:
+        raise UsageError(
+            f"no file holds a sample '{sample}', but {' and '.join(names)}; name another, or none"
+        )
+    return _merged(readings, correction, gloss)
+
+
+def read_sample(
+    sample: Sample, correction: Path | None = None, gloss: Mapping[float, float] = MappingProxyType({})
+) -> tuple[Readings, ColourCorrection | None]:
+    """The same of a sample that was found in files, see `inputs.find_samples`."""
+    readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
+    merged, learned = _merged(readings, correction, gloss)
+    return merged if sample.note is None else merged.with_note(sample.note), learned
+
+
+def _merged(
+    readings: list[Readings], correction: Path | None, gloss: Mapping[float, float]
+) -> tuple[Readings, ColourCorrection | None]:
+    if correction is not None:
+        known = read_correction(correction)
+        readings = [correct_colours(r, known) if r.bands.count == 3 else r for r in readings]
+    merged, learned = readings[0], None
+    for other in readings[1:]:
+        merged, learned = merge(merged, other)
+    comparable = [one for one in readings if one.bands == readings[0].bands]
+    if len(comparable) > 1 and (between := between_measurements(comparable)) is not None:
+        repeatability = float(np.hypot(merged.repeatability, between.deviation))
+        merged = replace(merged, between=between, repeatability=repeatability)
+    return replace(merged, gloss={**merged.gloss, **gloss}), learned
+
+
+def calibrate(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, list[str]]:
+    """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
+
+    Args:
+        paths: of every sample, or several of the same names, the reference's file, then the other's; or a folder of
+            each instrument's, in which samples of the same names are used.
+        output: a JSON file.
+    Returns:
+        The correction, and the names of the samples it was learned from.
+    Raises:
+        UsageError: the number of files is odd, no names are the same, or too few directions are shared.
+        BandMismatchError: bands differ between samples, or the other instrument has not three.
+    """
+    disk.require_writable(output)
+    is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)
+    if len(paths) % 2 or not paths:
+        raise UsageError(
+            f"found {len(paths)}, expected pairs of files, of every sample the reference's, then the other's; or two "
+            "folders, the reference's first"
+        )
+    pairs = (
+        _pairs_of_folders(paths[0], paths[1])
+        if is_folders
+        else [
+            pair
+            for reference, other in zip(paths[::2], paths[1::2], strict=True)
+            for pair in registry.read_pairs(reference, other, _MOST_READINGS)
+        ]
+    )
+    learned = learn_across(pairs)
+    write_correction(output, learned)
+    return learned, [reference.name for reference, _ in pairs]
+
+
+def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Readings]]:
+    """Readings of the samples that have the same name in two folders."""
+    first, second = ({alike(one.name): one for one in find_samples([path])} for path in (reference, other))
+    shared = [(first[name], second[name]) for name in first if name in second]
+    if not shared:
+        raise UsageError(f"{reference} and {other}: no sample has the same name in both; name pairs of files")
+    return [(read_sample(one)[0], read_sample(two)[0]) for one, two in shared]
+
+
+def calibration_notes(learned: ColourCorrection, samples: Sequence[str]) -> tuple[str, ...]:
+    """What a colour correction is good for, by its errors and the names of its samples, in sentences."""
+    notes, n_samples = [], len(samples)
+    if n_samples > 1 and (worse := np.flatnonzero(learned.is_worse)).size:
+        shown = [
+            f"{samples[k]} (CIEDE2000 {learned.colours[k, 0]:.1f} before, {learned.colours[k, 1]:.1f} after)"
+            for k in worse[np.argsort(np.diff(learned.colours[worse])[:, 0])[::-1][:_SHOWN_WORSE]]
+        ]
+        notes.append(
+            f"{counted(len(worse), 'sample')} of {n_samples} become worse: {', '.join(shown)}"
+            + (" and others" if len(worse) > _SHOWN_WORSE else "")
+        )
+    error = learned.errors[learned.form]
+    if error >= learned.uncorrected:
+        notes.append(
+            f"spectra estimated without a correction have a smaller error, {learned.uncorrected:.4f}: do not use it; "
+            "do both files of each pair read one sample?"
+        )
+    if n_samples < _ENOUGH_SAMPLES:
+        few = (
+            "one sample determines the correction of its own colour only: in simulations the error for other colours "
+            "is one half"
+            if n_samples == 1
+            else f"{n_samples} samples determine a correction badly: in simulations the error for other colours is a "
+            "quarter, with six samples a sixth"
+        )
+        notes.append(f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours")
+    return tuple(notes)

@@ -70,14 +70,19 @@ class LampPlan:
         return {"alone": [one._asdict() for one in self.alone], "next": [one._asdict() for one in self.next]}
 
 
-def plan_lamps(atoms: LibraryAtoms, count: int, known: Sequence[Observation] | None = None) -> LampPlan:
+def plan_lamps(
+    library: LibraryAtoms | Path, count: int, known: Sequence[Observation] | None = None
+) -> LampPlan:
     """The lamps that make the expected error of the ball least, chosen one after the other.
 
     Args:
-        atoms: of the library.
+        library: of measured materials, or its atoms of values.
         count: how many.
         known: rows of pictures there are, channel by channel; None where there are none.
     """
+    atoms = (
+        library if isinstance(library, LibraryAtoms) else LibraryAtoms.of_library(Library(library)).in_values
+    )
     chosen: list[Determined] = []
     alone: list[Determined] = []
     for step in range(count):
@@ -91,11 +96,6 @@ def plan_lamps(atoms: LibraryAtoms, count: int, known: Sequence[Observation] | N
         alone = alone or tried
         chosen.append(min(tried, key=lambda one: one.ball))
     return LampPlan(tuple(alone), tuple(chosen))
-
-
-def plan_first(library: Path, count: int) -> LampPlan:
-    """`plan_lamps` of a library, before any picture. Raises: as `Library`."""
-    return plan_lamps(LibraryAtoms.of_library(Library(library)).in_values, count)
 
 
 def determined(

@@ -103,9 +103,9 @@ class FromPhotographs:
         }
 
 
-def complete_photographs(
-    request: PhotoRequest,
+def complete(
     library: Path,
+    request: PhotoRequest,
     output: Path,
     *,
     readings: Readings | None = None,
@@ -117,8 +117,8 @@ def complete_photographs(
     """Find the material of photographed balls, and readings of it, with a library as prior, and write it.
 
     Args:
-        request: the photographs.
         library: of measured materials.
+        request: the photographs.
         output: the `.bsdf` file to write.
         readings: of the same material, if there are any.
         gloss: units of a gloss meter by its angle in degrees, if there are any.
@@ -163,7 +163,7 @@ def complete_photographs(
     )
 
 
-def locate_photographs(
+def locate(
     model: Manifold | Path | str,
     request: PhotoRequest,
     output: Path | None = None,
@@ -174,7 +174,7 @@ def locate_photographs(
 ) -> FromPhotographs:
     """Find the place of photographed balls on a fitted manifold; what is written is the prediction there.
 
-    Args and raises: as `complete_photographs`, and
+    Args and raises: as `complete`, and
         model: a fitted manifold, or the path of one.
         library: where its library is now, if not where the model remembers it.
     """

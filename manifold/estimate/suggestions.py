@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -17,6 +18,7 @@ from manifold.estimate.mixtures import material_prior
 from manifold.estimate.residual import NOISE, coordinates, covariance
 from manifold.formats.light_side import LEAST_HIDDEN
 from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.library.store import Library
 from manifold.records import Array, Indices, Mask
 
 _BALL = 3.0  # weight of the ball against all directions
@@ -119,12 +121,12 @@ class Suggested:
 
 
 def suggest(
-    atoms: LibraryAtoms, count: int, known: Completion | None = None, instrument: str | None = None
+    library: LibraryAtoms | Path, count: int, known: Completion | None = None, instrument: str | None = None
 ) -> Suggested:
     """The directions that reduce the expected error most, chosen greedily.
 
     Args:
-        atoms: of the library.
+        library: of measured materials, or its atoms.
         count: how many.
         known: the completion of the readings so far; None if there are none.
         instrument: name in `DIRECTIONS`, of which to choose directions; None for any.
@@ -132,6 +134,7 @@ def suggest(
         UsageError: there is no such instrument, or it has fewer directions left.
     """
     wi, wo = directions_left(count, None if known is None else known.readings, instrument)
+    atoms = library if isinstance(library, LibraryAtoms) else LibraryAtoms.of_library(Library(library))
     chosen = readings_to_take(atoms, atoms.at(wi, wo), coordinates(wi, wo), count, known)
     return Suggested(wi[chosen], wo[chosen])
 

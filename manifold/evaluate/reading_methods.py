@@ -11,7 +11,7 @@ from scipy.linalg import qr
 from manifold.colour import panel
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import complete_at
+from manifold.estimate.completion import Completion
 from manifold.estimate.residual import coordinates
 from manifold.estimate.suggestions import readings_to_take
 from manifold.fit.fit_samples import FitSamples
@@ -80,7 +80,9 @@ def _own_order(task: Task, count: int) -> Indices:
 
 
 def _completed(task: Task, chosen: Indices) -> Predicted:
-    made = complete_at(task.others.in_atom_bands(), task.readings(chosen), task.at[:, chosen])
+    made = Completion.of(
+        task.others.in_atom_bands(), task.readings(chosen), (task.at[:, chosen], np.empty((len(task.at), 0)))
+    )
     return made.on_grid, made.on_ball
 
 

@@ -17,7 +17,7 @@ from manifold import __version__, disk
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.errors import UsageError
-from manifold.estimate.completions import Completed, complete_readings, file_name
+from manifold.estimate.completions import Completed, complete, file_name
 from manifold.fit.exports.document import TextureFiles
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
@@ -134,7 +134,7 @@ def make_surface(
     completed = None
     if readings is not None:
         paths["mean"] = folder / f"{stem}.bsdf"
-        completed = complete_readings(readings, library, paths["mean"])
+        completed = complete(library, readings, paths["mean"])
     stages.begin("textures")
     textures = tile(surface, size)
     paths |= _write_textures(folder, stem, surface, textures, completed)

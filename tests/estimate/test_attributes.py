@@ -21,7 +21,6 @@ from manifold.estimate.attributes import (
     Wanted,
     adjust,
     find,
-    find_like,
     lab_of,
 )
 from manifold.estimate.coat import read_colours, with_gloss
@@ -126,7 +125,7 @@ def test_materials_are_found_by_colour_and_gloss(run, model, tmp_path):
     library = model.library
     for name in model.names:
         brdf = model.material(name)
-        (first, *_) = find(library, lab_of(brdf), gloss_units(brdf, [60.0]))
+        (first, *_) = find(library, lab=lab_of(brdf), gloss=gloss_units(brdf, [60.0]))
         assert (first.name, first.distance) == (name, pytest.approx(0.0, abs=1e-6))
     lab = ",".join(f"{v:.2f}" for v in lab_of(model.material("syn_gloss_red")))
     code, out, _ = run("find", "--lab", lab, "--count", "2", "-L", library.path, cwd=tmp_path)
@@ -223,7 +222,7 @@ def test_lists_of_colours_are_read_with_and_without_names(tmp_path):
 
 def test_what_looks_most_like_a_material_is_found(run, model, tmp_path):
     name = model.names[1]
-    (first, second, *_) = find_like(model.library, model.material(name))
+    (first, second, *_) = find(model.library, model.material(name))
     assert (first.name, first.distance) == (name, pytest.approx(0.0, abs=1e-6))
     assert second.distance > 0.5
     library = model.library.path
@@ -231,5 +230,5 @@ def test_what_looks_most_like_a_material_is_found(run, model, tmp_path):
     assert (code, json.loads(out)["found"][0]["name"]) == (0, name)
     wi, wo = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
     seen = Readings("seen", "table", wi, wo, None, model.material(name).eval(wi, wo))
-    assert find_like(model.library, seen)[0].name == name
+    assert find(model.library, seen)[0].name == name
     assert run("find", name, "--lab", "50,0,0", "-L", library, cwd=tmp_path)[0] == 2

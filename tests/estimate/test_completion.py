@@ -22,7 +22,7 @@ from manifold.colour.narrow_bands import SPECTRUM
 from manifold.directions import from_spherical
 from manifold.encoding import encoding_pairs
 from manifold.errors import BandMismatchError, LibraryError, UsageError
-from manifold.estimate import calibrate, complete, expected, suggest
+from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import completion_weights, for_library, in_all_bands, in_srgb
 from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
@@ -316,10 +316,13 @@ def test_readings_are_met_as_well_as_the_instrument_repeats_them(atoms, tmp_path
     wi, wo = DIRECTIONS
     flop = 1.0 + 0.3 * np.cos(3.0 * np.arccos(np.clip(np.sum(wi * wo, axis=1), -1.0, 1.0)))
     read = readings(flop[:, None] * np.array([0.4, 0.1, 0.05]) / np.pi)
-    met = [complete(atoms, replace(read, repeatability=noise)).colour_misfits.max() for noise in (0.001, 0.3)]
+    met = [
+        Completion.of(atoms, replace(read, repeatability=noise)).colour_misfits.max()
+        for noise in (0.001, 0.3)
+    ]
     assert met[0] < 0.05
     assert met[1] > 10.0 * met[0]
-    made = complete(atoms, read)
+    made = Completion.of(atoms, read)
     file = output_file(made.brdf, "paint", COMPLETION_OPTIONS).file
     assert made.as_written(MeasuredBRDF(file)).colour_misfits.max() < 0.5
 
@@ -334,7 +337,7 @@ def test_gloss_that_no_material_of_the_library_has_is_that_of_a_dielectric(atoms
     theta = np.deg2rad([(i, o) for i in (20, 40) for o in range(-60, 61, 20)])
     directions = from_spherical(theta[:, 0], np.pi), from_spherical(theta[:, 1], 0.0)
     read = readings(paint.eval(*directions), directions)
-    made = complete(matt, read)
+    made = Completion.of(matt, read)
     grid = matt.grid
     truth = paint.eval(grid.wi, grid.wo)
     error = cube_root_error(truth, made.brdf.eval(grid.wi, grid.wo), grid.cosines)
@@ -346,7 +349,7 @@ def test_gloss_that_no_material_of_the_library_has_is_that_of_a_dielectric(atoms
 def test_a_material_of_the_library_is_completed_to_what_it_is(atoms, library):
     brdf = MeasuredBRDF(Library.open(library).read("syn_paper_white"))
     wi, wo = DIRECTIONS
-    made = complete(atoms, readings(brdf.eval(wi, wo)))
+    made = Completion.of(atoms, readings(brdf.eval(wi, wo)))
     assert made.misfits.max() < 0.05
     grid = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(10.0), 0.7)
     np.testing.assert_allclose(made.brdf.eval(*grid), brdf.eval(*grid), rtol=0.1)
@@ -361,7 +364,7 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(atoms, library):
 def test_files_of_completions_are_sampled_as_they_reflect(atoms, library, name, rng):
     """Renders of them are as smooth as those of measured files: f cos / pdf is almost constant."""
     brdf = MeasuredBRDF(Library.open(library).read(name))
-    made = complete(atoms, readings(brdf.eval(*DIRECTIONS))).brdf
+    made = Completion.of(atoms, readings(brdf.eval(*DIRECTIONS))).brdf
     file = MeasuredBRDF(output_file(ClippedBRDF(made), "completed")[0])
     for theta_deg in (20.0, 60.0):
         wi = from_spherical(np.deg2rad(theta_deg), 0.4)
@@ -376,10 +379,10 @@ def test_files_of_completions_are_sampled_as_they_reflect(atoms, library, name, 
 def test_a_reading_without_light_has_a_finite_error(atoms, library):
     values = MeasuredBRDF(Library.open(library).read("syn_paper_white")).eval(*DIRECTIONS)
     values[5] = 0.0
-    made = complete(atoms, readings(values))
+    made = Completion.of(atoms, readings(values))
     assert 0.1 < made.misfits[5] < 20.0  # of a tenth of the mean, which the others have
     with pytest.raises(UsageError, match="none of 12 readings"):
-        complete(atoms, readings(np.zeros((12, 3))))
+        Completion.of(atoms, readings(np.zeros((12, 3))))
 
 
 @pytest.fixture(scope="module")
@@ -463,7 +466,7 @@ def test_errors_of_bands_that_are_not_read_are_expected(atoms):
 def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibration, rng):
     own = leave_out(atoms, 2, atoms.at(*DIRECTIONS), readings(np.ones((12, 3))))
     assert calibration.notes(own) == ()
-    (note,) = calibration.notes(complete(atoms, readings(np.exp(2.0 * rng.standard_normal((12, 3))))))
+    (note,) = calibration.notes(Completion.of(atoms, readings(np.exp(2.0 * rng.standard_normal((12, 3))))))
     assert "other units or directions" in note
 
 
@@ -513,7 +516,7 @@ def test_readings_that_contradict_each_other_raise_the_expected_error(atoms, cal
     np.testing.assert_allclose(both[2], single[2])
     np.testing.assert_allclose(both[3], np.std(np.cbrt([0.1, 0.9]), ddof=1) / np.mean(np.cbrt([0.1, 0.9])))
     agreed, contradicted = (
-        calibration.expected(complete(atoms, replace(readings(found[2] / np.pi), scatter=found[3])))
+        calibration.expected(Completion.of(atoms, replace(readings(found[2] / np.pi), scatter=found[3])))
         for found in (single, both)
     )
     assert contradicted["ball"] > 3.0 * agreed["ball"]
@@ -524,7 +527,7 @@ def test_no_expected_error_is_nan(atoms, calibration):
     """Of twelve readings one alone is lit: no mixture is, and the residual is all that was read."""
     values = np.zeros((12, 3))
     values[3] = 0.1
-    made = complete(atoms, readings(values))
+    made = Completion.of(atoms, readings(values))
     assert np.all(np.isfinite(list(calibration.expected(made).values())))
     assert calibration.expected(made)["cube_root"] > calibration.errors[:, 1].max()
     assert np.all(np.isfinite([a.difference for a in made.alternatives]))
@@ -532,18 +535,18 @@ def test_no_expected_error_is_nan(atoms, calibration):
 
 
 def test_notes_name_bands_and_highlights_that_were_not_read(atoms):
-    made = complete(atoms, readings(np.full((12, 3), 0.1)))
+    made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     red = readings(np.full((12, 1), 0.1), nm=np.array([650.0]))
     spectral = replace(made, atoms=SimpleNamespace(bands=Bands((450.0, 550.0, 650.0))), readings=red)
     assert "read at 650 nm only" in spectral.notes[0]
     assert any("no reading within 15 degrees of a mirror direction" in note for note in made.notes)
     at = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(28.0), 0.0)
     both = tuple(np.vstack([w, a]) for w, a in zip(DIRECTIONS, at, strict=True))
-    assert not complete(atoms, readings(np.full((13, 3), 0.1), both)).notes
+    assert not Completion.of(atoms, readings(np.full((13, 3), 0.1), both)).notes
 
 
 def test_records_are_shown_in_one_line(atoms, calibration):
-    made = complete(atoms, readings(np.full((12, 3), 0.1)))
+    made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     assert repr(made.readings) == "<Readings: sample, 12 of test, RGB>"
     assert repr(made).startswith("<Completion: sample from 12 readings, ")
     assert repr(calibration).startswith("<Calibration: 6 materials left out, median errors ball ")
@@ -552,7 +555,7 @@ def test_records_are_shown_in_one_line(atoms, calibration):
 def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(atoms):
     first = suggest(atoms, 12, instrument="ma-t12")
     assert len({tuple(row) for row in first.angles_deg.round()}) == 12
-    made = complete(atoms, readings(np.full((12, 3), 0.1)))
+    made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     part = replace(made, readings=made.readings.select_pairs(np.arange(10)))
     for count, known, left in ((1, made, 0), (3, part, 2)):
         with pytest.raises(UsageError, match=f"only {left} of 12 directions of ma-t12 are left"):
@@ -571,7 +574,7 @@ def test_no_reading_is_suggested_where_the_receiver_hides_the_light(atoms):
 
 def test_alternatives_have_names_and_the_residual_that_the_note_has(atoms):
     """A hypothesis without light was a row without a name; of others that look alike, one's residual was shown."""
-    made = complete(atoms, readings(np.full((12, 3), 0.1)))
+    made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     weights = np.zeros_like(made.hypotheses.weights[:3])
     weights[1] = made.hypotheses.weights[0]
     weights[2] = 1.01 * weights[1]  # looks like the second
@@ -620,7 +623,7 @@ def test_spectra_survive_an_rgb_library(atoms):
     nm = np.arange(400.0, 701.0, 10.0)
     dyed = 0.2 + 0.15 * np.sin(nm / 25.0)  # which no three numbers are
     read = readings(np.tile(dyed / np.pi, (12, 1)), nm=nm)
-    made = complete(atoms, read)
+    made = Completion.of(atoms, read)
     assert made.brdf.bands == read.bands
     np.testing.assert_allclose(made.brdf.eval(read.wi, read.wo), read.values, rtol=0.02)
     assert made.on_ball.shape[1] == 31
@@ -628,7 +631,7 @@ def test_spectra_survive_an_rgb_library(atoms):
 
 
 def test_the_error_of_estimated_colours_is_part_of_the_expected_one(atoms, calibration):
-    made = complete(atoms, readings(np.full((12, 3), 0.1), nm=np.array([465.0, 525.0, 630.0])))
+    made = Completion.of(atoms, readings(np.full((12, 3), 0.1), nm=np.array([465.0, 525.0, 630.0])))
     assert made.readings.colour_error > 1.0
     assert any("spectra are estimated from three bands at 465, 525, 630 nm" in note for note in made.notes)
     known = replace(made, readings=replace(made.readings, colour_error=0.0))

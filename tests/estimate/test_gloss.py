@@ -14,7 +14,7 @@ from scipy.integrate import dblquad
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import FileFormatError, ShapeError, UsageError
-from manifold.estimate import calibrate, complete
+from manifold.estimate import Completion, calibrate
 from manifold.estimate.completions import Completed, parse_gloss
 from manifold.estimate.expected import errors_of, leave_out
 from manifold.estimate.gloss import gloss_meter, gloss_units, value_of_unit
@@ -103,7 +103,7 @@ def test_gloss_tells_apart_what_readings_cannot(atoms):
 def test_the_gloss_of_a_completion_is_near_the_one_read(atoms, library, name):
     brdf = MeasuredBRDF(Library.open(library).read(name))
     gloss = gloss_units(brdf)
-    made = complete(atoms, readings(brdf.eval(*DIRECTIONS), gloss=gloss))
+    made = Completion.of(atoms, readings(brdf.eval(*DIRECTIONS), gloss=gloss))
     assert list(made.gloss) == list(gloss)
     for angle, units in gloss.items():
         assert made.gloss[angle] == pytest.approx(units, rel=0.15)
@@ -128,9 +128,9 @@ def test_gloss_of_zero_dims_highlights_and_negative_gloss_is_refused(atoms, rng)
         ShapeError, match="gloss of -1 units at 60 degrees, expected 0 to 1000, that of a perfect mirror"
     ):
         replace(read, gloss={60: -1.0})
-    made = complete(atoms, read)
+    made = Completion.of(atoms, read)
     assert made.gloss == {}
-    assert complete(atoms, replace(read, gloss={60: 0.0})).gloss[60] < gloss_units(made.brdf, [60])[60]
+    assert Completion.of(atoms, replace(read, gloss={60: 0.0})).gloss[60] < gloss_units(made.brdf, [60])[60]
 
 
 def test_the_most_gloss_is_that_of_a_mirror():
@@ -141,11 +141,11 @@ def test_the_most_gloss_is_that_of_a_mirror():
 def test_gloss_that_is_not_reproduced_is_noted_and_raises_the_expected_error(atoms):
     """A dull paint cannot have the gloss of a mirror; 12 readings of it and its own gloss go together."""
     read = readings(np.full((12, 3), 0.1))
-    dull = complete(atoms, read)
+    dull = Completion.of(atoms, read)
     own = replace(read, gloss=gloss_units(dull.brdf, [60.0]))
     false = replace(read, gloss={60.0: 990.0})
     calibration = calibrate(atoms, own)
-    agreeing, missing = (complete(atoms, one) for one in (own, false))
+    agreeing, missing = (Completion.of(atoms, one) for one in (own, false))
     assert not any("not reproduced" in note for note in agreeing.notes)
     assert any("gloss at 60 degrees is not reproduced" in note for note in missing.notes)
     assert missing.gloss_misfits[60.0] > 5.0 * agreeing.gloss_misfits[60.0]
@@ -247,7 +247,7 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
 
 
 def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, tmp_path):
-    made = complete(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 20.0}))
+    made = Completion.of(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 20.0}))
     missed = replace(made, gloss_misfits={60.0: 0.9})
     document = Completed(tmp_path, None, missed, None, {}, SimpleNamespace(), None, (), 0.0).to_json()
     assert np.sqrt(np.mean(np.square(document["misfits"]))) < 0.5

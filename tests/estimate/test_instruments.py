@@ -15,9 +15,8 @@ from manifold.colour.correction import learn_correction, read_correction, write_
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
-from manifold.estimate import completions
-from manifold.estimate.completions import calibration_notes
-from manifold.estimate.instruments import between_measurements, correct_colours, merge
+from manifold.estimate import instruments
+from manifold.estimate.instruments import between_measurements, calibration_notes, correct_colours, merge
 from manifold.formats import csv_table, registry
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.registry import read_readings
@@ -199,13 +198,13 @@ def test_a_sample_is_chosen_of_every_file_with_several(run, tmp_path):
     table_of(tmp_path / "several.csv", {"red": 0.2, "blue": 0.4})
     both = [tmp_path / "several.csv", tmp_path / "one.csv"]
     for files in (both, both[::-1]):
-        assert completions.read(files, "blue")[0].values.max() == pytest.approx(0.4 / np.pi)
+        assert instruments.read(files, "blue")[0].values.max() == pytest.approx(0.4 / np.pi)
     with pytest.raises(UsageError, match="no sample 'blue'; it holds own"):
-        completions.read(both[1:], "blue")
+        instruments.read(both[1:], "blue")
     with pytest.raises(UsageError, match="no file holds a sample 'blue', but own; name another"):
-        completions.read([both[1]] * 2, "blue")
+        instruments.read([both[1]] * 2, "blue")
     with pytest.raises(UsageError, match="no sample 'own'; it holds red, blue"):
-        completions.read(both[::-1], "own")
+        instruments.read(both[::-1], "own")
     for name in ("red", "blue"):
         status, out, err = run("fit", "several.csv", "--sample", name, "-o", "x.fit.json", cwd=tmp_path)
         assert (status, "up to date" in out) == (0, False), err

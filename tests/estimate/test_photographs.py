@@ -15,7 +15,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.lights import environment
 from manifold.colour.pictures import read_picture
-from manifold.estimate import photographs
+from manifold.estimate import photographs, sightings
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.photographs import read_responses
@@ -90,8 +90,8 @@ def test_a_photograph_is_located_near_its_material(run, folder, library):
 
 
 def test_errors_of_a_located_photograph_are_those_of_the_physical_file(folder, library):
-    request = photographs.PhotoRequest([folder / "ball.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
-    found = photographs.locate_photographs(
+    request = sightings.PhotoRequest([folder / "ball.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
+    found = photographs.locate(
         folder / "model.h5", request, folder / "physical.bsdf", library=library,
         options=OutputOptions(physical=True),
     )  # fmt: skip
@@ -186,8 +186,8 @@ def test_a_light_of_display_values_and_clipped_lamps_are_said(folder, name):
     clipped = np.minimum(values, 1.0)
     Image.fromarray(np.round(255 * encode_srgb(clipped)).astype(np.uint8)).save(folder / "light.png")
     write_image(folder / "clipped.exr", clipped)
-    (ball,) = photographs.see(
-        photographs.PhotoRequest([folder / "ball.exr"], [str(folder / name)], ["64,64,49.2"])
+    (ball,) = sightings.see(
+        sightings.PhotoRequest([folder / "ball.exr"], [str(folder / name)], ["64,64,49.2"])
     )
     count = np.count_nonzero((clipped == 1.0).any(axis=2))
     assert count > 100
@@ -210,10 +210,10 @@ def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_i
     monkeypatch.setattr(photographs, "residual_figure", record)
     dark = 0.1 * read_picture(folder / "ball.exr").values
     write_image(tmp_path / "dark.exr", dark)
-    request = photographs.PhotoRequest([tmp_path / "dark.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
+    request = sightings.PhotoRequest([tmp_path / "dark.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
     for exposure in (None, 0.1):
-        found = photographs.complete_photographs(
-            replace(request, exposure=exposure), library, tmp_path / "x.bsdf", picture=tmp_path / "x.png"
+        found = photographs.complete(
+            library, replace(request, exposure=exposure), tmp_path / "x.bsdf", picture=tmp_path / "x.png"
         )
         seen, predicted = shown.pop()
         inside = np.hypot(*np.meshgrid(*[np.linspace(-1.05, 1.05, len(seen))] * 2)) < 0.9

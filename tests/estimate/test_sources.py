@@ -207,7 +207,7 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     assert made.errors == brdf_errors(measured, MeasuredBRDF(read_bsdf(path)))
     assert made.errors != brdf_errors(measured, made.brdf)
     readings = readings_of_colour(np.array([50.0, 20.0, 10.0]), {60.0: 40.0}, Library(library).bands)
-    completed = completions.complete_readings(readings, library, path, options=options)
+    completed = completions.complete(library, readings, path, options=options)
     written, found = MeasuredBRDF(read_bsdf(path)), completed.completion
     np.testing.assert_array_equal(found.predicted, written.eval(found.readings.wi, found.readings.wo))
     assert found.gloss == gloss_units(written, [60.0])

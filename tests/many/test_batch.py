@@ -15,8 +15,8 @@ from manifold.analytic.base import Lambert
 from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.batch import Command, SheetWarning, _Made, ball_path, batch
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate.completions import calibrate_instrument
 from manifold.estimate.inputs import Input, find_inputs, find_samples
+from manifold.estimate.instruments import calibrate
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.model.colours import ColourChoice
 from manifold.plots import figures
@@ -221,9 +221,7 @@ def test_two_folders_calibrate_by_the_names_of_their_samples(tmp_path, rng):
                 for (i, o, p), row in zip(angles, values, strict=True)
             ]
             pairs[-1].write_text(f"name,theta_i,phi_i,theta_o,phi_o,{bands}\n" + "\n".join(rows) + "\n")
-    by_folders, names = calibrate_instrument(
-        [tmp_path / "reference", tmp_path / "other"], tmp_path / "a.json"
-    )
-    by_pairs, _ = calibrate_instrument(pairs, tmp_path / "b.json")
+    by_folders, names = calibrate([tmp_path / "reference", tmp_path / "other"], tmp_path / "a.json")
+    by_pairs, _ = calibrate(pairs, tmp_path / "b.json")
     assert (sorted(names), by_folders.form) == (["blue", "red", "white"], by_pairs.form)
     assert by_folders.uncorrected == pytest.approx(by_pairs.uncorrected)

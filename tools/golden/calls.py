@@ -83,7 +83,7 @@ def python_analytic(folder: Path) -> dict[str, Any]:
 
 def python_completion(folder: Path) -> dict[str, Any]:
     """Readings at directions of one's own completed."""
-    from manifold.estimate import LibraryAtoms, calibrate, complete, suggest
+    from manifold.estimate import Completion, LibraryAtoms, calibrate, suggest
     from manifold.formats import Readings, geometry_ma_t12
 
     library = mf.Library.open(folder / "corpus.zarr")
@@ -91,7 +91,7 @@ def python_completion(folder: Path) -> dict[str, Any]:
     wi, wo = geometry_ma_t12()
     readings = Readings("sample", "by hand", wi, wo, None, brdf.eval(wi, wo), gloss={60.0: 3.0})
     atoms = LibraryAtoms.of_library(library)
-    completed = complete(atoms, readings)
+    completed = Completion.of(atoms, readings)
     at = direction_pairs()
     return {
         "f": completed.brdf.eval(*at),

@@ -39,7 +39,7 @@ def losses(files: Path, target: str, work: Path, *, is_mapped: bool) -> dict[str
     made = batch(command, export_sources(files), work / f"{target}_{is_mapped}")
     made = {outcome.name: outcome.content or {} for outcome in made.outcomes}
     return {
-        name: {"own": e["ball"]["unseen_light"], "principled": e["principled_ball"]["unseen_light"]}
+        name: {"own": e["errors"]["ball"], "principled": e["principled_errors"]["ball"]}
         for name, e in made.items()
     }
 
@@ -53,7 +53,7 @@ def in_lights(files: Path, target: str, exported: Path) -> dict[str, dict[str, f
         path = next(p for p in files.rglob("*.bsdf") if material_name(p) == export["material"])
         material = MeasuredBRDF(read_bsdf(path))
         own, truth = (np.maximum(brdf.eval(lights.wi, lights.wo), 0.0) for brdf in (model, material))
-        printed = export["ball"]["unseen_light"] if "ball" in export else export["ciede2000"]  # of 0.2.0
+        printed = export["errors"]["ball"]
         made[export["material"]] = {"printed": printed} | lights.errors(own, truth, material.bands).lights
     return made
 

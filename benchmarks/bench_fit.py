@@ -174,8 +174,8 @@ def appearance(brdfs: dict[str, BRDF]) -> dict[str, Any]:
             seconds = time.perf_counter() - start
             fitted = FittedBRDF.of(result.family, result.values, result.bands, result.spectra)
             errors = brdf_errors(brdf, fitted)
-            assert result.ball is not None
-            made.append({"ball": errors.ball, "ball in the fitted light": result.ball.fitted_light})
+            assert result.errors is not None
+            made.append({"ball": errors.ball, "ball in the fitted light": result.errors.fitted_ball})
             made[-1] |= {"cube root": errors.cube_root, "linear": errors.linear, "seconds": seconds}
         print(name, *(f"{made[-1]['ball']:.2f}" for made in rows.values()), flush=True)
     columns = list(rows["appearance"][0])
@@ -201,14 +201,14 @@ def materials(folder: Path, n_baseline: int) -> dict[str, Any]:
         samples = fit_samples.from_brdf(MeasuredBRDF(file)).as_rgb()
         of_file, ours = fit_bsdf(file), fit_bsdf(samples, metric="cube-root")
         of_brdf = fit_bsdf(MeasuredBRDF(file))
-        assert of_file.ball is not None
-        assert of_brdf.ball is not None
+        assert of_file.errors is not None
+        assert of_brdf.errors is not None
         row: dict[str, Any] = {
             "name": path.stem,
             "seconds": ours.seconds,
             "residual": of_file.residuals["appearance"],
             "diffuse": of_file.diffuse_residual,
-            "file_and_brdf": abs(of_file.ball.unseen_light - of_brdf.ball.unseen_light),
+            "file_and_brdf": abs(of_file.errors.ball - of_brdf.errors.ball),
             "json_difference": json_difference(ours, samples),
             "at_bound_said": all(
                 any(s.name in note for note in of_file.notes) for s in of_file.statements if s.at_bound

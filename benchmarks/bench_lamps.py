@@ -227,7 +227,7 @@ def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) ->
                     error = one.ball(material)
                     rows.setdefault(shot.name, {}).setdefault(count, []).append(error)
                     if asked.expected and count == 3 and shot.knows == "nothing":
-                        expected.append((shot.name, error, material.expected["ball"]))
+                        expected.append((shot.name, error, material.expected.ball))
                     if shot.knows == "geometry and card":
                         made = _analytic("principled", balls, np.ones(len(balls)))
                         fits.setdefault(shot.light, {}).setdefault(count, []).append(

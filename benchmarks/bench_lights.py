@@ -21,11 +21,11 @@ import numpy as np
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.colour import panel
-from manifold.colour.panel import LookErrors
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model.located import reconstruct_file
 from manifold.records import BsdfFile
 from manifold.render.fitted_brdf import FittedBRDF
@@ -46,14 +46,14 @@ def fitted(file: BsdfFile) -> BRDF:
     return FittedBRDF.of(found.family, found.values, found.bands, found.spectra, found.rotation_deg)
 
 
-def errors(brdf: BRDF, file: BsdfFile) -> LookErrors:
+def errors(brdf: BRDF, file: BsdfFile) -> Errors[float]:
     """Of what was made of a file."""
     lights, truth = panel.judged(), MeasuredBRDF(fill_unmeasured(file))
     values = [np.maximum(one.eval(lights.wi, lights.wo), 0.0) for one in (brdf, truth)]
     return lights.errors(values[0], values[1], truth.bands)
 
 
-def row(found: list[LookErrors]) -> dict[str, tuple[float, float]]:
+def row(found: list[Errors[float]]) -> dict[str, tuple[float, float]]:
     """Median and 90th percentile over files, by column."""
     columns = {name: [one.lights[name] for one in found] for name in found[0].lights}
     columns |= {"mean": [one.ball for one in found], "worst": [one.worst for one in found]}

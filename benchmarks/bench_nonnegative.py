@@ -23,12 +23,12 @@ from neural_fits import NeuralBRDF, read_neural_fits, seen_neural
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.evaluate.baselines import fit_nonnegative
 from manifold.evaluate.cross_validation import Method, cross_validate, leave_out
-from manifold.evaluate.errors import BallErrors, MedianAndP90
+from manifold.evaluate.errors import BallErrors
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import cube_root_error, relative_error
+from manifold.metrics import Errors
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
@@ -110,23 +110,16 @@ def main() -> None:
     for method in methods(arguments.methods, arguments.numbers, arguments.anchors):
         start = time.perf_counter()
         splits = leave_out(data.n_materials)[:: arguments.every]
-        found = cross_validate(data, method.fit, splits).combinations
+        predictions = cross_validate(data, method.fit, splits).combinations
         seconds = (time.perf_counter() - start) / len(splits)
         errors = []
-        for (_, out), combination in zip(splits, found, strict=True):
+        for (_, out), combination in zip(splits, predictions, strict=True):
             i, here = int(out[0]), combination.in_bands(data.bands)
             f, truth, ball = here.evaluate(data), data.f[i], here.evaluate(balls.values)
             assert not method.key.startswith(("nonnegative", "few_atoms")) or min(f.min(), ball.min()) >= 0.0
-            look = balls.differences(i, ball)
-            errors.append(
-                (
-                    relative_error(truth, f, data.cosines),
-                    cube_root_error(truth, f, data.cosines),
-                    look.ball,
-                    look.worst,
-                )
-            )
-        both = [list(MedianAndP90.of(column)) for column in np.array(errors).T]
+            found = balls.differences(i, ball) | Errors.of_values(truth, f, data.cosines)
+            errors.append([getattr(found, column) for column in COLUMNS])
+        both = np.percentile(errors, (50, 90), axis=0).T.tolist()
         rows[method.key] = {"numbers": method.numbers(3), **dict(zip(COLUMNS, both, strict=True))}
         cells = [f"{m:.{d}f} / {p:.{d}f}" for (m, p), d in zip(both, (3, 3, 2, 2), strict=True)]
         print(f"| {method.title} | {method.numbers(3)} | {' | '.join(cells)} | {seconds:.2f} |", flush=True)

@@ -31,7 +31,6 @@ from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
-from manifold.estimate.expected import KINDS
 from manifold.estimate.photo_material import PhotoMaterial, errors_of, find_material
 from manifold.estimate.photograph import Circle, Photograph
 from manifold.estimate.photographs import srgb_responses, wiener_matrix
@@ -41,6 +40,7 @@ from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model.comparison import brdf_errors
 from manifold.model.output_file import output_file
 from manifold.model.prediction import ClippedBRDF
@@ -49,6 +49,8 @@ from manifold.records import Array
 from manifold.render.render import render_floating_ball
 
 SIZE, MARGIN, CAMERA = 256, 0.05, Camera(0.0, 15.0, 8.0)
+
+KINDS = ("ball", "cube_root", "linear")
 
 
 @dataclass(frozen=True)
@@ -120,11 +122,16 @@ def found(atoms: LibraryAtoms, m: int, seen: Sighting, shot: Shot) -> PhotoMater
     return find_material(without, [seen], atoms.bands, np.eye(3), exposure=exposure)
 
 
+def three(found: Errors[float]) -> tuple[float, float, float]:
+    """Errors in the order of `KINDS`."""
+    return found.ball, found.cube_root, found.linear
+
+
 def errors(atoms: LibraryAtoms, m: int, weights: Array) -> tuple[float, float, float]:
     """Of weights of the atoms without material m."""
     every = np.zeros((3, len(atoms)))
     every[:, atoms.material_of != m] = weights
-    return errors_of(atoms, 3 * m + np.arange(3), every)
+    return three(errors_of(atoms, 3 * m + np.arange(3), every))
 
 
 def nearest(atoms: LibraryAtoms, m: int) -> tuple[float, float, float]:
@@ -134,7 +141,7 @@ def nearest(atoms: LibraryAtoms, m: int) -> tuple[float, float, float]:
     for k in others:
         weights = np.zeros((3, len(atoms)))
         weights[np.arange(3), 3 * k + np.arange(3)] = 1.0
-        tried.append(errors_of(atoms, 3 * m + np.arange(3), weights))
+        tried.append(three(errors_of(atoms, 3 * m + np.arange(3), weights)))
     return min(tried)
 
 
@@ -165,7 +172,7 @@ def together(
         ),
     ]
     found = [brdf_errors(truth, brdf) for brdf in made]
-    first, second, third = ((e.ball, e.cube_root, e.linear) for e in found)
+    first, second, third = map(three, found)
     return first, second, third
 
 
@@ -245,7 +252,7 @@ def real(folder: Path, options: argparse.Namespace) -> None:
                     row += (plausibility_of_file(output_file(brdf, "found")[0]).max_albedo,)
                 rows.append(row)
                 if options.expected and shot is STANDARD:
-                    expected.append(list(material.expected.values()))
+                    expected.append(list(three(material.expected)))
             others = expected_beside(rows, expected) if expected else {}
             seconds = round((time.perf_counter() - start) / len(rows), 1)
             table.add(f"{name}, {shot.name}{part}", rows, **others, seconds=seconds)

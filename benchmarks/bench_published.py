@@ -68,10 +68,10 @@ def measured(data: Data, balls: BallErrors, find: Callable[[int], Combination]) 
     for block in data.blocks():
         errors.add(block)
     n_counted = data.f.shape[1] * len(data.bands) / data.n_bands
+    found = balls.of(made) | errors.of_values(n_counted, data.n_bands)
     return {
-        "ball": np.array([look.ball for look in balls.of(made)]),
-        "cube root": errors.cube_root, "linear": errors.linear,
-        "eq. 22": errors.rmse(n_counted), "eq. 22, within 80 degrees": errors.bounded_rmse(data.n_bands),
+        "ball": found.ball, "cube root": found.cube_root, "linear": found.linear,
+        "eq. 22": found.rmse, "eq. 22, within 80 degrees": found.rmse_80,
     }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
 from manifold.estimate import Completion, LibraryAtoms, calibrate, suggest
-from manifold.estimate.expected import KINDS, errors_of
+from manifold.estimate.expected import errors_of
 from manifold.estimate.suggestions import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
@@ -26,6 +26,7 @@ from manifold.records import Array, Bands
 
 CASES = 5  # random choices per material
 CHOSEN = 5
+KINDS = ("ball", "cube_root", "linear")
 
 
 def read(atoms: LibraryAtoms, m: int, at: Array, wi: Array, wo: Array, chosen: Array) -> Readings:
@@ -44,7 +45,8 @@ def errors(
     """Of material m completed from some of the directions."""
     left = at[atoms.material_of != m][:, chosen]
     made = Completion.of(others, read(atoms, m, at, wi, wo, chosen), (left, np.empty((len(left), 0))))
-    return np.array(errors_of(atoms, m, made.on_grid, made.on_ball))
+    found = errors_of(atoms, m, made.on_grid, made.on_ball)
+    return np.array([getattr(found, kind) for kind in KINDS])
 
 
 def suggestions(atoms: LibraryAtoms) -> dict[str, object]:
@@ -103,7 +105,9 @@ def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, object]]:
                 gloss=dict.fromkeys(angles, 1.0),
             )  # fmt: skip
             found = calibrate(atoms, blank)
-            errors, expected = found.errors[:, ::-1], found.left_out[:, ::-1]
+            errors, expected = (
+                np.column_stack([of.linear, of.cube_root, of.ball]) for of in (found.errors, found.left_out)
+            )
             summary = [f"{np.median(e):.2f} / {np.percentile(e, 90):.2f}" for e in errors.T]
             ranks = [f"{spearmanr(*pair)[0]:.2f}" for pair in zip(expected.T, errors.T, strict=True)]
             below = [f"{100 * share:.0f}" for share in np.mean(errors < 2.0 * expected, axis=0)]

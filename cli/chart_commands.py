@@ -127,11 +127,11 @@ def _rows(made: Chart) -> list[list[str]]:
     return [
         [
             row.title,
-            f"{row.ball:.2f}", letters("ball", row.key),
-            f"{row.cube_root_error:.3f}", letters("cube_root_error", row.key),
-            f"{row.relative_error:.3f}", letters("relative_error", row.key),
-            f"{row.ball_itp:.2f}", f"{row.rmse:.3g}", f"{row.predict.median:.3g}", f"{row.bytes / 1e6:.3g}",
-            "" if row.fit is None else f"{row.fit.median:.3g}",
+            f"{row.median.ball:.2f}", letters("ball", row.key),
+            f"{row.median.cube_root:.3f}", letters("cube_root", row.key),
+            f"{row.median.linear:.3f}", letters("linear", row.key),
+            f"{row.median.ball_itp:.2f}", f"{row.median.rmse:.3g}", f"{row.predict.median:.3g}",
+            f"{row.bytes / 1e6:.3g}", "" if row.fit is None else f"{row.fit.median:.3g}",
         ]
         for row in made.rows
     ]  # fmt: skip
@@ -155,11 +155,11 @@ def _chart_readings(
         [
             [
                 curve.title, str(n),
-                *(f"{m:.{d}f} / {p:.{d}f}" for (m, p), d in zip(curve.summary(k), (2, 3, 3), strict=True)),
+                f"{median.ball:.2f} / {p90.ball:.2f}", f"{median.cube_root:.3f} / {p90.cube_root:.3f}",
+                f"{median.linear:.3f} / {p90.linear:.3f}",
             ]
             for curve in curves
-            for k, n in enumerate(curve.counts)
-            if curve.is_measured(k)
+            for n, median, p90 in curve.summary
         ],
     )  # fmt: skip
     results.document({"curves": [curve.to_json() for curve in curves]})

@@ -127,13 +127,13 @@ def export(
 
 
 def _show(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
-    from manifold.fit.fit_metrics import BallDifference
+    from manifold.metrics import Errors
 
     content = outcome.content or {}
     rows = terminal.parameter_rows(content["parameters"])
-    rows["CIEDE2000 on the ball"] = f"{BallDifference(**content['ball'])}, against the {content['against']}"
-    if content["principled_ball"] is not None:
-        rows["of Mitsuba's principled"] = BallDifference(**content["principled_ball"])
+    rows["CIEDE2000 on the ball"] = f"{Errors(**content['errors'])}, against the {content['against']}"
+    if content["principled_errors"] is not None:
+        rows["of Mitsuba's principled"] = Errors(**content["principled_errors"])
     if picture is not None:
         rows["picture"] = picture
     rows |= terminal.numbered("note", outcome.notes)

@@ -162,14 +162,14 @@ def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSour
 
 
 def _rows(content: dict[str, Any]) -> dict[str, object]:
-    from manifold.fit.fit_metrics import BallDifference
     from manifold.fit.identifiability import ParameterIdentifiability
+    from manifold.metrics import Errors
 
     rows: dict[str, object] = {}
     for statement in content["statements"]:
         rows[statement["name"]] = str(ParameterIdentifiability(**statement))
-    if content["ball"] is not None:
-        rows["CIEDE2000 on the ball"] = BallDifference(**content["ball"])
+    if content["errors"] is not None:
+        rows["CIEDE2000 on the ball"] = Errors(**content["errors"])
     rows["relative residual"] = [f"{name} {value:.3f}" for name, value in content["residuals"].items()]
     rows["best diffuse"] = f"{content['metric']} {content['diffuse_residual']:.3f}"
     if content["spectral_residual"] is not None:

@@ -165,11 +165,12 @@ def embed(
             ("mapping", "dimensions", "error", "linear", "cube root", "CIEDE2000", "seconds", "chosen"),
             [
                 (
-                    c.mapping, c.latent_dim, f"{c.error:.3f}", "{:.3f} / {:.3f}".format(*c.linear),
-                    "{:.3f} / {:.3f}".format(*c.cube_root), "{:.1f} / {:.1f}".format(*c.ball), f"{c.seconds:.1f}",
-                    "*" * c.is_chosen,
+                    c.mapping, c.latent_dim, f"{c.error:.3f}", f"{median.linear:.3f} / {p90.linear:.3f}",
+                    f"{median.cube_root:.3f} / {p90.cube_root:.3f}", f"{median.ball:.1f} / {p90.ball:.1f}",
+                    f"{c.seconds:.1f}", "*" * c.is_chosen,
                 )
                 for c in candidates
+                for median, p90 in [(c.errors.median, c.errors.p90)]
             ],
         )  # fmt: skip
     results.rows(

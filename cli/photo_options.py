@@ -187,7 +187,6 @@ NONE = PhotoOptions()
 def show_photographs(results: terminal.Results, title: str, found: FromPhotographs, **first: object) -> None:
     """Print what was found in photographs."""
     material = found.material
-    expected = material.expected
     rows: dict[str, object] = {
         "photographs": [
             f"{ball.photograph.path.name}, ball at {ball.circle}"
@@ -195,8 +194,7 @@ def show_photographs(results: terminal.Results, title: str, found: FromPhotograp
             for ball in found.balls
         ],
         **first,
-        "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root "
-        f"{100 * expected['cube_root']:.0f} %, linear {100 * expected['linear']:.0f} %",
+        "expected error": material.expected.words,
         "residual of pixels": f"{100 * material.residual:.1f} % in cube roots",
         "exposure": f"{material.exposure:.3g}",
         "made of": [f"{name} {share:.2f}" for name, share in material.made_of],

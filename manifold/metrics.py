@@ -2,12 +2,162 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, TypeVar
+
 import numpy as np
 
 from manifold.errors import ShapeError
 from manifold.records import Array
 
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
+_UNKNOWN: Any = float("nan")
+
+Number = TypeVar("Number", bound=float | Array)
+
+
+@dataclass(frozen=True)
+class Errors(Generic[Number]):
+    """How far BRDFs are from what they describe: of one, numbers; of several, arrays of any shape; NaN if unknown.
+
+    Attributes:
+        ball: CIEDE2000 of the ball, mean over the lights in which looks are judged; see `colour.panel`.
+        cube_root: `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, w being both cosines.
+        linear: `||w (f* - f)|| / ||w f||`.
+        worst, worst_light: CIEDE2000 of the ball in the light where it is largest, and of one BRDF its name.
+        ball_itp: Delta E_ITP of the ball (ITU-R BT.2124), mean over the lights.
+        fitted_ball: CIEDE2000 of the ball, mean over the lights that fits see.
+        rmse: eq. 22 of Hikichi & Iwasaki, in 1/sr; bands are summed.
+        rmse_80: the same of directions within 80 degrees, weighted by both cosines.
+        lights: CIEDE2000 of the ball by light.
+        colours: CIEDE2000 by illuminant, mean over six directions of a multi-angle instrument.
+        angles_deg: spectral angle by illuminant, likewise.
+    """
+
+    ball: Number = _UNKNOWN
+    cube_root: Number = _UNKNOWN
+    linear: Number = _UNKNOWN
+    worst: Number = _UNKNOWN
+    worst_light: str = ""
+    ball_itp: Number = _UNKNOWN
+    fitted_ball: Number = _UNKNOWN
+    rmse: Number = _UNKNOWN
+    rmse_80: Number = _UNKNOWN
+    lights: Mapping[str, Number] = field(default_factory=dict)
+    colours: Mapping[str, Number] = field(default_factory=dict)
+    angles_deg: Mapping[str, Number] = field(default_factory=dict)
+
+    @classmethod
+    def of_values(cls, f: Array, f_star: Array, weight: Array | float = 1.0) -> Errors[float]:
+        """Cube-root and linear error; arguments as in `relative_error`."""
+        errors = _errors_of(f, f_star, weight)
+        return Errors(cube_root=float(errors.cube_root_error), linear=float(errors.relative_error))
+
+    @classmethod
+    def of_lights(cls, lights: Mapping[str, float], ball_itp: float) -> Errors[float]:
+        """Errors of the look, by CIEDE2000 in every light."""
+        worst = max(lights, key=lights.__getitem__)
+        return Errors(
+            sum(lights.values()) / len(lights), worst=lights[worst], worst_light=worst, ball_itp=ball_itp,
+            lights=lights,
+        )  # fmt: skip
+
+    @classmethod
+    def of_several(cls, each: Sequence[Errors[float]]) -> Errors[Array]:
+        """Errors of N BRDFs as arrays (N,)."""
+
+        def joined(values: list[Any]) -> Any:
+            if isinstance(values[0], Mapping):
+                keys = dict.fromkeys(key for value in values for key in value)
+                return {key: np.array([value.get(key, np.nan) for value in values]) for key in keys}
+            return np.array(values)
+
+        names = dict.fromkeys(name for errors in each for name in errors.known if name != "worst_light")
+        return Errors(**{name: joined([getattr(errors, name) for errors in each]) for name in names})
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """What was measured, by name; of several, NaN is left where one has no value."""
+
+        def is_known(value: Any) -> bool:
+            return (
+                bool(value) if isinstance(value, str | Mapping) else np.ndim(value) > 0 or not np.isnan(value)
+            )
+
+        return {name: value for name, value in vars(self).items() if is_known(value)}
+
+    def __or__(self, other: Errors[Number]) -> Errors[Number]:
+        """What either knows, the other's where both do."""
+        return replace(self, **other.known)
+
+    def beside(self, other: Errors[float]) -> Errors[Number]:
+        """Errors to which independent ones add: roots of the sums of squares of ball, cube roots and values."""
+        both = {
+            name for name in ("ball", "cube_root", "linear") if name in self.known and name in other.known
+        }
+        return replace(self, **{name: np.hypot(getattr(self, name), getattr(other, name)) for name in both})
+
+    def over(self, of: Callable[[Array], float]) -> Errors[float]:
+        """One number of every array of several, such as a mean."""
+
+        def one(value: Any) -> Any:
+            return {key: of(v) for key, v in value.items()} if isinstance(value, Mapping) else of(value)
+
+        return Errors(**{name: one(value) for name, value in self.known.items()})
+
+    @property
+    def median(self) -> Errors[float]:
+        """Medians of several; NaN does not count."""
+        return self.over(lambda values: float(np.nanmedian(values)))
+
+    @property
+    def p90(self) -> Errors[float]:
+        """90th percentiles of several; NaN does not count."""
+        return self.over(lambda values: float(np.nanpercentile(values, 90)))
+
+    def to_json(self) -> dict[str, Any]:
+        """What was measured as plain values."""
+
+        def plain(value: Any) -> Any:
+            if isinstance(value, Mapping):
+                return {key: plain(v) for key, v in value.items()}
+            return value if isinstance(value, str) else np.asarray(value).tolist()
+
+        return {name: plain(value) for name, value in self.known.items()}
+
+    @property
+    def of_each(self) -> dict[str, Any]:
+        """Of several, every one, medians and 90th percentiles as plain values."""
+        return {"errors": self.to_json(), "median": self.median.to_json(), "p90": self.p90.to_json()}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Errors[Array]:
+        """Those of several, of what `to_json` has made."""
+
+        def array(value: Any) -> Any:
+            return (
+                {k: np.array(v) for k, v in value.items()} if isinstance(value, Mapping) else np.array(value)
+            )
+
+        return Errors(**{name: array(value) for name, value in content.items()})
+
+    def __str__(self) -> str:
+        worst = f", in {self.worst_light} {self.worst:.2f}" if self.worst_light else ""
+        seen = f"; in the lights of the fit {self.fitted_ball:.2f}" if "fitted_ball" in self.known else ""
+        return f"{self.ball:.2f}{worst}{seen}"
+
+    @property
+    def words(self) -> list[str]:
+        """What was measured of the ball and the values of one BRDF, for a terminal."""
+        mean = f" in the mean of {len(self.lights)} lights" if self.lights else ""
+        of_all = {
+            "ball": f"{self.ball:.1f} CIEDE2000 of the ball{mean}",
+            "worst": f"{self.worst:.1f} in the worst of them, {self.worst_light}",
+            "cube_root": f"{self.cube_root:.0%} cube-root error",
+            "linear": f"{self.linear:.0%} linear",
+        }
+        return [words for name, words in of_all.items() if name in self.known]
 
 
 def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:

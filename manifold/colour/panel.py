@@ -7,7 +7,6 @@ are of other ones: means over these, and the worst of them by its name. Which is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +16,7 @@ from manifold.colour import ball_colours, difference, lights
 from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import rotate_z
+from manifold.metrics import Errors
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands
 
@@ -29,44 +29,6 @@ JUDGED = ("studio 0", "white", "sun 45", "sun 80", "sun 130")
 """What errors are measured in, and no fit sees: the studio, the same light from everywhere, suns."""
 
 _SUN_PIXELS = 32  # across the ball
-
-
-@dataclass(frozen=True)
-class LookErrors:
-    """How differently two balls look.
-
-    Attributes:
-        lights: mean CIEDE2000 over the ball's pixels, by the name of the light.
-        ball_itp: mean Delta E_ITP, over pixels and lights.
-    """
-
-    lights: dict[str, float]
-    ball_itp: float
-
-    @property
-    def ball(self) -> float:
-        """CIEDE2000, mean over the lights."""
-        return sum(self.lights.values()) / len(self.lights)
-
-    @property
-    def worst_light(self) -> str:
-        """The light of the largest CIEDE2000."""
-        return max(self.lights, key=self.lights.__getitem__)
-
-    @property
-    def worst(self) -> float:
-        """CIEDE2000 in this light."""
-        return self.lights[self.worst_light]
-
-    def __str__(self) -> str:
-        return f"{self.ball:.2f} in the mean of {len(self.lights)} lights, {self.worst:.2f} in {self.worst_light}"
-
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        return {
-            "ball": self.ball, "worst": self.worst, "worst_light": self.worst_light, "ball_itp": self.ball_itp,
-            "lights": self.lights,
-        }  # fmt: skip
 
 
 class Panel(Picture):
@@ -87,15 +49,15 @@ class Panel(Picture):
         """Weights (K,) of all pixels with which lights count the same, whose mean is 1."""
         return np.repeat(self.counts.mean() / self.counts, self.counts)
 
-    def compare(self, xyz: Array, xyz_star: Array) -> LookErrors:
+    def compare(self, xyz: Array, xyz_star: Array) -> Errors[float]:
         """How differently two balls look, by what `xyz` returns."""
         each = np.cumsum(self.counts)[:-1]
         found = np.split(difference.delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3))), each)
         itp = np.split(difference.delta_e_itp(xyz, xyz_star), each)
         lights = {name: float(one.mean()) for name, one in zip(self.names, found, strict=True)}
-        return LookErrors(lights, float(np.mean([one.mean() for one in itp])))
+        return Errors.of_lights(lights, float(np.mean([one.mean() for one in itp])))
 
-    def errors(self, f: Array, f_star: Array, bands: Bands) -> LookErrors:
+    def errors(self, f: Array, f_star: Array, bands: Bands) -> Errors[float]:
         """How differently the balls of values f and f_star (P, B) look."""
         return self.compare(self.xyz(f, bands), self.xyz(f_star, bands))
 

@@ -31,7 +31,7 @@ from manifold.estimate.predictions import predict
 from manifold.estimate.sources import MaterialSource, PlaceSource, source_file
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import cube_root_error, relative_error
+from manifold.metrics import Errors
 from manifold.pairs import cosine_weight
 from manifold.plots import html_page
 from manifold.records import Array, Bands, BsdfFile
@@ -39,34 +39,6 @@ from manifold.records import Array, Bands, BsdfFile
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
 _DARK = 1e-3  # of the brightest value: darker ones are compared with this
 _FEW = 20  # readings per incidence, of spectrophotometers rather than of goniometers
-
-
-@dataclass(frozen=True)
-class ConversionError:
-    """What a conversion costs at the file's own nodes, measured by reading the result back.
-
-    Attributes:
-        nodes: how many were compared.
-        linear: `||w (f* - f)|| / ||w f||`, w being both cosines.
-        cube_root: the same of cube roots.
-        median, percentile_95: of `|f* - f| / |f|` over nodes and bands.
-    """
-
-    nodes: int
-    linear: float
-    cube_root: float
-    median: float
-    percentile_95: float
-
-    @classmethod
-    def between(cls, nodes: Readings, f_star: Array) -> ConversionError:
-        """Errors of values f_star (P, B) at nodes."""
-        f, weight = nodes.values, cosine_weight(nodes.wi, nodes.wo)
-        floor = _DARK * float(np.max(np.abs(f), initial=1e-300))
-        deviation = np.abs(f_star - f) / np.maximum(np.abs(f), floor)
-        median, high = np.percentile(deviation, [50, 95])
-        linear, cube_root = relative_error(f, f_star, weight), cube_root_error(f, f_star, weight)
-        return cls(len(f), linear, cube_root, float(median), float(high))
 
 
 @dataclass(frozen=True)
@@ -79,7 +51,9 @@ class Conversion:
         source: what was read, in words.
         target: format, in words.
         bands: of the result.
-        error: at the file's own nodes.
+        nodes: how many of the file's own were compared with the result, read back.
+        errors: there.
+        median, percentile_95: of `|f* - f| / |f|` over nodes and bands.
         notes: of reading and writing.
     """
 
@@ -88,22 +62,24 @@ class Conversion:
     source: str
     target: str
     bands: Bands
-    error: ConversionError
+    nodes: int
+    errors: Errors[float]
+    median: float
+    percentile_95: float
     notes: tuple[str, ...]
 
     @property
     def rows(self) -> dict[str, object]:
         """What a table says of it, by label."""
-        error = self.error
         return {
             "material": self.name,
             "file": list(self.files),
             "from": self.source,
             "bands": str(self.bands),
-            "nodes compared": error.nodes,
-            "error, linear": f"{error.linear:.2%}",
-            "error, cube root": f"{error.cube_root:.2%}",
-            "deviation": f"median {error.median:.2%}, 95 % of values within {error.percentile_95:.2%}",
+            "nodes compared": self.nodes,
+            "error, linear": f"{self.errors.linear:.2%}",
+            "error, cube root": f"{self.errors.cube_root:.2%}",
+            "deviation": f"median {self.median:.2%}, 95 % of values within {self.percentile_95:.2%}",
         }
 
     def write_report(self, path: Path, output: Path) -> None:
@@ -121,7 +97,7 @@ class Conversion:
             **vars(self),
             "files": list(self.files),
             "bands": str(self.bands),
-            "error": vars(self.error),
+            "errors": self.errors.to_json(),
             "notes": list(self.notes),
         }
 
@@ -187,10 +163,14 @@ def convert(
     nodes, back = source.nodes, open_source([output])
     if source.is_readings and len(back.nodes) > len(nodes):
         notes += _gaps(source)
-    error = _error(source, back)
+    compared, f_star = _compared(source, back)
+    f = compared.values
+    floor = _DARK * float(np.max(np.abs(f), initial=1e-300))
+    median, high = np.percentile(np.abs(f_star - f) / np.maximum(np.abs(f), floor), [50, 95]).tolist()
     return Conversion(
         nodes.name, tuple(path.name for path in files) or (name,), nodes.instrument, target.title, back.nodes.bands,
-        error, (*nodes.notes, *notes),
+        len(f), Errors.of_values(f, f_star, cosine_weight(compared.wi, compared.wo)), median, high,
+        (*nodes.notes, *notes),
     )  # fmt: skip
 
 
@@ -226,16 +206,19 @@ def _gaps(source: Source) -> list[str]:
     return []
 
 
-def _error(source: Source, back: Source) -> ConversionError:
-    """Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes."""
+def _compared(source: Source, back: Source) -> tuple[Readings, Array]:
+    """Nodes of a source, and the values (P, B) of the result there, 1/sr.
+
+    Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes.
+    """
     nodes = source.nodes.select_pairs(np.flatnonzero(source.nodes.measured.all(axis=1)))
     has_no_brdf = isinstance(back.interpolated, UsageError)
     if back.is_readings and source.is_readings and (has_no_brdf or len(back.nodes) >= len(nodes)):
         tree = cKDTree(np.hstack([back.nodes.wi, back.nodes.wo]))
         distance, row = tree.query(np.hstack([nodes.wi, nodes.wo]))
         if np.all(distance < _SAME_PAIR):
-            return ConversionError.between(nodes, back.nodes.values[row])
+            return nodes, back.nodes.values[row]
     is_high = np.minimum(nodes.wi[:, 2], nodes.wo[:, 2]) > LEAST_COSINE
     if isinstance(back.brdf, MeasuredBRDF) and np.any(is_high):
         nodes = nodes.select_pairs(np.flatnonzero(is_high))
-    return ConversionError.between(nodes, back.brdf.eval(nodes.wi, nodes.wo))
+    return nodes, back.brdf.eval(nodes.wi, nodes.wo)

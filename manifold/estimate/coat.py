@@ -37,12 +37,13 @@ from manifold.estimate.attributes import (
     lab_of_factor,
     tinted,
 )
-from manifold.estimate.completions import atoms_of, expected_words, parse_lab
-from manifold.estimate.expected import KINDS, Calibration, cached, errors_of
+from manifold.estimate.completions import atoms_of, parse_lab
+from manifold.estimate.expected import Calibration, cached, errors_of
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
 from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.progress import Stages
@@ -88,7 +89,7 @@ class Coated:
         alpha, index: roughness and refractive index of the coat.
         lab: of the written file, (3,).
         gloss: of the written file, gloss units by angle in degrees.
-        expected: expected errors of what the colour and gloss leave open, by kind.
+        expected: expected errors of what the colour and gloss leave open.
         plausibility: of the written file, read back.
         diagnostics: what a user should know, in sentences.
         seconds: in all.
@@ -100,7 +101,7 @@ class Coated:
     index: float
     lab: Array
     gloss: Mapping[float, float]
-    expected: Mapping[str, float]
+    expected: Errors[float]
     plausibility: Plausibility
     diagnostics: tuple[str, ...]
     seconds: float
@@ -120,7 +121,7 @@ class Coated:
             "gloss": [
                 f"{self.gloss[a]:.3g} at {a:g} degrees, {u:g} asked" for a, u in self.sample.gloss.items()
             ],
-            "expected error": expected_words(self.expected),
+            "expected error": self.expected.words,
             "albedo": f"at most {self.plausibility.max_albedo:.2f}",
         }
 
@@ -137,7 +138,7 @@ class Coated:
             },
             "alpha": self.alpha,
             "index": self.index,
-            "expected": dict(self.expected),
+            "expected": self.expected.to_json(),
             "plausibility": vars(self.plausibility),
             "diagnostics": list(self.diagnostics),
             "seconds": self.seconds,
@@ -229,7 +230,7 @@ def complete(
         output, made, options,
         description=f"A dielectric coat (alpha {alpha:.3g}, index {index:.3g}) over a Lambertian, of the "
         f"colour and gloss of {sample.name}, by manifold {__version__}",
-        remedy="ask for a darker colour or less gloss", keeps_hue=True, expected_error=expected["cube_root"],
+        remedy="ask for a darker colour or less gloss", keeps_hue=True, expected_error=expected.cube_root,
     )  # fmt: skip
     brdf = made if written.file is None else MeasuredBRDF(written.file)
     lab, gloss = lab_of(brdf), gloss_units(brdf, sample.gloss)
@@ -258,12 +259,11 @@ def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> l
     return notes
 
 
-def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library: Library) -> dict[str, float]:
-    """Errors of coats that have the colour and gloss of a library's materials, by kind; in the library's cache."""
+def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library: Library) -> Errors[float]:
+    """Errors of coats that have the colour and gloss of a library's materials; in the library's cache."""
     axes = (__version__, library.content_hash, atoms.names, angles_deg)
     key = hashlib.sha256(f"coats {axes}".encode()).hexdigest()
-    calibration = cached(library, key, lambda: _calibrated(atoms, angles_deg))
-    return dict(zip(KINDS, calibration.at(np.ones(2)).tolist(), strict=True))
+    return cached(library, key, lambda: _calibrated(atoms, angles_deg)).at(np.ones(2))
 
 
 def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibration:
@@ -274,7 +274,7 @@ def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibrati
         made, _ = coat_of(lab_of(material), gloss_units(material, angles_deg), bands)
         on_grid, on_ball = (made.eval(pairs.wi, pairs.wo) for pairs in (grid, lights))
         errors.append(errors_of(atoms, m, on_grid, on_ball))
-    return Calibration(np.array(errors), np.ones((len(errors), 2)))
+    return Calibration.of(errors, [np.ones(2)] * len(errors))
 
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from manifold.estimate.inputs import safe_name
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.names import counted
@@ -43,7 +44,7 @@ class Completed:
         picture: of its ball; None where none was asked for.
         completion: with errors at the readings that are those of the file.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
-        expected: expected errors: ball CIEDE2000, cube-root and linear error.
+        expected: expected errors.
         plausibility: of the written file, read back.
         suggested: the next readings to take; None where none were asked for.
         diagnostics: what a user should know before trusting it, in sentences.
@@ -54,7 +55,7 @@ class Completed:
     picture: Path | None
     completion: Completion
     correction: ColourCorrection | None
-    expected: dict[str, float]
+    expected: Errors[float]
     plausibility: Plausibility
     suggested: Suggested | None
     diagnostics: tuple[str, ...]
@@ -72,7 +73,10 @@ class Completed:
         rows: dict[str, object] = {
             "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
             f"{found.readings.bands}",
-            "expected error": expected_words(self.expected) + self._beside(self.expected["ball"]),
+            "expected error": [
+                words + self._beside(self.expected.ball) * (not k)
+                for k, words in enumerate(self.expected.words)
+            ],
             "residual of readings": f"{100 * self.residual:.1f} % in cube roots, "
             f"at most {100 * max(found.misfits.max(), self.residual):.1f} %",
         }
@@ -125,7 +129,7 @@ class Completed:
             },
             "made_of": dict(made.made_of),
             "alternatives": [vars(a) for a in made.alternatives],
-            "expected": self.expected,
+            "expected": self.expected.to_json(),
             "uncertainty": uncertainty(made),
             "correction": None if self.correction is None else self.correction.to_json(),
             "plausibility": vars(self.plausibility),
@@ -133,14 +137,6 @@ class Completed:
             "diagnostics": list(self.diagnostics),
             "seconds": self.seconds,
         }
-
-
-def expected_words(expected: Mapping[str, float]) -> str:
-    """Expected errors as one row of a table."""
-    return (
-        f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
-        f"linear {100 * expected['linear']:.0f} %"
-    )
 
 
 def complete(
@@ -191,7 +187,7 @@ def complete(
         options,
         description=_describe(made),
         remedy="make it physical, measure more directions near the highlight",
-        expected_error=expected["cube_root"],
+        expected_error=expected.cube_root,
         keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
     )
     if picture is not None:
@@ -204,8 +200,7 @@ def complete(
     if written.file is not None:
         made = made.as_written(MeasuredBRDF(written.file))
     if written.change is not None:
-        changed = written.change._asdict()
-        expected = {kind: float(np.hypot(error, changed[kind])) for kind, error in expected.items()}
+        expected = expected.beside(written.change)
     notes = (
         *made.notes,
         *calibration.notes(made),

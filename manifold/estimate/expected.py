@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +17,11 @@ from manifold.estimate.completion import Completion
 from manifold.estimate.gloss import value_of_unit
 from manifold.formats.readings import MOST_GLOSS, Readings
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error, relative_error
+from manifold.metrics import Errors
 from manifold.model.expected_error import BELOW_TWICE
 from manifold.records import Array, Bands, Mask
 
-KINDS = ("ball", "cube_root", "linear")
+_KINDS = ("ball", "cube_root", "linear")
 _PRIOR = 0.1  # strength of the prior that errors do not depend on an indicator, in units of its variance
 
 
@@ -30,35 +30,36 @@ class Calibration:
     """Errors of left-out materials of a library, completed from the directions of some readings.
 
     Attributes:
-        errors: CIEDE2000 of the ball, mean over the judged lights, cube-root error and linear error of every material,
-            shape (N, 3).
+        errors: of the ball, cube-root and linear error of every material, each (N,).
         indicators: residual of the readings and spread of hypotheses, from which errors are predicted, shape (N, 2).
     """
 
-    errors: Array
+    errors: Errors[Array]
     indicators: Array
 
-    def __repr__(self) -> str:
-        medians = ", ".join(
-            f"{kind} {m:.3g}" for kind, m in zip(KINDS, np.median(self.errors, 0), strict=True)
-        )
-        return f"<Calibration: {len(self.errors)} materials left out, median errors {medians}>"
+    @classmethod
+    def of(cls, errors: Sequence[Errors[float]], indicators: Sequence[Array]) -> Calibration:
+        """Of left-out materials one by one."""
+        found = Errors.of_several(errors)
+        return cls(Errors(found.ball, found.cube_root, found.linear), np.array(indicators))
 
-    def expected(self, completion: Completion) -> dict[str, float]:
-        """Expected errors of a completion from these directions, by kind.
+    def __repr__(self) -> str:
+        medians = ", ".join(self.errors.median.words)
+        return f"<Calibration: {len(self.indicators)} materials left out, medians: {medians}>"
+
+    def expected(self, completion: Completion) -> Errors[float]:
+        """Expected errors of a completion from these directions.
 
         Logarithms of errors are linear in those of the indicators, with non-negative slopes. As for predictions, at
         least half of the left-out errors are below the expected one, and 90 % below twice that. Where the residual is
         larger than that of any left-out material, errors grow in proportion to it. The error of colours that were
         estimated from three bands, or that repeated readings leave open, is added to that of the ball.
         """
-        ball, *others = self.at(indicators_of(completion)).tolist()
-        ball = float(np.hypot(ball, completion.colour_error))
-        return dict(zip(KINDS, (ball, *others), strict=True))
+        return self.at(indicators_of(completion)).beside(Errors(ball=completion.colour_error))
 
-    def at(self, indicators: Array) -> Array:
-        """Expected errors (3,) of what has these indicators (2,)."""
-        return self._line(indicators, np.ones(len(self.indicators), bool))
+    def at(self, indicators: Array) -> Errors[float]:
+        """Expected errors of what has these indicators (2,)."""
+        return Errors(*self._line(indicators, np.ones(len(self.indicators), bool)).tolist())
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
         """A note where the residual of the readings is larger than that of any left-out material."""
@@ -72,13 +73,18 @@ class Calibration:
         )
 
     @property
-    def left_out(self) -> Array:
-        """Expected errors of every material, learned from the others, shape (N, 3)."""
+    def left_out(self) -> Errors[Array]:
+        """Expected errors of every material, learned from the others, each (N,)."""
         every = np.arange(len(self.indicators))
-        return np.array([self._line(self.indicators[i], every != i) for i in every])
+        return Errors(*np.array([self._line(self.indicators[i], every != i) for i in every]).T)
+
+    @property
+    def _table(self) -> Array:
+        return np.column_stack([getattr(self.errors, kind) for kind in _KINDS])
 
     def _line(self, indicators: Array, known: Array) -> Array:
-        x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.indicators, self.errors))
+        """Expected ball, cube-root and linear error (3,) at indicators (2,), from some materials (N,)."""
+        x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.indicators, self._table))
         centre, level = x.mean(axis=0), y.mean(axis=0)
         scale = x.std(axis=0) + 1e-6
         X = np.vstack([(x - centre) / scale, np.sqrt(_PRIOR * len(x)) * np.eye(x.shape[1])])
@@ -119,12 +125,12 @@ def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> 
     """The calibration of a key in the cache of a library; made, and kept there, where there is none."""
     kept = library.cache_get(key) or {}
     shapes = {name: array.shape[1:] for name, array in kept.items()}
-    if shapes == {"errors": (len(KINDS),), "indicators": (2,)} and len(kept["errors"]) == len(
+    if shapes == {"errors": (len(_KINDS),), "indicators": (2,)} and len(kept["errors"]) == len(
         kept["indicators"]
     ):
-        return Calibration(kept["errors"], kept["indicators"])
+        return Calibration(Errors(*kept["errors"].T), kept["indicators"])
     calibration = calibrate()
-    library.cache_put(key, {"errors": calibration.errors, "indicators": calibration.indicators})
+    library.cache_put(key, {"errors": calibration._table, "indicators": calibration.indicators})
     return calibration
 
 
@@ -151,7 +157,7 @@ def _calibrated(atoms: LibraryAtoms, readings: Readings) -> Calibration:
         completion = leave_out(atoms, m, at_readings, readings, at_gloss)
         errors.append(errors_of(atoms, m, completion.on_grid, completion.on_ball))
         indicators.append(indicators_of(completion))
-    return Calibration(np.array(errors), np.array(indicators))
+    return Calibration.of(errors, indicators)
 
 
 def leave_out(
@@ -192,8 +198,8 @@ def _nearest(bands: Bands, to: Bands) -> Mask:
     return np.isin(np.arange(bands.count), apart.argmin(axis=1))
 
 
-def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> tuple[float, float, float]:
-    """Ball CIEDE2000, cube-root and linear error of f predicted for material m in the bands of the atoms.
+def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Errors[float]:
+    """Errors of f predicted for material m in the bands of the atoms; unknown where it is not finite.
 
     Args:
         atoms: of the library.
@@ -202,8 +208,8 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> tu
         on_ball: f at the pairs that light a ball in the judged lights, shape (P_b, B_s).
     """
     if not np.all(np.isfinite(on_ball)):
-        return np.nan, np.nan, np.nan
+        return Errors()
     own, n = atoms.material_of == m, atoms.n_grid
-    of_ball = panel.judged().errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis).ball
     truth, cosines = atoms.directions[own, :n].T ** 3, atoms.weights[:n] ** 1.5
-    return of_ball, cube_root_error(truth, on_grid, cosines), relative_error(truth, on_grid, cosines)
+    look = panel.judged().errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
+    return look | Errors.of_values(truth, on_grid, cosines)

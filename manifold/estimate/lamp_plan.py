@@ -123,7 +123,7 @@ def determined(
         units, made = (float(np.mean(of)) for of in (shine[own], weights @ shine))
         errors.append(
             (
-                errors_of(atoms, own, weights)[0],
+                errors_of(atoms, own, weights).ball,
                 float(delta_e_2000_lab(lab[0], found[0])),
                 float(np.expm1(abs(np.log(max(made, 1e-9) / max(units, 1e-9))))),
                 abs(float(np.ptp(lab[1:, 0]) - np.ptp(found[1:, 0]))),

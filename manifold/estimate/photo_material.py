@@ -20,13 +20,13 @@ from manifold import __version__
 from manifold.colour import panel
 from manifold.colour.conversion import luminance, srgb_to_xyz
 from manifold.estimate.atoms import LibraryAtoms, shown_shares
-from manifold.estimate.expected import KINDS, Calibration, cached
+from manifold.estimate.expected import Calibration, cached
 from manifold.estimate.gloss import value_of_unit
 from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, Hypotheses, Mixtures
 from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error, relative_error
+from manifold.metrics import Errors
 from manifold.model.estimator import explain
 from manifold.model.observation import LEAST, Observation
 from manifold.model.prediction import PredictedBRDF
@@ -133,10 +133,9 @@ class PhotoMaterial:
         )
 
     @cached_property
-    def expected(self) -> dict[str, float]:
-        """Expected errors by kind: ball CIEDE2000, cube-root and linear error."""
-        found = self.calibration.at(np.array([self.residual, self.spread]))
-        return dict(zip(KINDS, found.tolist(), strict=True))
+    def expected(self) -> Errors[float]:
+        """Expected errors."""
+        return self.calibration.at(np.array([self.residual, self.spread]))
 
     @property
     def made_of(self) -> tuple[tuple[str, float], ...]:
@@ -151,7 +150,7 @@ class PhotoMaterial:
         return {
             "exposure": self.exposure,
             "residual": self.residual,
-            "expected": self.expected,
+            "expected": self.expected.to_json(),
             "made_of": dict(self.made_of),
             "notes": list(self.notes),
         }
@@ -383,7 +382,7 @@ def calibrated(
         weights, priors = estimate(atoms, rows, atoms.material_of != m)
         errors.append(errors_of(atoms, own, weights))
         found.append(indicators(atoms, rows, weights, priors))
-    return Calibration(np.array(errors), np.array(found))
+    return Calibration.of(errors, found)
 
 
 def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:
@@ -420,16 +419,11 @@ def seen_instead(rows: Observation, seen: Array) -> Observation:
     return replace(rows, seen=np.where(is_bound, level, seen), is_bound=is_bound)
 
 
-def errors_of(atoms: LibraryAtoms, own: Indices, weights: Array) -> tuple[float, float, float]:
-    """Errors of weights (3, n) against three atoms `own`: the ball in the judged lights, cube roots, values."""
+def errors_of(atoms: LibraryAtoms, own: Indices, weights: Array) -> Errors[float]:
+    """Errors of weights (3, n) against three atoms `own`."""
     truth, made = atoms.on_grid[own].T, (weights @ atoms.on_grid).T
     balls = [srgb_to_xyz(np.clip(ball.T, 0.0, 1.0)) for ball in (atoms.on_ball[own], weights @ atoms.on_ball)]
-    ones = np.ones(len(truth))  # cosines are in the values
-    return (
-        panel.judged().compare(*balls).ball,
-        cube_root_error(truth, made, ones),
-        relative_error(truth, made, ones),
-    )
+    return panel.judged().compare(*balls) | Errors.of_values(truth, made)  # cosines are in the values
 
 
 def estimate(

@@ -105,9 +105,7 @@ def predict(
     seconds = time.perf_counter() - start
     made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
     if made.expected is not None and written.change is not None:
-        expected, change = made.expected, written.change
-        ball, cube_root = np.hypot(expected.ball, change.ball), np.hypot(expected.cube_root, change.cube_root)
-        made = replace(made, expected=replace(expected, ball=ball, cube_root=cube_root))
+        made = replace(made, expected=made.expected.beside(written.change))
     turned = f"turned by {np.rad2deg(place.rotation_rad):.1f} degrees, as the sample lay"
     made = replace(
         made, diagnostics=made.diagnostics + written.projection + (turned,) * bool(place.rotation_rad)

@@ -6,7 +6,7 @@ import json
 import platform
 from collections.abc import Hashable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,12 +22,13 @@ from manifold.evaluate.methods import settings
 from manifold.evaluate.results import KeptResults
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.names import counted, names_like
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile
 
 ERRORS = {
-    "ball": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
+    "ball": "CIEDE2000 of the ball", "cube_root": "cube-root error", "linear": "linear error",
     "ball_itp": "Delta E_ITP of the ball", "rmse": "RMSE of eq. 22",
 }  # fmt: skip
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
@@ -62,7 +63,7 @@ class Chart:
     def to_json(self) -> dict[str, Any]:
         """The chart as plain values."""
         reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
-        return {"reference": reference, **asdict(self)}
+        return {"reference": reference, **vars(self), "rows": [row.to_json() for row in self.rows]}
 
     def front(self, error: str, cost: str) -> list[ChartRow]:
         """The settings on a front, cheapest first."""
@@ -83,18 +84,18 @@ def conclusion(made: Chart) -> str:
     held_out = [row for row in made.rows if row.is_held_out]
     if not held_out:
         return ""
-    best = min(held_out, key=lambda row: row.ball)
-    near = [row for row in held_out if row.ball <= _NEAR_BEST * best.ball]
+    best = min(held_out, key=lambda row: row.median.ball)
+    near = [row for row in held_out if row.median.ball <= _NEAR_BEST * best.median.ball]
     fast = min(near, key=lambda row: row.predict.median)
     most_accurate = (
-        f"Most accurate for left-out materials: {best.title}, {best.ball:.2f} CIEDE2000 of the ball."
+        f"Most accurate for left-out materials: {best.title}, {best.median.ball:.2f} CIEDE2000 of the ball."
     )
     if fast is best:
         return f"{most_accurate} Choose it: nothing faster comes within {_NEAR_BEST - 1:.0%} of it."
     times = best.predict.median / fast.predict.median
     return (
-        f"{most_accurate} Where speed counts, choose {fast.title}: {fast.ball:.2f}, and {times:.2g} times as fast "
-        "to predict."
+        f"{most_accurate} Where speed counts, choose {fast.title}: {fast.median.ball:.2f}, and {times:.2g} times as "
+        "fast to predict."
     )
 
 
@@ -134,7 +135,7 @@ def make_chart(
         raise UsageError(
             f"no setting is called {unknown[0]!r}; {near} (docs/explanation/accuracy.md lists all)"
         )
-    kept = KeptResults(library, f"chart-2 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
+    kept = KeptResults(library, f"chart-3 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
     rows = _from_arrays(kept.get())
     skipped: dict[str, str] = {}
     how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted)
@@ -236,7 +237,7 @@ def _that_share_fits(keys: Sequence[str], known: Mapping[str, Method | str]) -> 
 
 
 def _to_arrays(rows: Mapping[str, ChartRow]) -> dict[str, Array]:
-    content = json.dumps([asdict(row) for row in rows.values()])
+    content = json.dumps([row.to_json() for row in rows.values()])
     return {"rows": np.frombuffer(content.encode(), np.uint8)}
 
 
@@ -244,7 +245,9 @@ def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
     rows = {}
     for row in json.loads(arrays["rows"].tobytes()) if arrays else []:
         times = {name: row[name] and RelativeTime(**row[name]) for name in ("fit", "predict")}
-        rows[row["key"]] = ChartRow(**row | times | {"warnings": tuple(row["warnings"])})
+        known = {"errors": Errors.from_json(row["errors"]), "warnings": tuple(row["warnings"])}
+        del row["median"], row["p90"]
+        rows[row["key"]] = ChartRow(**row | times | known)
     return rows
 
 
@@ -260,7 +263,7 @@ def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:
 def _front(rows: Sequence[ChartRow], error: str, cost: str) -> list[str]:
     if not rows:
         return []
-    values = np.array([[getattr(row, error), cost_of(row, cost)] for row in rows])
+    values = np.array([[getattr(row.median, error), cost_of(row, cost)] for row in rows])
     tolerance = 0.5 * _ALIKE * values
     if cost != "bytes":
         spreads = [getattr(row, cost).spread for row in rows]

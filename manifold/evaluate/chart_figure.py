@@ -21,7 +21,7 @@ from manifold.evaluate.stopwatch import ChartRow
 from manifold.plots.figures import new_figure, place_names
 from manifold.records import Array
 
-_ERRORS = ("ball", "cube_root_error", "relative_error")
+_ERRORS = ("ball", "cube_root", "linear")
 _COSTS = {
     "predict": "time to predict a material (reference times)",
     "bytes": "bytes kept",
@@ -109,7 +109,7 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
 
 def _error_of(row: ChartRow, error: str) -> float:
     """An error, at least the smallest that the logarithmic axis shows: copies of a material have none."""
-    return max(float(getattr(row, error)), _LEAST_ERROR)
+    return max(float(getattr(row.median, error)), _LEAST_ERROR)
 
 
 def _with(made: Chart, cost: str) -> list[ChartRow]:

@@ -8,9 +8,10 @@ from functools import partial
 import numpy as np
 
 from manifold.evaluate.held_out import HeldOut
-from manifold.evaluate.stopwatch import ChartRow, RelativeTime, summary
+from manifold.evaluate.stopwatch import ChartRow, RelativeTime
 from manifold.fit import principled
 from manifold.fit.principled import FitResult
+from manifold.metrics import Errors
 from manifold.pairs import Pairs
 from manifold.records import Array, BsdfFile, evenly_spaced
 from manifold.render import backend
@@ -47,9 +48,7 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -
     return _row(f"fit_{method}", _TITLES[method], measured, time, int(np.median(numbers)) * len(files))
 
 
-def _measured(
-    i: int, file: BsdfFile, predictor: _Predictor, held: HeldOut
-) -> tuple[tuple[float, ...], Array]:
+def _measured(i: int, file: BsdfFile, predictor: _Predictor, held: HeldOut) -> tuple[Errors[float], Array]:
     """Errors of a prediction of material i, and times of repeated runs."""
     on_grid, on_ball = predictor(held.pairs), predictor(held.balls.pairs)
     errors = held.errors(i, *(evaluate()[:, held.data.bands] for evaluate in (on_grid, on_ball)))
@@ -57,11 +56,11 @@ def _measured(
 
 
 def _row(
-    key: str, title: str, measured: Sequence[tuple[tuple[float, ...], Array]], fit: RelativeTime | None, numbers: int
+    key: str, title: str, measured: Sequence[tuple[Errors[float], Array]], fit: RelativeTime | None, numbers: int
 ) -> ChartRow:  # fmt: skip
     errors, times = zip(*measured, strict=True)
     return ChartRow(
-        key=key, title=title, family=FAMILY, is_held_out=False, **summary(errors), fit=fit,
+        key=key, title=title, family=FAMILY, is_held_out=False, errors=Errors.of_several(errors), fit=fit,
         predict=RelativeTime.of_several(times), bytes=numbers * _BYTES_PER_NUMBER,
     )  # fmt: skip
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +11,8 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility, plausibilities
 from manifold.colour import panel
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
-from manifold.colour.panel import LookErrors
 from manifold.evaluate.tabulated import Data
-from manifold.metrics import RunningErrors
+from manifold.metrics import Errors, RunningErrors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.pairs import Pairs
 from manifold.records import Array, Indices
@@ -25,18 +22,6 @@ _AT_ONCE = 8  # predictions evaluated together
 
 Predictions = Sequence[Sequence[Combination]]
 """Per method, one per material."""
-
-
-class MedianAndP90(NamedTuple):
-    """Median and 90th percentile of an error over materials."""
-
-    median: float
-    p90: float
-
-    @classmethod
-    def of(cls, errors: Array) -> MedianAndP90:
-        """Of errors (N,); those that are NaN, of materials without a prediction, do not count."""
-        return cls(float(np.nanmedian(errors)), float(np.nanpercentile(errors, 90)))
 
 
 class PredictionErrors:
@@ -73,23 +58,18 @@ class PredictionErrors:
         self._weight += float(weight.sum())
         self._n_measured = values.f.shape[2]
 
-    @property
-    def linear(self) -> Array:
-        """`||w (f* - f)|| / ||w f||` of every material, `w = cos(theta_i) cos(theta_o)`, shape (N,)."""
-        return self._errors.relative_error
+    def of_values(self, n_pairs: float = 1.0, n_bands: int = 1) -> Errors[Array]:
+        """Cube-root and linear error and RMSE of every material, each (N,).
 
-    @property
-    def cube_root(self) -> Array:
-        """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||` of every material, shape (N,)."""
-        return self._errors.cube_root_error
-
-    def rmse(self, n_pairs: float) -> Array:
-        """Eq. 22 of Hikichi & Iwasaki in 1/sr, the sum divided by `n_pairs`, shape (N,)."""
-        return self._errors.rmse(n_pairs)
-
-    def bounded_rmse(self, n_bands: int) -> Array:
-        """The same within 80 degrees, weighted by both cosines, summed over `n_bands` bands, shape (N,)."""
-        return np.sqrt(np.asarray(self._bounded) / self._weight * n_bands / self._n_measured)
+        Args:
+            n_pairs: by which eq. 22 divides its sum.
+            n_bands: that those measured stand for in the RMSE within 80 degrees.
+        """
+        return Errors(
+            cube_root=self._errors.cube_root_error, linear=self._errors.relative_error,
+            rmse=self._errors.rmse(n_pairs),
+            rmse_80=np.sqrt(np.asarray(self._bounded) / self._weight * n_bands / self._n_measured),
+        )  # fmt: skip
 
     @property
     def negative_share(self) -> float:
@@ -142,55 +122,32 @@ class BallErrors:
         self._chosen = bands
         self._xyz = [self._lights.xyz(f, self._bands) for f in self.values.f]
 
-    def differences(self, i: int, f: Array) -> LookErrors:
+    def differences(self, i: int, f: Array) -> Errors[float]:
         """Between material i and values f (P, B') in 1/sr."""
         return self._lights.compare(self._xyz[i], self._lights.xyz(f, self._bands))
 
-    def of(self, combinations: Sequence[Combination]) -> list[LookErrors]:
+    def of(self, combinations: Sequence[Combination]) -> Errors[Array]:
         """Those of a prediction per material."""
         here = [c.in_bands(self._chosen) for c in combinations]
-        found: list[LookErrors] = []
+        found: list[Errors[float]] = []
         for first in range(0, len(here), _AT_ONCE):
             predicted = evaluate(here[first : first + _AT_ONCE], self.values)
             found += [self.differences(first + k, f) for k, f in enumerate(predicted)]
-        return found
+        return Errors.of_several(found)
 
 
-@dataclass(frozen=True)
-class ColourResult:
-    """Colour errors of one method under one illuminant, means over six multi-angle geometries.
-
-    Attributes:
-        illuminant: its CIE name.
-        delta_e: CIEDE2000 per material.
-        median_delta_e: of them.
-        spectral_angle_deg: per material.
-        median_spectral_angle_deg: of them.
-    """
-
-    illuminant: str
-    delta_e: tuple[float, ...]
-    median_delta_e: float
-    spectral_angle_deg: tuple[float, ...]
-    median_spectral_angle_deg: float
-
-
-def colour_results(
-    materials: Sequence[MeasuredBRDF], predictions: Predictions
-) -> list[tuple[ColourResult, ...]]:
-    """Colour errors of all predictions, method by method, illuminant by illuminant."""
+def colour_errors(materials: Sequence[MeasuredBRDF], predictions: Predictions) -> list[Errors[Array]]:
+    """Colours and spectral angles at multi-angle geometries of all predictions, method by method."""
     values, bands = Values.at(materials, Pairs(*multi_angle_pairs())), materials[0].bands
-
-    def result(predicted: Array, illuminant: str) -> ColourResult:
-        both = (e.mean(axis=1) for e in colour_differences(values.f, predicted, bands, illuminant))
-        (delta_e, median), (angle, median_angle) = ((tuple(e.tolist()), float(np.nanmedian(e))) for e in both)
-        return ColourResult(illuminant, delta_e, median, angle, median_angle)
-
-    results = []
+    errors: list[Errors[Array]] = []
     for each in predictions:
         predicted = evaluate(each, values)
-        results.append(tuple(result(predicted, illuminant) for illuminant in illuminants_for(bands)))
-    return results
+        found = {
+            name: colour_differences(values.f, predicted, bands, name) for name in illuminants_for(bands)
+        }
+        colours, angles = ({name: both[k].mean(axis=1) for name, both in found.items()} for k in (0, 1))
+        errors.append(Errors(colours=colours, angles_deg=angles))
+    return errors
 
 
 def plausibility_results(

@@ -18,9 +18,10 @@ from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import BallErrors
-from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_pairs, summary
+from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
 from manifold.evaluate.tabulated import MAX_BANDS, Data
+from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import Pairs, RusinkiewiczGrid
@@ -93,12 +94,12 @@ class HeldOut:
         ]
         return ChartRow(
             key=setting.key, title=setting.title, family=setting.family,
-            **summary(stored.errors(combinations)), fit=fit, predict=RelativeTime.of_several(predict),
+            errors=stored.errors(combinations), fit=fit, predict=RelativeTime.of_several(predict),
             bytes=self._bytes(setting, stored), warnings=warned,
         )  # fmt: skip
 
-    def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, ...]:
-        """Errors of a prediction of material i: linear, cube root, RMSE, CIEDE2000 and Delta E_ITP of the ball.
+    def errors(self, i: int, f: Array, f_ball: Array) -> Errors[float]:
+        """Errors of a prediction of material i.
 
         Args:
             i: which.
@@ -106,9 +107,8 @@ class HeldOut:
         """
         data = self.data
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
-        cube_root = metrics.cube_root_error(data.f[i], f, data.cosines)
-        look = self.balls.differences(i, f_ball)
-        return data.relative_error(i, f), cube_root, rmse, look.ball, look.ball_itp
+        of_values = Errors.of_values(data.f[i], f, data.cosines)
+        return replace(self.balls.differences(i, f_ball) | of_values, rmse=rmse)
 
     def _fitted(self, fit: Fit) -> _Fitted:
         """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""
@@ -163,8 +163,8 @@ class StoredMaterials:
         """Bytes of all files that predictions read, values in a share of the bands."""
         return sum(self.storage.file_bytes(file, band_share) for file in self._files)
 
-    def errors(self, combinations: Sequence[Combination]) -> Array:
-        """Errors (N, 5), as `HeldOut.errors` gives them, of a prediction per material."""
+    def errors(self, combinations: Sequence[Combination]) -> Errors[Array]:
+        """Errors, as `HeldOut.errors` gives them, of a prediction per material."""
         rows, bands = [], self._held.data.bands
         here = combinations if self.back is not None else [c.in_bands(bands) for c in combinations]
         for first in range(0, len(here), _AT_ONCE):
@@ -172,7 +172,7 @@ class StoredMaterials:
             if self.back is not None:
                 both = [f @ self.back[bands].T for f in both]
             rows += [self._held.errors(first + k, *each) for k, each in enumerate(zip(*both, strict=True))]
-        return np.array(rows)
+        return Errors.of_several(rows)
 
 
 def _predictor(

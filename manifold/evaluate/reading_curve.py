@@ -11,18 +11,19 @@ import numpy as np
 from manifold import __version__, progress
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.expected import KINDS, calibrate, errors_of
+from manifold.estimate.expected import calibrate, errors_of
 from manifold.estimate.suggestions import all_directions
-from manifold.evaluate.errors import MedianAndP90
 from manifold.evaluate.reading_methods import METHODS, ReadingMethod, Task
 from manifold.evaluate.results import KeptResults, finite
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.records import Array
 
 COUNTS = (1, 2, 5, 8, 10, 12, 16, 20, 50)
 _MA_T12 = "completion at an MA-T12"
 _GLOSS_DEG = (20.0, 60.0)
+_KINDS = ("ball", "cube_root", "linear")  # of errors, in the order in which they are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,27 +33,25 @@ class Curve:
     Attributes:
         key, title: of the method.
         counts: numbers of readings.
-        errors: ball CIEDE2000, cube root and linear of every left-out material, shape (len(counts), N, 3).
+        errors: of every left-out material at each of these numbers, each (N,).
     """
 
     key: str
     title: str
     counts: tuple[int, ...]
-    errors: Array
+    errors: tuple[Errors[Array], ...]
 
-    def summary(self, k: int) -> list[MedianAndP90]:
-        """Median and 90th percentile at `counts[k]`, error by error."""
-        return [MedianAndP90.of(column) for column in self.errors[k].T]
-
-    def is_measured(self, k: int) -> bool:
-        """Whether any material has errors at `counts[k]`."""
-        return not bool(np.isnan(self.errors[k]).all())
+    @property
+    def summary(self) -> list[tuple[int, Errors[float], Errors[float]]]:
+        """Numbers of readings, medians and 90th percentiles there, where any material has errors."""
+        each = zip(self.counts, self.errors, strict=True)
+        return [(n, e.median, e.p90) for n, e in each if not np.all(np.isnan(e.ball))]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; None where a method has no error."""
         return {
-            "key": self.key, "title": self.title, "counts": list(self.counts), "kinds": list(KINDS),
-            "errors": finite(self.errors.tolist()), "program": f"manifold {__version__}",
+            "key": self.key, "title": self.title, "counts": list(self.counts),
+            "errors": finite([errors.to_json() for errors in self.errors]), "program": f"manifold {__version__}",
         }  # fmt: skip
 
 
@@ -82,7 +81,7 @@ def measure_curves(
         raise UsageError(f"no method '{missing[0]}', expected one of {', '.join(known)}")
     methods = [known[key] for key in only] if only else list(METHODS)
     N = len(atoms.names)
-    errors = {method.key: np.full((len(counts), N, len(KINDS)), np.nan) for method in methods}
+    errors = {method.key: np.full((len(counts), N, len(_KINDS)), np.nan) for method in methods}
     kept = KeptResults(library, f"readings-3 {atoms.names} {list(counts)} {list(errors)}")
     errors |= kept.get()
     done = int(errors.pop("done", np.zeros(1))[0])
@@ -95,7 +94,10 @@ def measure_curves(
         for key, of_material in _errors_of(atoms, m, task, counts, methods).items():
             errors[key][:, m] = of_material
         kept.put(errors | {"done": np.array([m + 1])})
-    curves = [Curve(method.key, method.title, tuple(counts), errors[method.key]) for method in methods]
+    curves = [
+        Curve(m.key, m.title, tuple(counts), tuple(Errors(*of_count.T) for of_count in errors[m.key]))
+        for m in methods
+    ]
     curves += _at_an_ma_t12(atoms, library)
     kept.finish()
     return curves
@@ -106,12 +108,13 @@ def _errors_of(
 ) -> dict[str, Array]:
     """Errors of material m, by method: shape (len(counts), 3), NaN where a method needs more readings."""
     orders = {choose: choose(task, max(counts)) for choose in {method.order for method in methods}}
-    errors = {method.key: np.full((len(counts), len(KINDS)), np.nan) for method in methods}
+    errors = {method.key: np.full((len(counts), len(_KINDS)), np.nan) for method in methods}
     for method in methods:
         for k, count in enumerate(counts):
             if count >= method.least:
                 chosen = orders[method.order][:count]
-                errors[method.key][k] = errors_of(atoms, m, *method.predict(task, chosen))
+                found = errors_of(atoms, m, *method.predict(task, chosen))
+                errors[method.key][k] = [getattr(found, kind) for kind in _KINDS]
     return errors
 
 
@@ -121,10 +124,13 @@ def _at_an_ma_t12(atoms: LibraryAtoms, library: Library | None) -> list[Curve]:
     nm, values = atoms.bands.wavelengths_nm, np.ones((len(wi), atoms.bands.count))
     read = Readings("left out", "library", wi, wo, None if nm is None else np.array(nm), values)
     glossy = replace(read, gloss=dict.fromkeys(_GLOSS_DEG, 1.0))
-    without, known = (calibrate(atoms, one, library).errors[None] for one in (read, glossy))
+    without, known = (calibrate(atoms, one, library).errors for one in (read, glossy))
     return [
-        Curve("ma_t12", _MA_T12, (len(wi),), without),
+        Curve("ma_t12", _MA_T12, (len(wi),), (without,)),
         Curve(
-            "ma_t12_gloss", f"{_MA_T12}, with gloss at 20 and 60 degrees", (len(wi) + len(_GLOSS_DEG),), known
+            "ma_t12_gloss",
+            f"{_MA_T12}, with gloss at 20 and 60 degrees",
+            (len(wi) + len(_GLOSS_DEG),),
+            (known,),
         ),
     ]

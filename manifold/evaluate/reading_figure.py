@@ -11,7 +11,7 @@ from manifold.evaluate.reading_curve import Curve
 from manifold.plots.figures import new_figure
 
 _CROWDED = (10, 16)  # counts whose labels would touch their neighbours'
-_LABELS = ("ball, mean CIEDE2000", "cube-root error", "linear error")
+_LABELS = {"ball": "ball, mean CIEDE2000", "cube_root": "cube-root error", "linear": "linear error"}
 # Okabe & Ito, and markers that tell them apart without colour.
 _STYLES = (
     ("#000000", "o"),
@@ -28,11 +28,10 @@ def readings_chart(curves: Sequence[Curve]) -> Figure:
     """Three panels: medians as lines, 90th percentiles dotted; one colour per method."""
     figure = new_figure(12.0, 4.4)
     panels = figure.subplots(1, 3)
-    for kind, (axes, label) in enumerate(zip(panels, _LABELS, strict=True)):
+    for axes, (kind, label) in zip(panels, _LABELS.items(), strict=True):
         for curve, (colour, marker) in zip(curves, cycle(_STYLES), strict=False):
-            known = [k for k in range(len(curve.counts)) if curve.is_measured(k)]
-            counts = [curve.counts[k] for k in known]
-            median, high = zip(*(curve.summary(k)[kind] for k in known), strict=True)
+            counts, *both = zip(*curve.summary, strict=True)
+            median, high = ([getattr(errors, kind) for errors in each] for each in both)
             line, size = ("-", 5.0) if len(counts) > 1 else ("", 9.0)
             axes.plot(counts, median, line, color=colour, marker=marker, markersize=size, label=curve.title)
             axes.plot(counts, high, ":", color=colour, marker=marker, markersize=0.5 * size, linewidth=1.0)

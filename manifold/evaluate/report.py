@@ -5,7 +5,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,8 @@ from manifold.evaluate import refits
 from manifold.evaluate.cross_validation import Encoded, Method, encode_all, wall_clock
 from manifold.evaluate.errors import (
     BallErrors,
-    ColourResult,
-    MedianAndP90,
     PredictionErrors,
-    colour_results,
+    colour_errors,
     measure_errors,
     plausibility_results,
     standardised_error,
@@ -34,6 +33,7 @@ from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data, block_pairs
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model import fitting
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
@@ -47,7 +47,7 @@ _BYTES_PER_NUMBER = 8
 
 @dataclass(frozen=True)
 class MethodResult:
-    """Results of one method over all materials; errors also as median and 90th percentile (`median_`, `p90_`).
+    """Results of one method over all materials.
 
     Attributes:
         key, title, is_held_out: as in `Method`.
@@ -55,15 +55,9 @@ class MethodResult:
         bytes: of all measured values that predictions need, and of the numbers of all materials.
         fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
         predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
-        rmse: eq. 22 of Hikichi & Iwasaki per material, in 1/sr: summed over all bands, as those of errors have it.
-        rmse_80: the same of directions within 80 degrees, weighted by both cosines.
-        relative_error, cube_root_error: linear, cosine-weighted, and of cube roots, per material; see `metrics`.
-        ball, ball_itp: CIEDE2000 and Delta E_ITP of the ball, means over the judged lights, per material.
-        worst: CIEDE2000 in the light where it is largest, per material.
-        lights: CIEDE2000 of the ball by light, per material.
+        errors: of every material, each (N,).
         negative_share, clipped_share: of predicted values, below zero; or before the method cut them to 0.
         reciprocity_error, max_albedo: worst over materials, in the tabulated bands; see `plausibility`.
-        colour: per illuminant.
         standardised_error: z per material, None where the method gives no variance; see
             `errors.standardised_error`.
         rms_standardised_error: root mean square of z; about 1 where the method's variance is right.
@@ -77,31 +71,27 @@ class MethodResult:
     fit_seconds: float
     encode_seconds: float
     predict_seconds: float
-    rmse: tuple[float, ...]
-    rmse_80: tuple[float, ...]
-    relative_error: tuple[float, ...]
-    median_relative_error: float
-    p90_relative_error: float
-    cube_root_error: tuple[float, ...]
-    median_cube_root_error: float
-    p90_cube_root_error: float
-    ball: tuple[float, ...]
-    median_ball: float
-    p90_ball: float
-    ball_itp: tuple[float, ...]
-    median_ball_itp: float
-    p90_ball_itp: float
-    worst: tuple[float, ...]
-    median_worst: float
-    p90_worst: float
-    lights: dict[str, tuple[float, ...]]
+    errors: Errors[Array]
     negative_share: float
     clipped_share: float
     reciprocity_error: float
     max_albedo: float
-    colour: tuple[ColourResult, ...]
     standardised_error: tuple[float, ...] | None
     rms_standardised_error: float | None
+
+    @cached_property
+    def median(self) -> Errors[float]:
+        """Over materials."""
+        return self.errors.median
+
+    @cached_property
+    def p90(self) -> Errors[float]:
+        """90th percentile over materials."""
+        return self.errors.p90
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,7 +133,10 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain values, with the program's version; numbers that are not finite become None."""
-        return {"program": f"manifold {__version__}", **finite(asdict(self))}
+        expected = {name: vars(one) for name, one in (self.expected_errors or {}).items()} or None
+        methods = [method.to_json() for method in self.methods]
+        content = vars(self) | {"methods": methods, "expected_errors": expected}
+        return {"program": f"manifold {__version__}", **finite(content)}
 
 
 def make_report(
@@ -201,7 +194,7 @@ def make_report(
         predictions = [each.combinations for each in encoded]
         errors = measure_errors(predictions, bands, blocks)
         physical = plausibility_results(materials, data.bands, predictions)
-        colours = colour_results(materials, predictions)
+        colours = colour_errors(materials, predictions)
         balls = BallErrors(materials, data.bands)
         # Eq. 22 sums over bands: those measured stand for all.
         n_counted = grid.n_pairs * len(bands) / model.bands.count
@@ -264,11 +257,11 @@ def _measured_blocks(
 
 def _result(
     model: Manifold, data: Data, method: Method, encoded: Encoded, errors: PredictionErrors,
-    physical: Sequence[Plausibility], colour: tuple[ColourResult, ...], balls: BallErrors, n_counted: float,
+    physical: Sequence[Plausibility], colours: Errors[Array], balls: BallErrors, n_counted: float,
 ) -> MethodResult:  # fmt: skip
     """All that is measured of one method."""
     n_bands, negative = model.bands.count, errors.negative_share
-    looks = balls.of(encoded.combinations)
+    of_values = errors.of_values(n_counted, n_bands)
     return MethodResult(
         key=method.key,
         title=method.title,
@@ -278,19 +271,11 @@ def _result(
         fit_seconds=float(np.mean(encoded.fit_times)),
         encode_seconds=sum(encoded.encode_times) / data.n_materials,
         predict_seconds=errors.seconds / data.n_materials,
-        rmse=tuple(errors.rmse(n_counted).tolist()),
-        rmse_80=tuple(errors.bounded_rmse(model.bands.count).tolist()),
-        **_summary("relative_error", errors.linear),
-        **_summary("cube_root_error", errors.cube_root),
-        **_summary("ball", np.array([look.ball for look in looks])),
-        **_summary("ball_itp", np.array([look.ball_itp for look in looks])),
-        **_summary("worst", np.array([look.worst for look in looks])),
-        lights={name: tuple(look.lights[name] for look in looks) for name in looks[0].lights},
+        errors=balls.of(encoded.combinations) | of_values | colours,
         negative_share=0.0 if errors.is_clipped else negative,
         clipped_share=negative if errors.is_clipped else 0.0,
         reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical])),
         max_albedo=float(np.nanmax([p.max_albedo for p in physical])),
-        colour=colour,
         **_calibration(data, method, encoded),
     )
 
@@ -303,12 +288,6 @@ def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int
     return _BYTES_PER_NUMBER * method.numbers(n_bands) * len(names) + sum(
         info.bytes - round(unused * 4 * int(np.prod(info.shape))) for info in files
     )
-
-
-def _summary(name: str, errors: Array) -> dict[str, Any]:
-    """Errors per material, their median and 90th percentile, as `MethodResult` names them."""
-    median, p90 = MedianAndP90.of(errors)
-    return {name: tuple(errors.tolist()), f"median_{name}": median, f"p90_{name}": p90}
 
 
 def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]:

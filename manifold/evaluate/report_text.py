@@ -38,12 +38,12 @@ Columns = Sequence[tuple[str, Callable[[MethodResult], str]]]
 """Titles of columns, and what they show of a method."""
 
 _ERRORS: Columns = (
-    ("linear", lambda m: _fixed(m.median_relative_error)),
-    ("p90", lambda m: _fixed(m.p90_relative_error)),
-    ("cube root", lambda m: _fixed(m.median_cube_root_error)),
-    ("p90", lambda m: _fixed(m.p90_cube_root_error)),
-    ("CIEDE2000", lambda m: f"{m.median_ball:.2f}"),
-    ("p90", lambda m: f"{m.p90_ball:.2f}"),
+    ("linear", lambda m: _fixed(m.median.linear)),
+    ("p90", lambda m: _fixed(m.p90.linear)),
+    ("cube root", lambda m: _fixed(m.median.cube_root)),
+    ("p90", lambda m: _fixed(m.p90.cube_root)),
+    ("CIEDE2000", lambda m: f"{m.median.ball:.2f}"),
+    ("p90", lambda m: f"{m.p90.ball:.2f}"),
 )
 _ERROR_NOTE = """\
 Reconstructions use the material they predict; the mix of two uses it to choose
@@ -56,9 +56,9 @@ dominated by highlights; cube root: the same of cube roots, closer to perceived
 differences; CIEDE2000: mean over a ball, D65, and over the lights below."""
 
 _LIGHTS: Columns = (
-    *((name, lambda m, name=name: f"{np.nanmedian(m.lights[name]):.2f}") for name in JUDGED),
-    ("worst", lambda m: f"{m.median_worst:.2f}"),
-    ("p90", lambda m: f"{m.p90_worst:.2f}"),
+    *((name, lambda m, name=name: f"{m.median.lights[name]:.2f}") for name in JUDGED),
+    ("worst", lambda m: f"{m.median.worst:.2f}"),
+    ("p90", lambda m: f"{m.p90.worst:.2f}"),
 )
 _LIGHTS_NOTE = """\
 Median CIEDE2000 of the ball in lights that no fit sees: the studio, the same
@@ -66,12 +66,12 @@ light from everywhere, suns so many degrees beside the view; worst: in the light
 where it is largest for each material, median and 90th percentile."""
 
 _PLAUSIBILITY: Columns = (
-    ("RMSE", lambda m: f"{np.nanmedian(m.rmse):.3g}"),
-    ("RMSE 80", lambda m: f"{np.nanmedian(m.rmse_80):.3g}"),
+    ("RMSE", lambda m: f"{m.median.rmse:.3g}"),
+    ("RMSE 80", lambda m: f"{m.median.rmse_80:.3g}"),
     ("negative", lambda m: f"{m.negative_share:.2%}"),
     ("reciprocity", lambda m: f"{m.reciprocity_error:.3f}"),
     ("albedo", lambda m: f"{m.max_albedo:.2f}"),
-    ("ball ITP", lambda m: f"{m.median_ball_itp:.1f}"),
+    ("ball ITP", lambda m: f"{m.median.ball_itp:.1f}"),
 )
 _PLAUSIBILITY_NOTE = """\
 RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, which a few directions at the
@@ -127,22 +127,19 @@ def lead(report: Report) -> str:
     )
     return (
         f"A left-out material, found by {how} from its own data, differs from the measured one by "
-        f"{own.median_ball:.1f} CIEDE2000 of the rendered ball in the median, nine in ten by less than "
-        f"{own.p90_ball:.1f}. The most similar other material differs by {nearest.median_ball:.1f} in "
-        f"the median, a linear mix of the two nearest by {linear.median_ball:.1f}. {last}"
+        f"{own.median.ball:.1f} CIEDE2000 of the rendered ball in the median, nine in ten by less than "
+        f"{own.p90.ball:.1f}. The most similar other material differs by {nearest.median.ball:.1f} in "
+        f"the median, a linear mix of the two nearest by {linear.median.ball:.1f}. {last}"
     )
 
 
 def format_report(report: Report) -> str:
     """Short tables of all methods, then the materials, then times; plain text that ends in a newline."""
     methods = report.methods
-    illuminants = list(enumerate(c.illuminant for c in methods[0].colour))
+    illuminants = list(methods[0].errors.colours)
     colours: Columns = (
-        *((f"dE {name}", lambda m, k=k: f"{m.colour[k].median_delta_e:.2f}") for k, name in illuminants),
-        *(
-            (f"angle {name}", lambda m, k=k: f"{m.colour[k].median_spectral_angle_deg:.2f}")
-            for k, name in illuminants
-        ),
+        *((f"dE {name}", lambda m, name=name: f"{m.median.colours[name]:.2f}") for name in illuminants),
+        *((f"angle {name}", lambda m, name=name: f"{m.median.angles_deg[name]:.2f}") for name in illuminants),
     )
     calibrated = [m for m in methods if m.rms_standardised_error is not None]  # blends have no variance
     lines = [
@@ -236,8 +233,8 @@ def _materials(report: Report) -> list[str]:
         (
             name,
             _latent(report.latents[k]),
-            f"{first.ball[k]:.2f}",
-            *(_fixed(by_key[key].relative_error[k]) for key in shown),
+            f"{first.errors.ball[k]:.2f}",
+            *(_fixed(by_key[key].errors.linear[k]) for key in shown),
         )
         for k, name in enumerate(report.names)
     ]

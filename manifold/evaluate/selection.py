@@ -16,14 +16,15 @@ from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
-from manifold.evaluate.errors import BallErrors, MedianAndP90, measure_errors
+from manifold.evaluate.errors import BallErrors, measure_errors
 from manifold.evaluate.latent_models import fit_settings
 from manifold.evaluate.tabulated import Data
 from manifold.mapping import MAPPINGS
+from manifold.metrics import Errors
 from manifold.model.settings import Settings
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
-from manifold.records import evenly_spaced
+from manifold.records import Array, evenly_spaced
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
 MAX_BANDS = 12  # evenly spaced, besides those that are samples
@@ -41,7 +42,7 @@ class Candidate:
     Attributes:
         mapping, latent_dim: the setting.
         error: geometric mean over materials of the linear error, which the choice is made by.
-        linear, cube_root, ball: the three errors over materials; see `PredictionErrors` and `BallErrors`.
+        errors: of every material, each (N,).
         seconds: of fitting and encoding all folds.
         is_chosen: whether it won.
     """
@@ -49,16 +50,13 @@ class Candidate:
     mapping: str
     latent_dim: int
     error: float
-    linear: MedianAndP90
-    cube_root: MedianAndP90
-    ball: MedianAndP90
+    errors: Errors[Array]
     seconds: float
     is_chosen: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        errors = {name: getattr(self, name)._asdict() for name in ("linear", "cube_root", "ball")}
-        return {**vars(self), **errors}
+        return vars(self) | self.errors.of_each
 
 
 def choose(
@@ -128,7 +126,6 @@ class _Trials:
         encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))
         found = encoded.combinations
         (errors,) = measure_errors([found], self._data.bands, [self._data])
-        mean = float(np.exp(np.mean(np.log(np.maximum(errors.linear, 1e-12)))))
-        linear, cube_root = MedianAndP90.of(errors.linear), MedianAndP90.of(errors.cube_root)
-        ball = MedianAndP90.of(np.array([look.ball for look in self._balls.of(found)]))
-        return Candidate(name, latent_dim, mean, linear, cube_root, ball, seconds)
+        of_each = self._balls.of(found) | errors.of_values()
+        mean = float(np.exp(np.mean(np.log(np.maximum(of_each.linear, 1e-12)))))
+        return Candidate(name, latent_dim, mean, of_each, seconds)

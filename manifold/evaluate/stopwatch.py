@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numba as nb
@@ -14,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.metrics import Errors
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
@@ -47,15 +49,11 @@ class RelativeTime:
 
 @dataclass(frozen=True, kw_only=True)
 class ChartRow:
-    """One setting: its costs, and medians over materials of its errors.
+    """One setting: its costs and errors.
 
     Attributes:
         key, title, family, is_held_out: as of a `Method`.
-        relative_error: linear, cosine-weighted, over a grid, in some of the bands.
-        cube_root_error: the same of cube roots; see `metrics.cube_root_error`.
-        rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
-        ball, ball_itp: CIEDE2000 and Delta E_ITP of the ball, means over the judged lights; see `panel`.
-        p90: 90th percentiles of these five over materials, by their names.
+        errors: of every material, in some of the bands, which stand for all; each (N,).
         fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
             it was not measured.
         predict: time to predict a whole material, at all direction pairs at which it is stored.
@@ -67,23 +65,21 @@ class ChartRow:
     title: str
     family: str
     is_held_out: bool = True
-    relative_error: float
-    cube_root_error: float
-    rmse: float
-    ball: float
-    ball_itp: float
-    p90: dict[str, float] = field(default_factory=dict)
+    errors: Errors[Array]
     fit: RelativeTime | None
     predict: RelativeTime
     bytes: int
     warnings: tuple[str, ...] = ()
 
+    @cached_property
+    def median(self) -> Errors[float]:
+        """Over materials."""
+        return self.errors.median
 
-def summary(errors: Sequence[Sequence[float]] | Array) -> dict[str, Any]:
-    """Errors (N, 5) as `HeldOut.errors` gives them, over materials: what a row holds of them."""
-    names = ("relative_error", "cube_root_error", "rmse", "ball", "ball_itp")
-    medians, p90 = np.percentile(errors, [50, 90], axis=0).tolist()
-    return {**dict(zip(names, medians, strict=True)), "p90": dict(zip(names, p90, strict=True))}
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        times = {name: time and asdict(time) for name, time in (("fit", self.fit), ("predict", self.predict))}
+        return {field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each | times
 
 
 class Stopwatch:

@@ -22,7 +22,7 @@ from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import Target, TargetBRDF
-from manifold.fit.fit_metrics import BallDifference, missed_highlight
+from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
@@ -170,8 +170,8 @@ def export(
         parameters=parameters,
         source=subject.source,
         method="mapping" if is_mapped else "direct",
-        ball=BallDifference.between(model, material),
-        principled_ball=None if subject.material is None else BallDifference.between(fitted, material),
+        errors=ball_errors(model, material),
+        principled_errors=None if subject.material is None else ball_errors(fitted, material),
         against=subject.against,
         textures=None
         if textures is None
@@ -184,9 +184,9 @@ def export(
     if balls is not None:
         pack.write_balls(balls, material, model)
     notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
-    if made.ball.unseen_light > VISIBLE:
+    if made.errors.ball > VISIBLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
-        worst = f": CIEDE2000 {made.ball.unseen_light:.1f}, in {made.ball.worst_light} {made.ball.worst:.1f}"
+        worst = f": CIEDE2000 {made.errors.ball:.1f}, in {made.errors.worst_light} {made.errors.worst:.1f}"
         notes = (f"visibly different from the {subject.against}{worst}{better}", *notes)
         if (missed := missed_highlight(model, material)) is not None:
             notes = (missed, *notes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,10 +10,11 @@ from manifold.brdf.measured import EvaluableBRDF, values_at
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.colour.panel import LookErrors, Panel
+from manifold.colour.panel import Panel
 from manifold.directions import half_vector
 from manifold.errors import UsageError
 from manifold.fit.fit_samples import FitSamples
+from manifold.metrics import Errors
 from manifold.records import Array
 
 METRICS = ("appearance", "cube-root", "linear", "log")
@@ -69,42 +70,18 @@ class Metric:
         return (x * x / 3.0 + self.knee**2) / (square * np.cbrt(square))
 
 
-@dataclass(frozen=True)
-class BallDifference:
-    """How differently the balls of two materials look.
+def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]:
+    """How differently the balls of a fit and its material look, in the judged lights and in those of fits.
 
-    Attributes:
-        unseen_light: CIEDE2000, mean over the judged lights, which fits do not see.
-        fitted_light: the same over the lights of fits.
-        worst, worst_light: in the judged light where it is largest; None, as what follows, in files of 0.2.0, whose
-            numbers are of one light.
-        ball_itp: Delta E_ITP, mean over the judged lights.
-        lights: CIEDE2000 in each of them.
+    Each is in its own bands.
     """
 
-    unseen_light: float
-    fitted_light: float
-    worst: float | None = None
-    worst_light: str | None = None
-    ball_itp: float | None = None
-    lights: dict[str, float] = field(default_factory=dict)
+    def errors(lights: Panel) -> Errors[float]:
+        return lights.compare(
+            *(lights.xyz(values_at(brdf, lights), brdf.bands) for brdf in (fitted, material))
+        )
 
-    @classmethod
-    def between(cls, fitted: EvaluableBRDF, material: EvaluableBRDF) -> BallDifference:
-        """Of a fit and its material, each in its own bands."""
-
-        def errors(lights: Panel) -> LookErrors:
-            return lights.compare(
-                *(lights.xyz(values_at(brdf, lights), brdf.bands) for brdf in (fitted, material))
-            )
-
-        look = errors(panel.judged())
-        seen = errors(panel.fitted()).ball
-        return cls(look.ball, seen, look.worst, look.worst_light, look.ball_itp, look.lights)
-
-    def __str__(self) -> str:
-        worst = "" if self.worst is None else f", in {self.worst_light} {self.worst:.2f}"
-        return f"{self.unseen_light:.2f}{worst}; in the lights of the fit {self.fitted_light:.2f}"
+    return replace(errors(panel.judged()), fitted_ball=errors(panel.fitted()).ball)
 
 
 _NEAR_DEG = 25.0  # angle from the mirror direction within which is the highlight

@@ -137,7 +137,7 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     columns: dict[str, Callable[[Content], Any]] = {
         "BSDF": lambda content: content["bsdf"]["type"],
         **APPEARANCE,
-        "CIEDE2000": lambda content: None if content["ball"] is None else content["ball"]["unseen_light"],
+        "CIEDE2000": lambda content: content["errors"] and content["errors"]["ball"],
         "residual": lambda content: content["residuals"][content["metric"]],
         "diffuse": lambda content: content["diffuse_residual"],
         "minima": lambda content: len(content["minima"]),

@@ -48,8 +48,8 @@ def write_index(folder: Path, title: str, made: Sequence[tuple[str, Path, Mappin
     """
     cards = []
     for name, file, content in made:
-        ball = content["ball"]
-        words = f"{ball['unseen_light']:.1f}, in {ball['worst_light']} {ball['worst']:.1f}"
+        errors = content["errors"]
+        words = f"{errors['ball']:.1f}, in {errors['worst_light']} {errors['worst']:.1f}"
         cards.append(html_page.card(f"{BALLS}/{name}.png", f"balls of {name}", file.name, name, words))
     intro = (
         "Each picture: measured, exported; measured, exported. Left in the studio, right under a sun "

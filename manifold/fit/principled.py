@@ -17,10 +17,11 @@ from manifold.colour.difference import VISIBLE
 from manifold.errors import UsageError
 from manifold.fit import adam_and_swarm, fit_metrics, fit_samples, gauss_newton, identifiability
 from manifold.fit.adam_and_swarm import AdamOptions, SwarmOptions
-from manifold.fit.fit_metrics import BallDifference, Criterion
+from manifold.fit.fit_metrics import Criterion, ball_errors
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
+from manifold.metrics import Errors
 from manifold.records import Array, Bands, BsdfFile
 from manifold.render import backend
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
@@ -68,7 +69,7 @@ class FitResult:
         hyperparameters: of the method, with the assumed noise.
         residuals: relative residuals by metric, of the RGB fit.
         diffuse_residual: that of the best constant-albedo diffuse, in the metric of the fit.
-        ball: difference of the balls of fit and material; None where that is known at samples alone.
+        errors: of the fit's ball; None where that is known at samples alone.
         spectral_residual: in the metric of the fit over all bands; None for RGB samples.
         minima: all distinct minima found, best first.
         statements: how well the samples determine each value.
@@ -92,7 +93,7 @@ class FitResult:
     minima: tuple[FittedMinimum, ...]
     statements: tuple[ParameterIdentifiability, ...]
     notes: tuple[str, ...] = field(default=())
-    ball: BallDifference | None = None
+    errors: Errors[float] | None = None
     n_pairs: int = 0
     variant: str = ""
     seconds: float = 0.0
@@ -156,20 +157,20 @@ def fit_bsdf(
     degrees = round(float(np.rad2deg(rotation or 0.0)) % 180.0, 1) % 180.0  # highlights have no ends
     fitted = FittedBRDF.of(found.family, found.values, found.bands, found.spectra, degrees)
     degrees = 0.0 if fitted.is_isotropic else degrees
-    ball = BallDifference.between(fitted, target)
+    errors = ball_errors(fitted, target)
     notes = found.notes
     if degrees:
         notes += (
             f"turned: highlights are wide along {degrees:.1f} degrees from x (rotation_deg), those of the BSDF along "
             "x; in Mitsuba, turn the tangents by it",
         )
-    if ball.unseen_light > VISIBLE:
+    if errors.ball > VISIBLE:
         notes += (
-            f"visibly different: CIEDE2000 {ball.unseen_light:.1f} on the ball, in {ball.worst_light} {ball.worst:.1f}",
+            f"visibly different: CIEDE2000 {errors.ball:.1f} on the ball, in {errors.worst_light} {errors.worst:.1f}",
         )
         if (missed := fit_metrics.missed_highlight(fitted, target)) is not None:
             notes += (missed,)
-    return replace(found, ball=ball, notes=notes, rotation_deg=degrees)
+    return replace(found, errors=errors, notes=notes, rotation_deg=degrees)
 
 
 def _fit_or_diffuse(

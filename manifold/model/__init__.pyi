@@ -1,5 +1,5 @@
 from .colours import ColourChoice
-from .comparison import BRDFErrors, brdf_errors
+from .comparison import brdf_errors
 from .latent_space import Embedded
 from .located import Located, Reconstruction, locate
 from .manifold import LibraryChangedWarning, Manifold
@@ -7,7 +7,6 @@ from .output_file import OutputOptions
 from .settings import Settings
 
 __all__ = [
-    "BRDFErrors",
     "ColourChoice",
     "Embedded",
     "LibraryChangedWarning",

@@ -1,49 +1,15 @@
-"""The errors of reports between any two BRDFs."""
+"""The errors of reports between two BRDFs of any kind."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 from manifold.brdf.measured import BRDF, all_isotropic, require_brdf
 from manifold.colour import panel
-from manifold.colour.panel import LookErrors
-from manifold.metrics import cube_root_error, relative_error
+from manifold.metrics import Errors
 from manifold.pairs import RusinkiewiczGrid
 
 
-class BRDFErrors(NamedTuple):
-    """Errors of one BRDF with respect to another.
-
-    Attributes:
-        ball: CIEDE2000 of the ball, mean over the lights of `panel.JUDGED`.
-        cube_root: relative error of cube roots, `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
-        linear: relative error, `||w (f* - f)|| / ||w f||`.
-        look: of the ball, by light.
-    """
-
-    ball: float
-    cube_root: float
-    linear: float
-    look: LookErrors
-
-    @property
-    def words(self) -> list[str]:
-        """For a terminal."""
-        look = self.look
-        return [
-            f"{self.ball:.1f} CIEDE2000 of the ball in the mean of {len(look.lights)} lights",
-            f"{look.worst:.1f} in the worst of them, {look.worst_light}",
-            f"{self.cube_root:.0%} cube-root error",
-            f"{self.linear:.0%} linear",
-        ]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {"relative_error": self.linear, "cube_root_error": self.cube_root} | self.look.to_json()
-
-
-def brdf_errors(brdf: BRDF, predicted: BRDF) -> BRDFErrors:
-    """The three errors of reports, on the direction pairs of their default grid and in all bands.
+def brdf_errors(brdf: BRDF, predicted: BRDF) -> Errors[float]:
+    """The errors of reports, on the direction pairs of their default grid and in all bands.
 
     Where one of both is anisotropic, the pairs have all azimuths.
 
@@ -61,7 +27,4 @@ def brdf_errors(brdf: BRDF, predicted: BRDF) -> BRDFErrors:
     pairs, lights = grid.pairs(), panel.judged()
     f, f_star = (each.eval(pairs.wi, pairs.wo) for each in (brdf, predicted))
     lit, lit_star = (each.eval(lights.wi, lights.wo) for each in (brdf, predicted))
-    look = lights.errors(lit, lit_star, brdf.bands)
-    return BRDFErrors(
-        look.ball, cube_root_error(f, f_star, pairs.cosines), relative_error(f, f_star, pairs.cosines), look
-    )
+    return lights.errors(lit, lit_star, brdf.bands) | Errors.of_values(f, f_star, pairs.cosines)

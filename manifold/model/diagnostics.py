@@ -10,13 +10,12 @@ from manifold import __version__
 from manifold.brdf.measured import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
+from manifold.metrics import Errors
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
-from manifold.model.comparison import BRDFErrors
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.records import Array
 
 if TYPE_CHECKING:
-    from manifold.model.left_out import ExpectedErrors
     from manifold.model.manifold import Manifold
     from manifold.model.places import Place, PlaceLike
 
@@ -64,7 +63,7 @@ class Prediction:
     weights: list[tuple[str, float]]
     nearest: list[tuple[str, float]]
     materials: int
-    expected: ExpectedErrors | None
+    expected: Errors[Array] | None
     is_extrapolation: bool
     plausibility: Plausibility
     diagnostics: tuple[str, ...]
@@ -83,9 +82,8 @@ class Prediction:
             dropped |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
         else:
             content |= {"program": f"manifold {__version__}", "path": str(self.path)}
-        return {key: value for key, value in content.items() if key not in dropped} | expected_json(
-            self.expected
-        )
+        kept = {key: value for key, value in content.items() if key not in dropped}
+        return kept | {"expected": self.expected and self.expected.to_json()}
 
     @property
     def rows(self) -> dict[str, object]:
@@ -157,23 +155,13 @@ def diagnose(
     )
 
 
-def expected_json(expected: ExpectedErrors | None) -> dict[str, float | None]:
-    """Expected errors as plain values."""
-    ball, cube_root = (None, None) if expected is None else (float(expected.ball), float(expected.cube_root))
-    return {"expected_ball": ball, "expected_cube_root": cube_root}
-
-
-def in_words(expected: ExpectedErrors | None, materials: int) -> list[str]:
+def in_words(expected: Errors[Array] | None, materials: int) -> list[str]:
     """An expected error for a terminal, of a model of `materials` materials."""
     if expected is None:
         return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
     if expected.ball < 0.05 and expected.cube_root < 0.005:  # which are printed as 0
         return ["none: a measured material"]
-    words = [
-        f"{expected.ball:.1f} CIEDE2000 of the ball",
-        f"{expected.cube_root:.0%} cube-root error",
-        "90 % of errors below twice these",
-    ]
+    words = [*expected.words, "90 % of errors below twice these"]
     return words + [f"coarse: known from {materials} materials"] * (materials < COARSE_BELOW)
 
 
@@ -244,7 +232,7 @@ def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str,
     return tuple(diagnostics)
 
 
-def of_projection(before: Plausibility, found: Plausibility, change: BRDFErrors) -> tuple[str, ...]:
+def of_projection(before: Plausibility, found: Plausibility, change: Errors[float]) -> tuple[str, ...]:
     """Of a file that was projected to be physical.
 
     Args:
@@ -274,16 +262,11 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
     )
 
 
-def of_embedding(relative_error: float, ball: float) -> tuple[str, ...]:
-    """Of an embedded material, by the errors of its reconstruction.
-
-    Args:
-        relative_error: linear.
-        ball: mean CIEDE2000 of the ball.
-    """
-    if relative_error <= MOST_EMBEDDING_ERROR and ball <= MOST_EMBEDDING_BALL:
+def of_embedding(errors: Errors[float]) -> tuple[str, ...]:
+    """Of an embedded material, by the errors of its reconstruction."""
+    if errors.linear <= MOST_EMBEDDING_ERROR and errors.ball <= MOST_EMBEDDING_BALL:
         return ()
     return (
-        f"reconstruction error {relative_error:.2f}, {ball:.1f} CIEDE2000 of the ball: outside the manifold; import "
-        "materials like it and embed again",
+        f"reconstruction error {errors.linear:.2f}, {errors.ball:.1f} CIEDE2000 of the ball: outside the manifold; "
+        "import materials like it and embed again",
     )

@@ -14,9 +14,9 @@ from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model import diagnostics
-from manifold.model.comparison import BRDFErrors, brdf_errors
-from manifold.model.left_out import ExpectedErrors
+from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialCache, names_without
 from manifold.model.prediction import PredictedBRDF
@@ -44,7 +44,7 @@ class Reconstruction:
 
     brdf: PredictedBRDF
     materials: int
-    errors: BRDFErrors
+    errors: Errors[float]
     plausibility: Plausibility | None = None
     diagnostics: tuple[str, ...]
     refusal: str | None = None
@@ -70,7 +70,7 @@ class Reconstruction:
         return {
             "materials": self.materials,
             "parts": self.largest_parts,
-            **self.errors.to_json(),
+            "errors": self.errors.to_json(),
             "plausibility": self.plausibility and vars(self.plausibility),
             "diagnostics": self.diagnostics,
             "refusal": self.refusal,
@@ -93,7 +93,7 @@ class Located(Reconstruction):
     latent: Array
     coordinates: tuple[str, ...]
     colours: Array | None
-    expected: ExpectedErrors | None
+    expected: Errors[Array] | None
     nearest: list[tuple[str, float]]
 
     def to_json(self) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class Located(Reconstruction):
             "latent": self.latent.tolist(),
             "coordinates": self.coordinates,
             "colours": None if self.colours is None else self.colours.tolist(),
-            **diagnostics.expected_json(self.expected),
+            "expected": self.expected and self.expected.to_json(),
             "nearest": self.nearest,
         }
 
@@ -140,7 +140,7 @@ def locate_brdf(
         materials=len(model.names),
         errors=errors,
         diagnostics=(
-            *diagnostics.of_embedding(errors.linear, errors.ball),
+            *diagnostics.of_embedding(errors),
             *notes,
             *_of_anisotropy(brdf, predicted),
             *model.notes,

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from manifold.errors import UnknownNameError
 from manifold.gpr import GaussianProcess
+from manifold.metrics import Errors
 from manifold.model.latent_space import LatentSpace
-from manifold.model.left_out import ExpectedErrors, LeftOut
+from manifold.model.left_out import LeftOut
 from manifold.model.materials import MaterialCache
 from manifold.model.places import (
     Place,
@@ -118,7 +119,7 @@ class LatentMap:
 
     def expected_error(
         self, x: ArrayLike | PlaceLike, colours: Array | None = None, residual: float | None = None
-    ) -> ExpectedErrors | None:
+    ) -> Errors[Array] | None:
         """Expected errors of predictions at a place (Q,) or latents x (M, Q); None if the model is not calibrated.
 
         0 at a material's own latent, where the prediction is its file. `residual` is that of an `Embedded` material,
@@ -130,7 +131,7 @@ class LatentMap:
         if residual is not None:
             return found
         is_predicted = self._at(x, colours, self.space.training_indices) < 0
-        return ExpectedErrors(found.ball * is_predicted, found.cube_root * is_predicted)
+        return Errors(found.ball * is_predicted, found.cube_root * is_predicted)
 
     def nearest(self, x: PlaceLike, count: int = 1) -> list[tuple[str, float]]:
         """The materials nearest to a latent x (Q,) with their distances, nearest first."""

@@ -17,8 +17,9 @@ from manifold.brdf.physical import physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, write_bsdf
+from manifold.metrics import Errors
 from manifold.model import diagnostics
-from manifold.model.comparison import BRDFErrors, brdf_errors
+from manifold.model.comparison import brdf_errors
 from manifold.records import BsdfFile
 
 EXPECTED_ERROR = "expected_cube_root_error"
@@ -64,7 +65,7 @@ class OutputFile(NamedTuple):
     file: BsdfFile
     plausibility: Plausibility
     projection: tuple[str, ...] = ()
-    change: BRDFErrors | None = None
+    change: Errors[float] | None = None
 
 
 def output_file(
@@ -150,7 +151,7 @@ class WrittenFile:
     plausibility: Plausibility
     file: BsdfFile | None = None
     projection: tuple[str, ...] = ()
-    change: BRDFErrors | None = None
+    change: Errors[float] | None = None
     refusal: str | None = None
 
 

@@ -12,7 +12,7 @@ const RESIDUAL = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 export const facts = {
   /** Expected error of a look, 0 at a material; null where it is unknown. */
   error({ x, colour, guest } = this.state) {
-    if (colour === "own") return this.guests[guest].expected_ball ?? null;
+    if (colour === "own") return this.guests[guest].expected?.ball ?? null;
     const isMaterial = this.materials.materialAt(x) >= 0;
     return isMaterial ? 0 : fieldAt(this.data.error, x);
   },

@@ -1,7 +1,7 @@
 // Dropped materials: in their own colours at their place on the map, until they are removed; methods of the page.
 
 export const guests = {
-  /** Take what `manifold locate` has found of a file: {name, latent, colours, expected_ball, ball, cube_root_error, diagnostics}. */
+  /** Take what `manifold locate` has found of a file: {name, latent, colours, expected, errors, diagnostics}. */
   addGuest(found) {
     const at = (row) => this.data.nodes.map((band) => row[band]);
     const guest = { ...found, x: found.latent, coordinates: at(found.colours[0]), gains: at(found.colours[1]) };
@@ -23,7 +23,7 @@ export const guests = {
     this.hover = -1;
     this.byId("guests").hidden = !present.length;
     this.byId("guests").replaceChildren(...present.map((k) => {
-      const { name, ball, cube_root_error: root, diagnostics } = this.guests[k], item = document.createElement("li");
+      const { name, errors: { ball, cube_root: root }, diagnostics } = this.guests[k], item = document.createElement("li");
       const show = document.createElement("button"), remove = document.createElement("button");
       show.type = remove.type = "button";
       show.textContent = name;

@@ -34,9 +34,9 @@ const plainName = (file) =>
 function summary(result) {
   const made = result?.exports?.[0];
   if (made) {
-    const principled = made.principled_ball, {unseen_light, worst, worst_light} = made.ball;
-    return `error ${unseen_light.toFixed(2)} CIEDE2000, in ${worst_light} ${worst.toFixed(2)}`
-      + (principled === null ? "" : `; principled loses ${principled.unseen_light.toFixed(2)}`);
+    const principled = made.principled_errors, {ball, worst, worst_light} = made.errors;
+    return `error ${ball.toFixed(2)} CIEDE2000, in ${worst_light} ${worst.toFixed(2)}`
+      + (principled === null ? "" : `; principled loses ${principled.ball.toFixed(2)}`);
   }
   if (result?.expected) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);

@@ -183,7 +183,7 @@ class Source:
 def document(result: FitResult, source: Source) -> dict[str, Any]:
     """A fit as plain values, as the schema describes them."""
     wavelengths, own = result.bands.wavelengths_nm, result.spectra
-    known = asdict(result)
+    known = asdict(result) | {"errors": result.errors and result.errors.to_json()}
     del known["bands"]
     content = {
         "format": "manifold fit",

@@ -220,7 +220,7 @@ def _exports(
 
         paths[name] = folder / f"{stem}_{name}{target.suffix}"
         outcome = exporting.export(subject, target, paths[name], textures=written)
-        found[name] = float((outcome.content or {})["ball"]["unseen_light"])
+        found[name] = float((outcome.content or {})["errors"]["ball"])
     return found
 
 

@@ -35,7 +35,7 @@ from manifold.formats import csv_table
 from manifold.formats.readings import mean_of_repeats
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error
+from manifold.metrics import Errors, cube_root_error
 from manifold.model.output_file import COMPLETION_OPTIONS, output_file
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Bands
@@ -390,15 +390,21 @@ def calibration(atoms):
     return calibrate(atoms, readings(np.ones((12, 3))))
 
 
+def three(errors):
+    """Ball, cube-root and linear errors: the rows of an array."""
+    return np.array([errors.ball, errors.cube_root, errors.linear])
+
+
 def test_expected_errors_are_learned_from_the_other_materials(atoms, calibration):
     at = atoms.at(*DIRECTIONS)
     for m in (0, 5):
         made = leave_out(atoms, m, at, readings(np.ones((12, 3))))
-        np.testing.assert_allclose(calibration.errors[m], errors_of(atoms, m, made.on_grid, made.on_ball))
+        found = errors_of(atoms, m, made.on_grid, made.on_ball)
+        np.testing.assert_allclose(three(calibration.errors)[:, m], three(found))
         np.testing.assert_allclose(calibration.indicators[m], indicators_of(made))
         others = np.arange(len(NAMES)) != m
-        learned = Calibration(calibration.errors[others], calibration.indicators[others]).expected(made)
-        np.testing.assert_allclose(calibration.left_out[m], list(learned.values()))
+        known = Calibration(Errors(*three(calibration.errors)[:, others]), calibration.indicators[others])
+        np.testing.assert_allclose(three(calibration.left_out)[:, m], three(known.expected(made)))
 
 
 def test_a_calibration_is_kept_in_the_library_for_its_instrument(
@@ -418,7 +424,7 @@ def test_a_calibration_is_kept_in_the_library_for_its_instrument(
     brighter = readings(np.full((12, 3), 2.0))  # at the same directions
     for one in (read, brighter):
         kept = calibrate(atoms, one, opened)
-        np.testing.assert_array_equal(kept.errors, calibration.errors)
+        np.testing.assert_array_equal(three(kept.errors), three(calibration.errors))
         np.testing.assert_array_equal(kept.indicators, calibration.indicators)
     assert len(computed) == 1
     for other in (
@@ -457,10 +463,10 @@ def test_errors_of_bands_that_are_not_read_are_expected(atoms):
         grey = leave_out(spectral, m, at, one)
         np.testing.assert_array_equal(grey.weights, grey.weights[:1].repeat(3, axis=0))
     coloured = calibrate(spectral, every).errors
-    np.testing.assert_allclose(coloured, calibrate(spectral, readings(np.ones((12, 3)))).errors)
+    np.testing.assert_allclose(three(coloured), three(calibrate(spectral, readings(np.ones((12, 3)))).errors))
     missed = calibrate(spectral, one)
-    assert np.median(missed.errors[:, 0]) > 2.0 * np.median(coloured[:, 0])
-    assert missed.expected(grey)["ball"] > np.median(missed.errors[:, 0]) / 2.0
+    assert np.median(missed.errors.ball) > 2.0 * np.median(coloured.ball)
+    assert missed.expected(grey).ball > np.median(missed.errors.ball) / 2.0
 
 
 def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibration, rng):
@@ -474,7 +480,7 @@ def test_expected_errors_are_the_line_of_their_logarithms(rng):
     x = rng.standard_normal((400, 2))
     x = (x - x.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(x.T, bias=True)).T)  # uncorrelated
     slopes = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -1.0]])
-    held = Calibration(np.exp(1.0 + x @ slopes), np.exp(x))
+    held = Calibration(Errors(*np.exp(1.0 + x @ slopes).T), np.exp(x))
     # Ridge regression on standardised, uncorrelated indicators divides slopes by 1 + 0.1; negative ones are 0.
     line = np.array([[1.0 / 1.1, 0.0, 0.0], [0.0, 0.5 / 1.1, 0.0]])
     above = x @ (slopes - line)
@@ -490,7 +496,7 @@ def test_expected_errors_are_the_line_of_their_logarithms(rng):
         )
     )
     want = np.exp(1.0 + np.array([1.0, 0.5]) @ line + raised)
-    np.testing.assert_allclose(list(found.values()), want, rtol=1e-6)  # 1e-6 is added to deviations
+    np.testing.assert_allclose(three(found), want, rtol=1e-6)  # 1e-6 is added to deviations
     largest = np.exp(x[:, 0].max())
     at_most, beyond = (
         held.expected(
@@ -503,7 +509,7 @@ def test_expected_errors_are_the_line_of_their_logarithms(rng):
         )
         for k in (1.0, 5.0)
     )
-    np.testing.assert_allclose(list(beyond.values()), 5.0 * np.array(list(at_most.values())))
+    np.testing.assert_allclose(three(beyond), 5.0 * three(at_most))
 
 
 def test_readings_that_contradict_each_other_raise_the_expected_error(atoms, calibration):
@@ -519,8 +525,8 @@ def test_readings_that_contradict_each_other_raise_the_expected_error(atoms, cal
         calibration.expected(Completion.of(atoms, replace(readings(found[2] / np.pi), scatter=found[3])))
         for found in (single, both)
     )
-    assert contradicted["ball"] > 3.0 * agreed["ball"]
-    assert contradicted["ball"] > 20.0  # half the difference in lightness is 29
+    assert contradicted.ball > 3.0 * agreed.ball
+    assert contradicted.ball > 20.0  # half the difference in lightness is 29
 
 
 def test_no_expected_error_is_nan(atoms, calibration):
@@ -528,8 +534,8 @@ def test_no_expected_error_is_nan(atoms, calibration):
     values = np.zeros((12, 3))
     values[3] = 0.1
     made = Completion.of(atoms, readings(values))
-    assert np.all(np.isfinite(list(calibration.expected(made).values())))
-    assert calibration.expected(made)["cube_root"] > calibration.errors[:, 1].max()
+    assert np.all(np.isfinite(three(calibration.expected(made))))
+    assert calibration.expected(made).cube_root > calibration.errors.cube_root.max()
     assert np.all(np.isfinite([a.difference for a in made.alternatives]))
     assert any("no mixture of two materials explains" in note for note in made.notes)
 
@@ -549,7 +555,7 @@ def test_records_are_shown_in_one_line(atoms, calibration):
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     assert repr(made.readings) == "<Readings: sample, 12 of test, RGB>"
     assert repr(made).startswith("<Completion: sample from 12 readings, ")
-    assert repr(calibration).startswith("<Calibration: 6 materials left out, median errors ball ")
+    assert repr(calibration).startswith("<Calibration: 6 materials left out, medians: ")
 
 
 def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(atoms):
@@ -635,7 +641,7 @@ def test_the_error_of_estimated_colours_is_part_of_the_expected_one(atoms, calib
     assert made.readings.colour_error > 1.0
     assert any("spectra are estimated from three bands at 465, 525, 630 nm" in note for note in made.notes)
     known = replace(made, readings=replace(made.readings, colour_error=0.0))
-    measured, estimated = (calibration.expected(one)["ball"] for one in (known, made))
+    measured, estimated = (calibration.expected(one).ball for one in (known, made))
     assert estimated == pytest.approx(np.hypot(measured, made.readings.colour_error))
 
 

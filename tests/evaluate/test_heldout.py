@@ -191,11 +191,12 @@ def test_a_comparison_is_the_sum_of_what_methods_predict(data):
     errors = measure_errors([encode_all(data, m).combinations for m in chosen], data.bands, _blocks(data, 3))
     for method, found in zip(chosen, errors, strict=True):
         values = [predicted(method, data, i) for i in range(len(NAMES))]
+        n_pairs = len(data.cosines) + 10
+        errors = found.of_values(n_pairs)
         for i, f in enumerate(values):
-            assert found.linear[i] == pytest.approx(relative_error(data.f[i], f, data.cosines), rel=1e-9)
-            assert found.cube_root[i] == pytest.approx(cube_root_error(data.f[i], f, data.cosines), rel=1e-9)
-            n_pairs = len(data.cosines) + 10
-            assert found.rmse(n_pairs)[i] == pytest.approx(rmse(data.f[i], f, n_pairs=n_pairs), rel=1e-9)
+            assert errors.linear[i] == pytest.approx(relative_error(data.f[i], f, data.cosines), rel=1e-9)
+            assert errors.cube_root[i] == pytest.approx(cube_root_error(data.f[i], f, data.cosines), rel=1e-9)
+            assert errors.rmse[i] == pytest.approx(rmse(data.f[i], f, n_pairs=n_pairs), rel=1e-9)
         assert found.negative_share == np.mean(np.array(values) < 0)
 
 
@@ -279,8 +280,8 @@ def errors_on_the_real_files(keys):
         pytest.skip("needs the 20 real RGB files: set MANIFOLD_RGL_DIR to a folder of exactly those")
     data = Data.evaluate([MeasuredBRDF(read_bsdf(path)) for path in files], RusinkiewiczGrid.named("default"))
     errors = measure_errors([encode_all(data, METHODS[key]).combinations for key in keys], data.bands, [data])
-    median = {key: np.median(e.linear) for key, e in zip(keys, errors, strict=True)}
-    p90 = {key: np.percentile(e.linear, 90) for key, e in zip(keys, errors, strict=True)}
+    linear = {key: e.of_values().linear for key, e in zip(keys, errors, strict=True)}
+    median, p90 = ({key: np.quantile(e, q) for key, e in linear.items()} for q in (0.5, 0.9))
     return median, p90
 
 

@@ -14,6 +14,7 @@ from manifold.estimate.expected import errors_of, leave_out
 from manifold.evaluate.reading_curve import Curve, measure_curves
 from manifold.evaluate.reading_figure import readings_chart
 from manifold.library.store import Library
+from manifold.metrics import Errors
 
 
 def test_curves_of_readings_are_those_of_completions(atoms):
@@ -68,8 +69,9 @@ def test_curves_of_fits_begin_where_readings_make_one_and_are_plain_json(atoms):
 
 
 def test_the_chart_of_readings_draws_every_curve():
+    errors = Errors(*np.full((3, 3), 0.1))
     curves = [
-        Curve(f"m{k}", f"method {k}", (2, 4)[: 1 + k % 2], np.full((1 + k % 2, 3, 3), 0.1)) for k in range(9)
+        Curve(f"m{k}", f"method {k}", (2, 4)[:n], (errors,) * n) for k, n in enumerate((1, 2) * 4 + (1,))
     ]
     (legend,) = readings_chart(curves).legends
     assert [text.get_text() for text in legend.get_texts()] == [curve.title for curve in curves]

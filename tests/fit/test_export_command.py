@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from manifold import progress
 from manifold.batch import batch
 from manifold.cli.main import app
+from manifold.colour.difference import VISIBLE
 from manifold.errors import ManifoldError, UsageError
 from manifold.fit import exporting
 from manifold.fit.exports import TARGETS
@@ -48,14 +49,14 @@ def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
     assert result.exit_code == 0, result.output
     (made,) = json.loads(result.stdout)["exports"]
     assert made["against"] == "fit"
-    assert made["principled_ball"] is None
-    assert made["ball"]["unseen_light"] < 1.0  # a copper of principled is one of glTF
+    assert made["principled_errors"] is None
+    assert made["errors"]["ball"] < 1.0  # a copper of principled is one of glTF
     document, _ = read_glb(tmp_path / "x.glb")
     values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
     found = gltf_parameters(document["materials"][0])
     assert found["baseColorFactor"] == pytest.approx(values["base_color"], abs=1e-4)  # ends are snapped
     assert found["roughnessFactor"] == pytest.approx(values["roughness"], abs=1e-6)
-    assert document["materials"][0]["extras"]["ball"]["unseen_light"] == made["ball"]["unseen_light"]
+    assert document["materials"][0]["extras"]["errors"]["ball"] == made["errors"]["ball"]
 
 
 def test_a_file_that_is_not_named_is_called_after_the_material(folder, tmp_path, monkeypatch):
@@ -70,12 +71,12 @@ def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_
     subject = exporting.subject_of(folder / "copper_rgb.fit.json", folder / "copper_rgb.bsdf")
     made = exporting.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx").content
     assert made["against"] == "measured file"
-    assert made["principled_ball"]["unseen_light"] > 0.0
-    assert abs(made["ball"]["unseen_light"] - made["principled_ball"]["unseen_light"]) < 1.0
+    assert made["principled_errors"]["ball"] > 0.0
+    assert abs(made["errors"]["ball"] - made["principled_errors"]["ball"]) < 1.0
     assert made["method"] == "direct"
     mapped = exporting.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx", is_mapped=True).content
     assert mapped["method"] == "mapping"
-    assert made["ball"]["fitted_light"] < mapped["ball"]["fitted_light"]
+    assert made["errors"]["fitted_ball"] < mapped["errors"]["fitted_ball"]
 
 
 def test_an_export_that_differs_visibly_says_so(folder, tmp_path):
@@ -85,12 +86,12 @@ def test_an_export_that_differs_visibly_says_so(folder, tmp_path):
             exporting.subject_of(folder / "copper_rgb.fit.json", against),
             TARGETS["gltf"],
             tmp_path / "x.glb",
-            is_mapped=True,
+            is_mapped=is_mapped,
         )
-        for against in (folder / "copper_rgb.bsdf", tmp_path / "felt_rgb.bsdf")
+        for against, is_mapped in ((folder / "copper_rgb.bsdf", False), (tmp_path / "felt_rgb.bsdf", True))
     ]
     said = [any("visibly different" in note for note in one.notes) for one in found]
-    assert [one.content["ball"]["unseen_light"] > 2.3 for one in found] == said == [False, True]
+    assert [one.content["errors"]["ball"] > VISIBLE for one in found] == said == [False, True]
 
 
 def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
@@ -115,7 +116,7 @@ def test_a_prediction_is_exported(tmp_path):
     (made,) = json.loads((tmp_path / "report.json").read_text())["exports"]
     assert (made["material"], made["against"], made["target"]) == (NAMES[0], "prediction", "usd")
     assert len(made["source"]["latent"]) == 2
-    assert made["ball"]["unseen_light"] is not None
+    assert made["errors"]["ball"] is not None
 
 
 def exported(source, out):
@@ -157,7 +158,7 @@ def test_a_library_is_exported(tmp_path, monkeypatch, folder):
     )
     report = json.loads((tmp_path / "r.json").read_text())
     assert [made["material"] for made in report["exports"]] == sorted(NAMES)
-    assert max(made["ball"]["unseen_light"] for made in report["exports"]) < 3.0  # though all began as copper
+    assert max(made["errors"]["ball"] for made in report["exports"]) < 3.0  # though all began as copper
     assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
 
 
@@ -171,9 +172,9 @@ def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, fold
     assert result.exit_code == 0, result.output
     page = (out / "index.html").read_text()
     for made in json.loads((tmp_path / "r.json").read_text())["exports"]:
-        name, ball = made["material"], made["ball"]
+        name, errors = made["material"], made["errors"]
         assert f'<a href="{name}.glb">{name}</a>' in page
-        assert f"{ball['unseen_light']:.1f}, in {ball['worst_light']} {ball['worst']:.1f}" in page
+        assert f"{errors['ball']:.1f}, in {errors['worst_light']} {errors['worst']:.1f}" in page
         assert imread(out / "balls" / f"{name}.png").shape[:2] == (64, 256)
 
 

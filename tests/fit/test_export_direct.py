@@ -14,7 +14,7 @@ from manifold.fit import fit_samples
 from manifold.fit.exports import TARGETS, Principled, blender, gltf, openpbr, standard_surface
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.targets import TargetBRDF
-from manifold.fit.fit_metrics import BallDifference
+from manifold.fit.fit_metrics import ball_errors
 from manifold.records import Bands
 
 TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)
@@ -38,7 +38,7 @@ def test_a_material_of_the_target_is_found_again(name):
     assert found.keys() == target.defaults.keys()
 
     def difference(values):
-        return BallDifference.between(TargetBRDF(target, values), truth).unseen_light
+        return ball_errors(TargetBRDF(target, values), truth).ball
 
     before = difference(target.parameters(START))
     after = difference(found)
@@ -122,7 +122,7 @@ def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):
     found = fit_target(target, start, fit_samples.from_brdf(truth))
 
     def difference(values):
-        return BallDifference.between(TargetBRDF(target, values), truth).unseen_light
+        return ball_errors(TargetBRDF(target, values), truth).ball
 
     bare = fit_target(replace(target, film=()), start, fit_samples.from_brdf(truth))
     assert difference(bare) > VISIBLE
@@ -156,4 +156,4 @@ def test_a_model_in_linear_srgb_is_compared_with_a_spectral_material():
     grey = {
         axis: Plastic(GGX.isotropic(0.3), np.array(1.5), np.array(0.4), axis) for axis in (Bands(None), bands)
     }
-    assert BallDifference.between(grey[Bands(None)], grey[bands]).unseen_light < 0.5
+    assert ball_errors(grey[Bands(None)], grey[bands]).ball < 0.5

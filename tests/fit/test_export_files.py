@@ -38,7 +38,7 @@ from manifold.fit.exports import (
     target_of,
 )
 from manifold.fit.exports.usd import OPENPBR_ID
-from manifold.fit.fit_metrics import BallDifference
+from manifold.metrics import Errors
 
 NO_USD = "USD is not installed (pip install usd-exchange, or usd-core)"
 FULL = Principled(
@@ -71,8 +71,8 @@ def export(name, target, material):
         parameters,
         {"file": "x_rgb.bsdf"},
         "mapping",
-        BallDifference(1.25, 1.0),
-        BallDifference(1.5, 1.0),
+        Errors(1.25),
+        Errors(1.5),
         "measured file",
     )
 
@@ -99,7 +99,7 @@ def test_a_glb_is_what_the_specification_says_and_gives_the_parameters_back(tmp_
     assert document["buffers"][0]["byteLength"] <= len(content)
     (material,) = document["materials"]
     assert material["name"] == name
-    assert material["extras"]["ball"]["unseen_light"] == 1.25
+    assert material["extras"]["errors"]["ball"] == 1.25
     assert sorted(material.get("extensions", {})) == document.get("extensionsUsed", [])
     assert set(document.get("extensionsUsed", [])) <= set(gltf.EXTENSIONS)
     same(gltf_parameters(material), made.parameters)
@@ -255,7 +255,7 @@ def test_json_has_parameters_conventions_and_the_loss(tmp_path, name, target):
     content = json.loads(path.read_text(encoding="utf-8"))
     same(content["parameters"], made.parameters)
     assert content["material"] == name
-    assert (content["ball"]["unseen_light"], content["principled_ball"]["unseen_light"]) == (1.25, 1.5)
+    assert (content["errors"]["ball"], content["principled_errors"]["ball"]) == (1.25, 1.5)
     assert all(
         any(word in text for word in ("0 to 1", "-1 to 1", "IOR", "degrees"))
         for text in content["conventions"].values()

@@ -224,7 +224,7 @@ def test_anisotropic_materials_are_fitted_with_anisotropic_free():
     turned = fit_bsdf(RoughConductor(GGX.anisotropic(0.1, 0.4), np.array(1.5), np.array(3.0), Bands(None)))
     assert turned.rotation_deg == 90.0
     assert turned.values["anisotropic"] == pytest.approx(0.833, abs=0.02)
-    assert turned.ball.unseen_light < 1.0
+    assert turned.errors.ball < 1.0
 
 
 def test_an_anisotropic_file_is_fitted_where_its_highlights_are_wide_along_x():
@@ -233,7 +233,7 @@ def test_an_anisotropic_file_is_fitted_where_its_highlights_are_wide_along_x():
     found = fit_bsdf(goniometer.measure(metal, "brushed", resolution=20, n_theta_i=8, n_phi_i=9))
     assert found.values["anisotropic"] == pytest.approx(0.667, abs=0.1)  # a coarse file
     assert found.rotation_deg == pytest.approx(50.0, abs=0.3)
-    assert found.ball.unseen_light < 1.5  # in the sample's own frame: 5 where it is not turned
+    assert found.errors.ball < 1.5  # in the sample's own frame: 5 where it is not turned
     assert any(f"wide along {found.rotation_deg:.1f} degrees" in note for note in found.notes)
 
 
@@ -387,7 +387,7 @@ def test_a_file_and_its_brdf_have_the_same_fit():
     file = measured("syn_satin_gold")
     by_file, by_brdf = fit_bsdf(file), fit_bsdf(MeasuredBRDF(file))
     # A BRDF is taken as it is, of a file what was not measured is filled.
-    assert by_file.ball.unseen_light == pytest.approx(by_brdf.ball.unseen_light, abs=0.1)
+    assert by_file.errors.ball == pytest.approx(by_brdf.errors.ball, abs=0.1)
     filled = fill_unmeasured(file)
     assert fit_bsdf(MeasuredBRDF(filled)).values == fit_bsdf(filled).values == by_file.values
 
@@ -438,16 +438,16 @@ class GlossyPaint:
 def test_a_fit_looks_like_its_material_in_a_light_that_it_did_not_see():
     paint = GlossyPaint()
     seen, by_samples = fit_bsdf(paint), fit_bsdf(paint, metric="cube-root")
-    assert seen.ball.unseen_light < 0.6 * by_samples.ball.unseen_light
-    assert seen.ball.fitted_light < 0.6 * by_samples.ball.fitted_light
+    assert seen.errors.ball < 0.6 * by_samples.errors.ball
+    assert seen.errors.fitted_ball < 0.6 * by_samples.errors.fitted_ball
     assert seen.residuals["appearance"] < by_samples.residuals["appearance"]
     assert by_samples.residuals["cube-root"] < seen.residuals["cube-root"]
     lights = panel.judged()
     fitted = evaluator(seen.family, lights.wi, lights.wo, 3)
     f = fitted.values(fitted.layout.join(seen.values))[0] / lights.wo[:, 2:]
     expected = lights.errors(f, paint.eval(lights.wi, lights.wo), Bands(None))
-    assert seen.ball.unseen_light == pytest.approx(expected.ball, rel=1e-6)
-    assert (seen.ball.worst_light, seen.ball.worst) == (
+    assert seen.errors.ball == pytest.approx(expected.ball, rel=1e-6)
+    assert (seen.errors.worst_light, seen.errors.worst) == (
         expected.worst_light,
         pytest.approx(expected.worst, rel=1e-6),
     )
@@ -486,7 +486,7 @@ def test_colours_per_band_are_those_of_the_ball():
     Paint.bands = bands
     found = fit_bsdf(Paint())
     by_samples = fit_bsdf(Paint(), metric="cube-root")
-    assert found.ball.unseen_light < 0.7 * by_samples.ball.unseen_light
+    assert found.errors.ball < 0.7 * by_samples.errors.ball
 
 
 def test_slopes_of_the_criterion_agree_with_differences(rng):

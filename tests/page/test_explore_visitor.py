@@ -641,7 +641,7 @@ def located(model, name, **gain):
     gains = np.array([gain.get(band, 1.0) for band in ("red", "green", "blue")])
     return {
         "name": "a dropped file", "latent": model.latent(name).tolist(), "colours": [own.tolist(), gains.tolist()],
-        "ball": 2.5, "cube_root_error": 0.1, "expected_ball": 3.5, "diagnostics": ["a diagnostic"],
+        "errors": {"ball": 2.5, "cube_root": 0.1}, "expected": {"ball": 3.5}, "diagnostics": ["a diagnostic"],
     }  # fmt: skip
 
 

@@ -15,8 +15,8 @@ from manifold.cli.main import app
 from manifold.colour.conversion import decode_srgb, file_to_srgb, to_srgb
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.document import Export, TextureFiles
-from manifold.fit.fit_metrics import BallDifference
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.metrics import Errors
 from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.images import read_display, write_display
@@ -64,7 +64,7 @@ def textured(tmp_path):
         write_display(path, np.full((4, 4, 3), 0.5))
 
     def of(target):
-        ball = BallDifference(1.0, 1.0)
+        ball = Errors(1.0)
         return Export(
             "twin",
             target.name,

@@ -26,7 +26,7 @@ def python_model(folder: Path) -> dict[str, Any]:
     return {
         "latents": model.X,
         "weights": model.weights(places),
-        "expected": [vars_or_value(model.expected_error(place)) for place in places],
+        "expected": [model.expected_error(place).to_json() for place in places],
         "predicted": np.stack([model.predict(place).eval(wi, wo) for place in places[::6]]),
         "painted": model.predict([0.3, 0.5], colours).eval(wi, wo),
         "reached": reached,
@@ -99,7 +99,7 @@ def python_completion(folder: Path) -> dict[str, Any]:
         "spread": completed.spread_at(*at),
         "gloss": completed.gloss,
         "misfits": completed.misfits,
-        "expected": calibrate(atoms, readings).expected(completed),
+        "expected": calibrate(atoms, readings).expected(completed).to_json(),
         "errors": errors(brdf, completed.brdf),
         "suggested": suggest(atoms, 3, completed).angles_deg,
     }
@@ -172,8 +172,7 @@ def errors(truth: Any, other: Any) -> Any:
     """The errors of reports between two BRDFs."""
     from manifold.model import brdf_errors
 
-    found = brdf_errors(truth, other)
-    return found._asdict() | {"look": found.look.to_json()}
+    return brdf_errors(truth, other).to_json()
 
 
 def as_parts(value: Any) -> list[Any]:

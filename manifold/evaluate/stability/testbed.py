@@ -28,7 +28,7 @@ from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import relative_error
+from manifold.metrics import Errors, relative_error
 from manifold.model import diagnostics
 from manifold.model.latent_space import LatentSpace
 from manifold.model.manifold import Manifold
@@ -132,8 +132,8 @@ class TestBed:
         """The prediction of a manifold for a new material, and its diagnostics."""
         found = model.embed(material)
         brdf, messages = predict(model, found.latent, found.colours)
-        difference = self.ball_difference(brdf, material, is_turned=False)
-        return brdf, diagnostics.of_embedding(found.relative_error, difference) + messages
+        errors = Errors(self.ball_difference(brdf, material, is_turned=False), linear=found.relative_error)
+        return brdf, diagnostics.of_embedding(errors) + messages
 
     @cached_property
     def _plastics(self) -> list[tuple[Array, Array]]:

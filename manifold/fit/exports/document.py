@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from manifold import __version__
-from manifold.fit.fit_metrics import BallDifference
+from manifold.metrics import Errors
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class Export:
         parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
         source: where the parameters come from, plain values.
         method: `direct`, a fit of the target's own model; or `mapping`, from the parameters of `principled`.
-        ball: difference of the target's own model from what `against` names.
-        principled_ball: that of Mitsuba's `principled`; None where that is what `against` names.
+        errors: of the ball of the target's own model, from what `against` names.
+        principled_errors: those of Mitsuba's `principled`; None where that is what `against` names.
         against: `measured file`, `prediction` or `fit`.
         textures: in place of the base colour and the flat normal; None for one material everywhere.
     """
@@ -75,8 +75,8 @@ class Export:
     parameters: Mapping[str, Any]
     source: Mapping[str, Any]
     method: str
-    ball: BallDifference
-    principled_ball: BallDifference | None
+    errors: Errors[float]
+    principled_errors: Errors[float] | None
     against: str
     textures: TextureFiles | None = None
 
@@ -93,8 +93,8 @@ class Export:
             "target": self.target,
             "source": dict(self.source),
             "method": self.method,
-            "ball": asdict(self.ball),
-            "principled_ball": None if self.principled_ball is None else asdict(self.principled_ball),
+            "errors": self.errors.to_json(),
+            "principled_errors": self.principled_errors and self.principled_errors.to_json(),
             "against": self.against,
             **(
                 {}
@@ -107,7 +107,7 @@ class Export:
         """One line for people."""
         return (
             f"{self.label}: Exported by manifold {__version__} for {self.target}; "
-            f"CIEDE2000 on the ball against the {self.against}: {self.ball}"
+            f"CIEDE2000 on the ball against the {self.against}: {self.errors}"
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -36,9 +36,9 @@ from manifold.render.render import RenderSettings, require_d65
 Columns = dict[str, Callable[[Content], Any]]
 
 _ERRORS: Columns = {
-    "CIEDE2000": lambda content: content["ball"],
-    "cube root": lambda content: content["cube_root_error"],
-    "linear": lambda content: content["relative_error"],
+    "CIEDE2000": lambda content: content["errors"]["ball"],
+    "cube root": lambda content: content["errors"]["cube_root"],
+    "linear": lambda content: content["errors"]["linear"],
 }
 
 
@@ -163,7 +163,7 @@ def predictions_of(
     columns: Columns = {
         "latent": lambda content: " ".join(f"{x:.4g}" for x in content["latent"]),
         "colour": lambda content: content["colour"],
-        "expected CIEDE2000": lambda content: content["expected_ball"],
+        "expected CIEDE2000": lambda content: (content["expected"] or {}).get("ball"),
     }
     return Command(
         "predictions", partial(_predict, options=options), asdict(options), suffix, (".bsdf",), columns,
@@ -227,8 +227,8 @@ def conversions(to: str, *, correction: Path | None = None, options: Options) ->
         "from": lambda content: content["source"],
         "bands": lambda content: content["bands"],
         **APPEARANCE,
-        "cube root": lambda content: content["error"]["cube_root"],
-        "linear": lambda content: content["error"]["linear"],
+        "cube root": lambda content: content["errors"]["cube_root"],
+        "linear": lambda content: content["errors"]["linear"],
     }
     how = {"to": to, **options._asdict()}
     if correction is not None:

@@ -225,10 +225,10 @@ def exports(
         is_pack: whether to write a page of balls, too, see `pack`.
     """
     columns: dict[str, Callable[[Content], Any]] = {
-        "CIEDE2000": lambda content: content["ball"]["unseen_light"],
-        "of principled": lambda content: (content["principled_ball"] or {}).get("unseen_light"),
-        "in the worst light": lambda content: content["ball"]["worst"],
-        "worst light": lambda content: content["ball"]["worst_light"],
+        "CIEDE2000": lambda content: content["errors"]["ball"],
+        "of principled": lambda content: (content["principled_errors"] or {}).get("ball"),
+        "in the worst light": lambda content: content["errors"]["worst"],
+        "worst light": lambda content: content["errors"]["worst_light"],
     }
     make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures, is_pack=is_pack)
     how = {"target": target.name, "mapped": is_mapped} | ({"pack": True} if is_pack else {})

@@ -24,7 +24,6 @@ from manifold.errors import (
     MissingLibraryError,
     ShapeError,
     UnknownNameError,
-    UsageError,
 )
 from manifold.io_rgl import require_sound
 from manifold.library import staging
@@ -192,45 +191,6 @@ class Library:
             )
         return file
 
-    def read_spectra(
-        self,
-        name: str,
-        *,
-        theta_index: int | None = None,
-        phi_index: int | None = None,
-        bands: slice | None = None,
-    ) -> Array:
-        """A part of one material's spectra; only the chunks that contain it are read, so no hash is verified.
-
-        Compact materials are read whole.
-
-        Args:
-            name: the material.
-            theta_index: one incident elevation, or all.
-            phi_index: one incident azimuth, or all.
-            bands: a range of bands with step 1, or all.
-        Returns:
-            Shape (P, T, B, H, W), all five axes kept, band axis contiguous in memory.
-        Raises:
-            UsageError: no such material, index, or step.
-            LibraryError: the material is damaged.
-        """
-
-        def select(shape: tuple[int, ...]) -> tuple[slice, ...]:
-            return (
-                _one(phi_index, shape[0], f"{name}: phi_index"),
-                _one(theta_index, shape[1], f"{name}: theta_index"),
-                slice(0, shape[2]),
-                slice(0, shape[3]),
-                _band_range(bands, shape[4], name),
-            )
-
-        with self._material(name) as group:
-            if info_of(name, group.attrs).accuracy is None:
-                return np.moveaxis(read_array(group, "spectra", select), -1, 2)
-            values = np.moveaxis(self.read(name).spectra, 2, -1)
-            return np.moveaxis(np.ascontiguousarray(values[select(values.shape)]), -1, 2)
-
     def attributes(self, name: str) -> MaterialInfo:
         """Metadata of a material, without reading its arrays.
 
@@ -347,20 +307,3 @@ def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
 def _first_line(error: Exception) -> str:
     """The first line of an error of zarr; its type, if it has no message."""
     return str(error).splitlines()[0] if str(error) else type(error).__name__
-
-
-def _one(index: int | None, count: int, where: str) -> slice:
-    if index is None:
-        return slice(0, count)
-    if not 0 <= index < count:
-        raise UsageError(f"{where} is {index}, expected 0 to {count - 1}")
-    return slice(index, index + 1)
-
-
-def _band_range(bands: slice | None, count: int, where: str) -> slice:
-    start, stop, step = (bands or slice(None)).indices(count)
-    if step != 1 or start >= stop:
-        raise UsageError(
-            f"{where}: {bands} selects no range of the {count} bands; use a non-empty one with step 1"
-        )
-    return slice(start, stop)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -78,14 +78,11 @@ def read_attributes(folder: Path) -> dict[str, Any]:
     return found
 
 
-def read_array(
-    group: zarr.Group, name: str, select: Callable[[tuple[int, ...]], tuple[slice, ...]] | None = None
-) -> AnyArray:
-    """One array, or the part that `select` chooses by its shape, C-contiguous in the axis order of the store."""
+def read_array(group: zarr.Group, name: str) -> AnyArray:
+    """One array, C-contiguous in the axis order of the store."""
     array = _array(group, name)
-    selection = tuple(slice(0, size) for size in array.shape) if select is None else select(array.shape)
-    _require_chunks(array, selection)
-    return np.asarray(array[selection])
+    _require_chunks(array)
+    return np.asarray(array[:] if array.ndim else array[()])
 
 
 def pack(tables: Mapping[str, AnyArray]) -> tuple[AnyArray, list[Any]]:
@@ -141,15 +138,13 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
     return array
 
 
-def _require_chunks(array: zarr.Array[Any], selection: tuple[slice, ...]) -> None:
+def _require_chunks(array: zarr.Array[Any]) -> None:
     """Raise LookupError where a chunk is missing, which zarr would read as zeros."""
     if 0 in array.shape:
         return
     sizes = array.shards or array.chunks
-    first = [part.start // size for part, size in zip(selection, sizes, strict=True)]
-    last = [(part.stop - 1) // size for part, size in zip(selection, sizes, strict=True)]
-    for index in np.ndindex(*(b - a + 1 for a, b in zip(first, last, strict=True))):
-        key = ".".join(["c", *(str(a + i) for a, i in zip(first, index, strict=True))])
+    for index in np.ndindex(*(-(-n // size) for n, size in zip(array.shape, sizes, strict=True))):
+        key = ".".join(["c", *map(str, index)])
         chunk = _folder(array) / key
         if not chunk.is_file():
             raise LookupError(f"field '{array.basename}' lacks its chunk {key}")

@@ -201,8 +201,6 @@ def test_a_compact_library_is_small_and_reads_as_before(tmp_path: Path) -> None:
     again = compact_library(path, 0.1)
     assert again.compacted == {}
     assert again.skipped == library.names
-    part = library.read_spectra("syn_felt_green", theta_index=2)
-    assert_same_array(part, library.read("syn_felt_green").spectra[:, 2:3], "spectra")
 
 
 def test_compact_import_and_compacted_import_are_the_same(tmp_path: Path, compacted: Library) -> None:

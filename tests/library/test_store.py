@@ -22,7 +22,6 @@ import numpy as np
 import pytest
 import zarr
 from helpers.sample_files import WAVELENGTHS_NM, assert_same, assert_same_array, sample_file, write_samples
-from zarr.storage import LocalStore
 
 from manifold import progress
 from manifold.errors import BandMismatchError, LibraryError, UsageError
@@ -116,68 +115,14 @@ def test_the_library_hash_changes_with_its_materials_only(
     assert library.content_hash != before
 
 
-@pytest.mark.parametrize(
-    ("selection", "index"),
-    [
-        ({}, np.s_[:]),
-        ({"theta_index": 2}, np.s_[:, 2:3]),
-        ({"phi_index": 8, "theta_index": 0}, np.s_[8:9, 0:1]),
-        ({"bands": slice(30, 40)}, np.s_[:, :, 30:40]),
-        ({"phi_index": 1, "theta_index": 1, "bands": slice(-1, None)}, np.s_[1:2, 1:2, 69:]),
-    ],
-)
-def test_a_part_of_the_spectra_equals_that_part_of_the_file(
-    tmp_path: Path, selection: dict, index: tuple[slice, ...]
-) -> None:
-    path = write_samples(tmp_path, 1, azimuths=9)[0]
-    import_files(tmp_path / "library.zarr", [path])
-    found = Library.open(tmp_path / "library.zarr").read_spectra("m00", **selection)
-    assert_same_array(found, read_bsdf(path).spectra[index], "spectra")
-    assert np.moveaxis(found, 2, -1).flags.c_contiguous
-
-
-@pytest.mark.parametrize(("selection", "chunks"), [({"theta_index": 2, "bands": slice(35, 70)}, 1), ({}, 6)])
-def test_a_part_of_the_spectra_costs_its_own_chunks_only(
-    library: Library, monkeypatch: pytest.MonkeyPatch, selection: dict, chunks: int
-) -> None:
-    read = []
-    get = LocalStore.get
-
-    async def counted(store: LocalStore, key: str, *arguments: object, **named: object) -> object:
-        found = await get(store, key, *arguments, **named)  # type: ignore[arg-type]
-        if key.split("/")[-1].startswith("c.") and found is not None:
-            read.append(len(found))
-        return found
-
-    monkeypatch.setattr(LocalStore, "get", counted)
-    library.read_spectra("m01", **selection)
-    chunk, index = 4 * 4 * 35 * 4, 6 * 16 + 4
-    assert chunks * chunk <= sum(read) <= chunks * chunk + index
-
-
 def test_a_shard_that_is_gone_is_no_black_material(library: Library) -> None:
     (library.path / "materials" / "m01" / "spectra" / "c.0.0.0.0.0").unlink()
     with pytest.raises(LibraryError, match=r"m01: .*'spectra' lacks its chunk c\.0\.0\.0\.0\.0"):
-        library.read_spectra("m01", theta_index=1)
-
-
-@pytest.mark.parametrize(
-    "selection",
-    [
-        {"theta_index": 3},
-        {"theta_index": -1},
-        {"phi_index": 1},
-        {"bands": slice(5, 5)},
-        {"bands": slice(0, 9, 2)},
-    ],
-)
-def test_a_part_that_is_not_there_is_a_usage_error(library: Library, selection: dict) -> None:
-    with pytest.raises(UsageError, match="m00"):
-        library.read_spectra("m00", **selection)
+        library.read("m01")
 
 
 def test_an_unknown_material_is_a_usage_error(library: Library) -> None:
-    for call in (library.read, library.attributes, library.read_spectra):
+    for call in (library.read, library.attributes):
         with pytest.raises(
             UsageError, match=r"felt: no such material in library\.zarr, which holds 3 materials; among them"
         ):

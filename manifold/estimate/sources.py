@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
-from manifold.model.places import Place, PlaceLike, parse_coordinates
+from manifold.model.places import Place, PlaceLike, is_place
 from manifold.names import names_like
 from manifold.records import BsdfFile
 
@@ -123,7 +123,7 @@ def parse_source(
         return LibrarySource(known, text)
     if os.path.exists(path):
         return FileSource(path)
-    if not looks_like_file and (parse_coordinates(text) is not None or _is_path_of_latents(text)):
+    if not looks_like_file and is_place(text):
         return PlaceSource(model, text, library, colour)
     if looks_like_file:
         raise MissingFileError(
@@ -198,9 +198,3 @@ def _names(model: Path, library: Path | None) -> tuple[Path, tuple[str, ...]]:
 
         library = read_model(model).library
     return library, Library(library).names
-
-
-def _is_path_of_latents(text: str) -> bool:
-    """Whether a text has the form of `FROM:TO:T`."""
-    *names, t = text.split(":")
-    return len(names) >= 2 and parse_coordinates(t) is not None

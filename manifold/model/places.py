@@ -81,6 +81,15 @@ def parse_coordinates(text: str) -> list[float] | None:
         return None
 
 
+def is_place(text: str) -> bool:
+    """Whether a text has the form of coordinates or of `FROM:TO:T`, whatever materials there are.
+
+    Raises:
+        UsageError: T is not from 0 to 1.
+    """
+    return parse_coordinates(text) is not None or parse_path(text, ()) is not None
+
+
 def require_latent(x: ArrayLike, latent_dim: int) -> Array:
     """One latent as float64 (Q,).
 

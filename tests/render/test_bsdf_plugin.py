@@ -432,12 +432,23 @@ def test_a_model_is_read_again_after_its_library_has_changed(models, tmp_path):
     assert after is not before
 
 
+def test_a_name_is_the_latent_of_its_material(models, rng):
+    model = Manifold.load(models["rgb"])
+    by_name, by_latent = (
+        InMitsuba(backend.mitsuba("rgb"), {"type": "manifold", "model": str(models["rgb"]), "latent": latent})
+        for latent in (model.names[1], words(model.X[1]))
+    )
+    wi, wo = from_spherical(0.5, 0.0), random_directions(rng, 50)
+    np.testing.assert_array_equal(by_name.eval_pdf(wi, wo)[0], by_latent.eval_pdf(wi, wo)[0])
+
+
 @pytest.mark.parametrize(
     ("properties", "message"),
     [
         ({}, "no latent; give `latent`"),
         ({"latent": "0.1"}, "found 1 coordinates"),
-        ({"latent": "a,b"}, "expected numbers"),
+        ({"latent": "a,b"}, "no material 'a,b'"),
+        ({"latent": "syn_gloss_red:syn_felt_green:0.5"}, "a step of a walk"),
         ({"latent": "0.1,0.2", "tolerance": 50.0}, "expected a share"),
         ({"latent": "0.1,0.2", "model": "nothing.h5"}, "nothing.h5"),
         ({"latent": "0.1,0.2", "srgb": "#ff0000"}, "colours cannot be chosen"),

@@ -12,7 +12,7 @@ is that of the nearest band where bands are at most 5 nm apart, and linear betwe
 Properties:
     model: path of the model.
     library: where its library is, if it has moved.
-    latent: coordinates with commas between, or
+    latent: coordinates with commas between, or the name of a material that lies there, or
     latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
     like, reflectance, srgb: the colour, as in `manifold predict`.
     tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
@@ -174,20 +174,20 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         return [_finite_texture(mi, properties, name) for name in names], None
     if "latent" not in properties:
         raise UsageError(
-            f"plugin manifold: no latent; give `latent` as 'x,y', or textures {', '.join(names)}"
+            f"plugin manifold: no latent; give `latent` as 'x,y' or a material, or textures {', '.join(names)}"
         )
-    try:
-        latent = [float(part) for part in str(properties["latent"]).split(",")]
-    except ValueError:
+    place = model.place(str(properties["latent"]))
+    if place.path is not None:
         raise UsageError(
-            f"plugin manifold: latent is '{properties['latent']}', expected numbers like '-0.3,1.2'"
-        ) from None
+            f"plugin manifold: latent is '{properties['latent']}', a step of a walk, which no latent makes; write it "
+            "to a file with `manifold predict`"
+        )
     colour = ColourChoice(
         like=str(properties["like"]) if "like" in properties else None,
         reflectance=_optional_path(properties, "reflectance"),
         srgb=str(properties["srgb"]) if "srgb" in properties else None,
     )
-    return [], FixedLatent.of(model, latent, colour, tolerance)
+    return [], FixedLatent.of(model, place, colour, tolerance)
 
 
 def _finite_texture(mi: Any, properties: Any, name: str) -> Any:

@@ -14,6 +14,7 @@ from manifold.mapping import Mapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
+from manifold.model.places import Place
 from manifold.records import AnyArray, Array, Bands, BsdfFile, Indices
 from manifold.render.plugin import packed_tables
 from manifold.render.plugin.packed_tables import Tables
@@ -86,15 +87,13 @@ class FixedLatent:
 
     @classmethod
     def of(
-        cls, model: Manifold, latent: Sequence[float], colour: ColourChoice = NEAREST, tolerance: float = 0.0
+        cls, model: Manifold, place: Place, colour: ColourChoice = NEAREST, tolerance: float = 0.0
     ) -> FixedLatent:
-        """The latent of Q coordinates, in a colour that is chosen there.
+        """The latent of a place, in a colour that is chosen there.
 
         Raises:
-            LatentError: the latent does not have Q finite coordinates.
             UsageError: a colour is chosen on a map of whole materials.
         """
-        place = model.place(latent)
         return cls(model, place.latent, choose_colour(model, place, colour).colours, tolerance)
 
     def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:

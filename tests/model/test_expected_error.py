@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from helpers.small_library import small_library
@@ -10,7 +12,7 @@ from scipy.stats import spearmanr
 from manifold.library.store import Library
 from manifold.model.diagnostics import in_words, predict
 from manifold.model.expected_error import ExpectedError
-from manifold.model.left_out import LeftOut
+from manifold.model.left_out import GUARANTEED, LEVEL, LeftOut
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 
@@ -145,6 +147,23 @@ def test_the_bound_needs_enough_materials(model):
     assert found.most_level == n / (n + 1)
     assert found.bound is None or found.bound > 0.0
     assert (found.bound is None) == (np.ceil(0.9 * (n + 1)) > n)
+
+
+def test_nine_in_ten_new_materials_err_by_less_than_the_bound(rng):
+    """Of materials exchangeable with those left out: errors that vary over the map, with light and with heavy tails."""
+    below = []
+    for _ in range(12):
+        X = rng.normal(scale=2.0, size=(70, 2))
+        light, heavy = np.exp(0.3 * X[:, 0] + rng.normal(size=70)), np.exp(rng.standard_t(2.0, size=70))
+        known = slice(None, 30)
+        space = SimpleNamespace(X=X[known], kernel=SimpleNamespace(length_scale=1.0))
+        errors = LeftOut(space, X[known], light[known], 0.1 * heavy[known], np.ones(30), np.arange(30))
+        bounds, expected = errors.calibration(), errors.expected(X[30:])
+        below.append(light[30:] < bounds["ball"].bound * expected.ball)
+        below.append(0.1 * heavy[30:] < bounds["cube_root"].bound * expected.cube_root)
+    shares = np.mean(np.reshape(below, (12, 2, 40)), axis=(0, 2))
+    assert np.all(shares > GUARANTEED)
+    np.testing.assert_allclose(shares, LEVEL, atol=0.06)  # 480 of each
 
 
 def test_errors_that_do_not_fit_the_materials_are_refused(model):

@@ -45,7 +45,7 @@ from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
 from manifold.kernels import SquaredExponential
 from manifold.likelihood import LatentObjective, centre_gram, pca_start
-from manifold.mapping import mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.model.fitting import gram_matrix
 from manifold.pairs import RusinkiewiczGrid
 
@@ -68,7 +68,7 @@ def starts_of(S: np.ndarray, count: int) -> list[np.ndarray]:
 def beside_each_other(folder: Path, mapping: str) -> list[str]:
     """Rows of the table of optimisers for the materials of a folder."""
     materials = [MeasuredBRDF(read_bsdf(path)) for path in sorted(folder.glob("*.bsdf"))]
-    gram = gram_matrix(materials, mapping_named(mapping), RusinkiewiczGrid.named("default"))
+    gram = gram_matrix(materials, MAPPINGS[mapping], RusinkiewiczGrid.named("default"))
     starts = starts_of(centre_gram(gram.S), STARTS)
     ends, seconds = {}, {}
     for name in OPTIMIZERS:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from importlib import import_module
 from typing import Any, get_type_hints
 
 import typer
@@ -12,9 +14,18 @@ from typer.core import TyperCommand
 
 from . import outputs
 
+_REGISTRY = re.compile(r"\{(manifold[.\w]*)\.(\w+)\}")
+
 
 class Command(TyperCommand):
     """A command that checks its outputs before it runs."""
+
+    def get_help(self, ctx: Any) -> str:
+        """As Typer's; `{manifold.mapping.MAPPINGS}` stands for the names in that registry, which is imported now."""
+        for each in (self, *self.params):
+            if text := getattr(each, "help", None):
+                each.help = _REGISTRY.sub(lambda found: str(getattr(import_module(found[1]), found[2])), text)
+        return super().get_help(ctx)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """As Typer's, but arguments stand by their names alone, without a type such as `<list[Path]>`."""

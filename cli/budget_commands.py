@@ -31,7 +31,9 @@ def budget(
     ] = None,
     example: Annotated[
         str | None,
-        typer.Option(help="Instead of a scene: felt, paint or chrome.", metavar="NAME"),
+        typer.Option(
+            help="Instead of a scene: {manifold.evaluate.budget.example_scenes.EXAMPLES}.", metavar="NAME"
+        ),
     ] = None,
     max_delta_e: Annotated[
         float, typer.Option(help="Largest mean CIEDE2000 over the pixels of a material.", metavar="X")

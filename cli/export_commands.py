@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,11 +18,6 @@ from .worker_options import workers_of
 
 if TYPE_CHECKING:
     from manifold.batch import Outcome
-
-
-TargetName = Literal[
-    "gltf", "openpbr", "standard-surface", "usd", "usd-materialx", "blender", "blender-json", "unreal", "unity"
-]  # fmt: skip
 
 
 @app.command(
@@ -54,8 +49,12 @@ def export(
         ),
     ] = None,
     target: Annotated[
-        TargetName | None,
-        typer.Option(help="The target, if neither the suffix nor the fit determines it. [default for folders: gltf]"),
+        str | None,
+        typer.Option(
+            help="The target, if neither the suffix nor the fit determines it: {manifold.fit.exports.targets.TARGETS}. "
+            "[default for folders: gltf]",
+            metavar="NAME",
+        ),
     ] = None,
     against: Annotated[
         Path | None,

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
 
 
-Method = Literal["gauss-newton", "adam", "swarm"]
 Metric = Literal["appearance", "cube-root", "linear", "log"]
 
 
@@ -47,8 +46,11 @@ def fit(
         options.output_option("The JSON file to write, or the folder. [default: NAME.fit.json, or fits]"),
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="gauss-newton: from many starts; adam and swarm: earlier methods, for "
-        "comparison.")
+        str,
+        typer.Option(
+            help="{manifold.fit.principled.METHODS}: Gauss-Newton from many starts, or others to compare with.",
+            metavar="NAME",
+        ),
     ] = "gauss-newton",
     metric: Annotated[
         Metric, typer.Option(help="Residuals: of a lit ball and cube roots of samples; or of samples alone.")

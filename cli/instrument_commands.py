@@ -44,8 +44,7 @@ def convert(
             "--format",
             "-f",
             metavar="FORMAT",
-            help="rgl, merl, utia, lighttools, zemax, fred, speos, speos-anisotropic, openmaterial, bird, astm or csv, "
-            "where the suffix of OUT is ambiguous. [default for folders: rgl]",
+            help="{manifold.convert.targets.TARGETS}, where the suffix of OUT is ambiguous. [default for folders: rgl]",
         ),
     ] = None,
     sample: options.SampleOption = None,
@@ -78,10 +77,9 @@ def convert(
 ) -> None:
     """Convert a BRDF or readings into another format, and report the conversion error.
 
-    Reads RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, BiRD, ASTM tables
-    (Mini-Diff), pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3, recognised by their content. The result
-    is read back and compared at the file's own nodes. Several are written into a folder, with a table and a sheet of
-    balls.
+    Reads RGL files, and those of other programs and instruments, recognised by their content:
+    {manifold.formats.registry.FORMATS}. The result is read back and compared at the file's own nodes. Several are
+    written into a folder, with a table and a sheet of balls.
     """
     from manifold.convert import conversion
     from manifold.convert.targets import Options

@@ -52,8 +52,8 @@ def corpus(
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="Write instead simulated measurements of each material, with noise: ma-t12 (workbooks of "
-            "12 geometries) or mini-diff (ASTM tables).",
+            help="Write instead simulated measurements of each material by an instrument, with noise: "
+            "{manifold.analytic.instruments.INSTRUMENTS}.",
             metavar="NAME",
         ),
     ] = None,
@@ -284,8 +284,8 @@ def info(
 ) -> None:
     """Show what a file, a library, a model, or a fit contains.
 
-    Files may be RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, BiRD, ASTM tables
-    (Mini-Diff), pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3; they are recognised by their content.
+    Files may be RGL files, or those of other programs and instruments, recognised by their content:
+    {manifold.formats.registry.FORMATS}.
     """
     from manifold import info
 

@@ -28,7 +28,6 @@ _LEAST_TURN_DEG = 5.0  # that is worth a word
 
 Kind = Literal["blend", "material"]
 Optimizer = Literal["dls", "l-bfgs"]
-Criterion = Literal["decoded", "cube-root", "mapped", "likelihood"]
 MaterialsArgument = Annotated[
     list[str],
     typer.Argument(
@@ -82,7 +81,7 @@ def embed(
     mapping: Annotated[
         str | None,
         typer.Option(
-            help="For --kind material: mapping of BRDF values, identity, cube-root, log, log-relative, or auto. "
+            help="For --kind material: mapping of BRDF values, {manifold.mapping.MAPPINGS}; or auto. "
             "[default: cube-root]",
             metavar="NAME",
             show_default=False,
@@ -106,8 +105,8 @@ def embed(
     kernel: Annotated[
         str,
         typer.Option(
-            help="Covariance function: se (squared exponential, as published), matern52 or matern32. For blends it "
-            "determines the posterior variance only, not the weights.",
+            help="Covariance function: {manifold.kernels.KERNELS}; se is squared exponential, as published. For blends "
+            "it determines the posterior variance only, not the weights.",
             metavar="NAME",
         ),
     ] = "se",

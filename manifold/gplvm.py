@@ -35,6 +35,7 @@ from manifold.likelihood import (
     require_start,
 )
 from manifold.records import Array
+from manifold.registry import Registry
 
 FitCallback = Callable[[int, float], Any]
 
@@ -121,10 +122,9 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
     return result.x.reshape(X.shape), float(result.fun)
 
 
-OPTIMIZERS: dict[str, Callable[[Run, Array], Any]] = {
-    "dls": search,
-    "l-bfgs": descend,
-}
+OPTIMIZERS: Registry[Callable[[Run, Array], Any]] = Registry(
+    "optimizer", [("dls", search), ("l-bfgs", descend)]
+)
 
 
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
@@ -262,8 +262,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self.n_iter_, self.n_evaluations_ = max(run.n_iter, 1), run.n_evaluations
 
     def _require_parameters(self) -> None:
-        if self.optimizer not in OPTIMIZERS:
-            raise UsageError(f"optimizer '{self.optimizer}', expected one of {', '.join(OPTIMIZERS)}")
+        OPTIMIZERS[self.optimizer]  # checks it
         if not self.n_components >= 1:
             raise UsageError(f"n_components = {self.n_components}, expected at least 1")
         require_mu(self.mu)

@@ -20,6 +20,7 @@ from scipy.spatial.distance import cdist
 
 from manifold.errors import UsageError
 from manifold.records import Array, Indices, Mask
+from manifold.registry import Registry
 
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 LARGEST_MU = 1e6  # above, everything is noise
@@ -61,12 +62,12 @@ class Kernel(ABC):
         Raises:
             UsageError: it is none of this package's.
         """
-        if self.family not in _FAMILIES:
+        if self.family not in KERNELS:
             raise UsageError(
-                f"kernel '{self.family}' is your own, expected one of {', '.join(_FAMILIES)} for direct local search; "
+                f"kernel '{self.family}' is your own, expected {KERNELS} for direct local search; "
                 "use the optimizer l-bfgs"
             )
-        return list(_FAMILIES).index(self.family), 1.0 / self.length_scale**2
+        return list(KERNELS).index(self.family), 1.0 / self.length_scale**2
 
     @abstractmethod
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
@@ -156,12 +157,10 @@ class Matern52(Kernel):
         return (1.0 + a + a * a / 3.0) * decay, (-5.0 / 6.0) * (1.0 + a) * decay
 
 
-_FAMILIES: dict[str, type[Kernel]] = {
-    kernel.family: kernel for kernel in (SquaredExponential, Matern32, Matern52)
-}
-
-KERNELS = tuple(_FAMILIES)
-"""Names that `kernel_named` takes."""
+KERNELS: Registry[type[Kernel]] = Registry(
+    "kernel", ((kernel.family, kernel) for kernel in (SquaredExponential, Matern32, Matern52))
+)
+"""What `kernel_named` takes."""
 
 
 def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
@@ -179,9 +178,7 @@ def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float
     """
     if isinstance(name, type) and issubclass(name, Kernel):
         return name(mu, length_scale)
-    if name not in KERNELS:
-        raise UsageError(f"no kernel is called '{name}', expected one of {', '.join(KERNELS)}")
-    return _FAMILIES[name](mu, length_scale)
+    return KERNELS[name](mu, length_scale)
 
 
 @nb.njit(cache=True)

@@ -221,8 +221,7 @@ def _shown(made: Reconstruction, path: Path) -> Content:
 
 def conversions(to: str, *, correction: Path | None = None, options: Options) -> Command[Input]:
     """Convert files, or every sample of those with several, into one of `TARGETS`; see `conversion.convert`."""
-    if to not in TARGETS:
-        raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
+    target = TARGETS[to]
     columns: Columns = {
         "from": lambda content: content["source"],
         "bands": lambda content: content["bands"],
@@ -233,7 +232,7 @@ def conversions(to: str, *, correction: Path | None = None, options: Options) ->
     how = {"to": to, **options._asdict()}
     if correction is not None:
         how["correction"] = file_sha256(correction)
-    suffix = next(iter(TARGETS[to].suffixes), f".{to}.txt")
+    suffix = next(iter(target.suffixes), f".{to}.txt")
     make = partial(_convert, to=to, correction=correction, options=options)
     return Command("conversions", make, how, suffix, columns=columns, under="cube root", has_balls=True)
 

@@ -19,9 +19,9 @@ from typing import Protocol
 
 import numpy as np
 
-from manifold.errors import ShapeError, UnknownNameError
-from manifold.names import names_like
+from manifold.errors import ShapeError
 from manifold.records import Array
+from manifold.registry import Registry
 
 
 class Mapping(Protocol):
@@ -29,7 +29,7 @@ class Mapping(Protocol):
 
     @property
     def name(self) -> str:
-        """The name under which `mapping_named` finds it."""
+        """The name under which `MAPPINGS` has it."""
 
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """T of BRDF values in 1/sr.
@@ -162,20 +162,11 @@ class LogRelative:
         return np.maximum(weight, self.floor)[..., None]
 
 
-MAPPINGS: dict[str, Mapping] = {
-    mapping.name: mapping for mapping in (Identity(), Log(), CubeRoot(), LogRelative())
-}
+MAPPINGS: Registry[Mapping] = Registry(
+    "mapping", ((mapping.name, mapping) for mapping in (Identity(), CubeRoot(), Log(), LogRelative()))
+)
+"""The mappings by name, with their default parameters.
 
-
-def mapping_named(name: str) -> Mapping:
-    """The mapping of that name, with its default parameters.
-
-    Raises:
-        UsageError: the name is unknown.
-
-    >>> mapping_named("cube-root").forward(np.array([0.008, 1.0]))
-    array([0.2, 1. ])
-    """
-    if name not in MAPPINGS:
-        raise UnknownNameError(f"no mapping is called '{name}'; {names_like(MAPPINGS, name, 'there are')}")
-    return MAPPINGS[name]
+>>> MAPPINGS["cube-root"].forward(np.array([0.008, 1.0]))
+array([0.2, 1. ])
+"""

@@ -12,6 +12,7 @@ import numpy as np
 from manifold.directions import from_rusinkiewicz, require_directions, rotate_z
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Indices, Mask
+from manifold.registry import Registry
 
 LEVEL = 1e-9
 """Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""
@@ -212,8 +213,6 @@ class RusinkiewiczGrid:
         Raises:
             UsageError: the name is unknown.
         """
-        if name not in NAMED_GRIDS:
-            raise UsageError(f"no grid is called '{name}', expected one of {', '.join(NAMED_GRIDS)}")
         return NAMED_GRIDS[name]
 
     def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:
@@ -254,7 +253,5 @@ class RusinkiewiczGrid:
             yield self.directions(start, start + size)
 
 
-NAMED_GRIDS = {
-    "default": RusinkiewiczGrid(),
-    "hikichi": RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0),
-}
+_PUBLISHED = RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0)
+NAMED_GRIDS = Registry("grid", [("default", RusinkiewiczGrid()), ("hikichi", _PUBLISHED)])

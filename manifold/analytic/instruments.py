@@ -6,7 +6,7 @@ What they write has the layout and quirks of real files: see `manifold.formats.m
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,10 +17,10 @@ from manifold import disk
 from manifold.analytic.corpus import Material, isotropic_materials, write_files
 from manifold.brdf.measured import BRDF
 from manifold.directions import from_spherical
-from manifold.errors import UsageError
 from manifold.formats import ma_t12
 from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
 from manifold.records import Array, Bands
+from manifold.registry import Registry
 
 MA_T12_BANDS = Bands(tuple(float(nm) for nm in range(400, 701, 10)))
 MINI_DIFF_BANDS = Bands((465.0, 525.0, 630.0))
@@ -124,11 +124,10 @@ def _flake_image(rng: np.random.Generator, flakes: bool) -> bytes:
     return out.getvalue()
 
 
-_WRITERS: Mapping[str, tuple[Bands, str]] = {
-    "ma-t12": (MA_T12_BANDS, ".xlsx"),
-    "mini-diff": (MINI_DIFF_BANDS, ".astm"),
-}
-INSTRUMENTS = tuple(_WRITERS)
+INSTRUMENTS = Registry(
+    "instrument", [("ma-t12", (MA_T12_BANDS, ".xlsx")), ("mini-diff", (MINI_DIFF_BANDS, ".astm"))]
+)
+"""Their bands, and the suffix of their files."""
 
 
 def write(
@@ -148,9 +147,7 @@ def write(
     Raises:
         UsageError: there is no such instrument, or the folder cannot be made.
     """
-    if instrument not in _WRITERS:
-        raise UsageError(f"no instrument '{instrument}', expected one of {', '.join(INSTRUMENTS)}")
-    bands, suffix = _WRITERS[instrument]
+    bands, suffix = INSTRUMENTS[instrument]
 
     def write_one(path: Path, material: Material) -> None:
         rng = np.random.default_rng([seed, *instrument.encode(), *material.name.encode()])

@@ -9,6 +9,7 @@ import numpy as np
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.records import Array
+from manifold.registry import Registry
 
 FLOOR_REFLECTANCE = 0.22
 
@@ -160,11 +161,14 @@ def _room(height: int) -> Array:
 
 
 _GREY = (FLOOR_REFLECTANCE,) * 3
-ENVIRONMENTS: dict[str, tuple[Callable[[int], Array], tuple[float, float, float]]] = {
-    "studio": (studio, _GREY),
-    "overcast": (_overcast, _GREY),
-    "sky": (_sky, (0.2, 0.19, 0.16)),
-    "one-lamp": (_one_lamp, (0.03, 0.03, 0.03)),
-    "room": (_room, (0.26, 0.2, 0.15)),
-}
+ENVIRONMENTS: Registry[tuple[Callable[[int], Array], tuple[float, float, float]]] = Registry(
+    "light",
+    {
+        "studio": (studio, _GREY),
+        "overcast": (_overcast, _GREY),
+        "sky": (_sky, (0.2, 0.19, 0.16)),
+        "one-lamp": (_one_lamp, (0.03, 0.03, 0.03)),
+        "room": (_room, (0.26, 0.2, 0.15)),
+    }.items(),
+)
 """What makes each, and the radiance of its floor."""

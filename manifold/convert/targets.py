@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -19,6 +19,7 @@ from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
 from manifold.pairs import LEVEL, RusinkiewiczGrid
 from manifold.records import Array
+from manifold.registry import Registry
 
 _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
@@ -272,22 +273,25 @@ def _off_horizon(w: Array) -> Array:
     return lifted
 
 
-TARGETS: Mapping[str, Target] = {
-    "rgl": Target("RGL file", (".bsdf",), "any", _write_rgl),
-    "merl": Target("MERL", (".binary",), "RGB", _write_merl),
-    "utia": Target("UTIA", (".bin",), "RGB", _write_utia),
-    "lighttools": Target("LightTools BSDF text", (), "any", _write_lighttools),
-    "zemax": Target("Zemax BSDF text", (), "RGB or one", _write_zemax),
-    "fred": Target("FRED table", (), "one", _write_fred),
-    "speos": Target("Ansys Speos BRDF", (".brdf",), "wavelengths", _write_speos),
-    "speos-anisotropic": Target(
-        "Ansys Speos anisotropic BSDF", (".anisotropicbsdf",), "one", _write_speos_anisotropic
-    ),
-    "openmaterial": Target("OpenMATERIAL 3D", (".xompt",), "wavelengths", _write_openmaterial),
-    "bird": Target("BiRD JSON", (".json",), "wavelengths", _write_bird),
-    "astm": Target("ASTM table", (".astm",), "any", _write_astm),
-    "csv": Target("CSV table", (".csv",), "any", _write_csv),
-}
+TARGETS: Registry[Target] = Registry(
+    "format",
+    {
+        "rgl": Target("RGL file", (".bsdf",), "any", _write_rgl),
+        "merl": Target("MERL", (".binary",), "RGB", _write_merl),
+        "utia": Target("UTIA", (".bin",), "RGB", _write_utia),
+        "lighttools": Target("LightTools BSDF text", (), "any", _write_lighttools),
+        "zemax": Target("Zemax BSDF text", (), "RGB or one", _write_zemax),
+        "fred": Target("FRED table", (), "one", _write_fred),
+        "speos": Target("Ansys Speos BRDF", (".brdf",), "wavelengths", _write_speos),
+        "speos-anisotropic": Target(
+            "Ansys Speos anisotropic BSDF", (".anisotropicbsdf",), "one", _write_speos_anisotropic
+        ),
+        "openmaterial": Target("OpenMATERIAL 3D", (".xompt",), "wavelengths", _write_openmaterial),
+        "bird": Target("BiRD JSON", (".json",), "wavelengths", _write_bird),
+        "astm": Target("ASTM table", (".astm",), "any", _write_astm),
+        "csv": Target("CSV table", (".csv",), "any", _write_csv),
+    }.items(),
+)
 
 
 def target_of(output: Path, to: str | None) -> Target:
@@ -297,8 +301,6 @@ def target_of(output: Path, to: str | None) -> Target:
         UsageError: there is no such format, or the suffix is of none.
     """
     if to is not None:
-        if to not in TARGETS:
-            raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
         return TARGETS[to]
     by_suffix = {suffix: target for target in TARGETS.values() for suffix in target.suffixes}
     suffix = output.suffix.lower()

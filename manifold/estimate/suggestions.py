@@ -20,6 +20,7 @@ from manifold.formats.light_side import LEAST_HIDDEN
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.records import Array, Indices, Mask
+from manifold.registry import Registry
 
 _BALL = 3.0  # weight of the ball against all directions
 _LEAST = 1e-4  # added to the standard deviation of every pixel
@@ -147,8 +148,6 @@ def directions_left(
     Raises:
         UsageError: there is no such instrument, or there are fewer than `count`.
     """
-    if instrument is not None and instrument not in DIRECTIONS:
-        raise UsageError(f"no instrument '{instrument}', expected one of {', '.join(DIRECTIONS)}")
     wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
     total, of = len(wi), f" of {instrument}" if instrument else ""
     if readings is not None:
@@ -288,7 +287,7 @@ def _mini_diff() -> tuple[Array, Array]:
     )
 
 
-DIRECTIONS = {"ma-t12": geometry_ma_t12, "mini-diff": _mini_diff}
+DIRECTIONS = Registry("instrument", [("ma-t12", geometry_ma_t12), ("mini-diff", _mini_diff)])
 """Directions of named instruments."""
 
 

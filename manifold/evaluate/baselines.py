@@ -8,13 +8,13 @@ import numpy as np
 
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.tabulated import Data
-from manifold.mapping import Identity, Mapping, mapping_named
+from manifold.mapping import MAPPINGS, Identity, Mapping
 from manifold.model.combination import Combination
 from manifold.model.reconstruction import DICTIONARY, MAX_BANDS, ComparedValues
 from manifold.pairs import Pairs
 from manifold.records import Array, Indices
 
-_IDENTITY = mapping_named("identity")
+_IDENTITY = MAPPINGS["identity"]
 
 
 def fit_nearest(data: Data, training: Indices) -> Encode:
@@ -51,7 +51,7 @@ def fit_oracle(data: Data, training: Indices) -> Encode:
 
 def fit_pca(mapping_name: str, count: int) -> Fit:
     """Projection on the first principal components in a mapped domain, weighted by the cosines."""
-    mapping = mapping_named(mapping_name)
+    mapping = MAPPINGS[mapping_name]
 
     def fit(data: Data, training: Indices) -> Encode:
         S = data.gram(mapping)

@@ -23,9 +23,10 @@ from manifold.evaluate.results import KeptResults
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.names import counted, names_like
+from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile
+from manifold.registry import Registry
 
 ERRORS = {
     "ball": "CIEDE2000 of the ball", "cube_root": "cube-root error", "linear": "linear error",
@@ -129,12 +130,8 @@ def make_chart(
         )
     known = _known_settings(files[0].bands.count)
     names = tuple(file.name for file in files)
-    unknown = [key for key in only if key not in known]
-    if unknown:
-        near = names_like(known, unknown[0], "there are")
-        raise UsageError(
-            f"no setting is called {unknown[0]!r}; {near} (docs/explanation/accuracy.md lists all)"
-        )
+    for key in only:
+        known[key]  # checks it
     kept = KeptResults(library, f"chart-3 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
     rows = _from_arrays(kept.get())
     skipped: dict[str, str] = {}
@@ -217,10 +214,11 @@ def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
     return _Measuring([opened.read(name) for name in names], how)
 
 
-def _known_settings(n_bands: int) -> dict[str, Method | str]:
+def _known_settings(n_bands: int) -> Registry[Method | str]:
     """All settings, by key: held-out ones, and the names of fits."""
-    known: dict[str, Method | str] = {s.key: s for s in settings(n_bands)}
-    return known | {f"fit_{method}": method for method in chart_fits.METHODS}
+    known = Registry[Method | str]("setting", ((s.key, s) for s in settings(n_bands)))
+    known.update({f"fit_{method}": method for method in chart_fits.METHODS})
+    return known
 
 
 def _storage_key(method: Method | str) -> tuple[bool, str]:

@@ -13,7 +13,7 @@ from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
-from manifold.mapping import CubeRoot, Mapping, mapping_named
+from manifold.mapping import MAPPINGS, CubeRoot, Mapping
 from manifold.model.appearance import appearance_pairs, appearance_weight, roots_at
 from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
@@ -49,7 +49,7 @@ def fit_published(data: Data, training: Indices) -> Encode:
 
 
 def _process(s: Settings, data: Data, training: Indices, tolerance: float = _TOLERANCE) -> LatentProcess:
-    mapping = mapping_named(s.mapping)
+    mapping = MAPPINGS[s.mapping]
     model = GPLVM(
         min(s.latent_dim, len(training) - 1), mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior,
         optimizer=s.optimizer, tol=tolerance,

@@ -23,11 +23,14 @@ from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
 from manifold.metrics import Errors
 from manifold.records import Array, Bands, BsdfFile
+from manifold.registry import Registry
 from manifold.render import backend
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fitted_brdf import FittedBRDF
 
-METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
+METHODS: Registry[type] = Registry(
+    "method", [("gauss-newton", GaussNewton), ("adam", AdamOptions), ("swarm", SwarmOptions)]
+)
 """The methods by name, with the class of their hyperparameters."""
 
 _POOR_FIT = (
@@ -223,8 +226,6 @@ def _fit(
 
 
 def _options(method: str, options: Any) -> Any:
-    if method not in METHODS:
-        raise UsageError(f"no method is called {method!r}, expected one of {', '.join(METHODS)}")
     if options is None:
         return METHODS[method]()
     if not isinstance(options, METHODS[method]):

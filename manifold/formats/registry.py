@@ -37,6 +37,7 @@ from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import read_bytes
 from manifold.names import first_few, names_like, printable
+from manifold.registry import Registry
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
@@ -61,8 +62,7 @@ class Format(NamedTuple):
     repeatability: float | None = GONIOMETER
 
 
-# In order: what begins with magic numbers first, what only looks plausible last.
-FORMATS = (
+_KNOWN = (
     Format("spectrophotometer workbook (.xlsx)", ma_t12.sniff, ma_t12.read, REPEATABILITY),
     Format("MERL", merl.sniff, merl.read),
     Format("RT-300S workbook (.xls)", rt300s.sniff, rt300s.read),
@@ -78,6 +78,8 @@ FORMATS = (
     Format("UTIA", utia.sniff, utia.read),
     Format("CSV table", csv_table.sniff, csv_table.read, REPEATABILITY),
 )
+FORMATS = Registry("format", ((known.name, known) for known in _KNOWN))
+"""In the order in which they are tried: what begins with magic numbers first, what only looks plausible last."""
 
 
 def identify(path: Path | str) -> Format | None:
@@ -87,7 +89,9 @@ def identify(path: Path | str) -> Format | None:
         UsageError: it is missing, no regular file, or cannot be read.
     """
     head = _head(Path(path))
-    return next((known for known in FORMATS if not head.startswith(MAGIC) and known.sniff(head)), None)
+    return next(
+        (known for known in FORMATS.values() if not head.startswith(MAGIC) and known.sniff(head)), None
+    )
 
 
 def _head(path: Path) -> bytes:
@@ -110,9 +114,8 @@ def unknown(path: Path) -> FileFormatError:
             "or write it as a table with `manifold convert`"
         )
     what = name_format(head) if head else "an empty file"
-    names = ", ".join(known.name for known in FORMATS)
     return FileFormatError(
-        f"{name}: found {what}, expected an RGL file or one of: {names}, which has a header such as {HEADERS}"
+        f"{name}: found {what}, expected an RGL file or one of: {FORMATS}, which has a header such as {HEADERS}"
     )
 
 

@@ -11,7 +11,7 @@ from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.directions import from_spherical
 from manifold.encoding import Decoder
-from manifold.mapping import mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
@@ -38,7 +38,7 @@ def decoder_at(
 
     `names` are those of the space's materials; by default all.
     """
-    mapping, cosines = mapping_named(settings.mapping), pairs.cosines
+    mapping, cosines = MAPPINGS[settings.mapping], pairs.cosines
     rows = []
     for brdf in materials.in_bands(
         space.embedding_bands(materials.library.bands.count).tolist(), names=names

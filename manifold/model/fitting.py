@@ -13,7 +13,7 @@ from manifold import progress
 from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.mapping import Mapping, mapping_named
+from manifold.mapping import MAPPINGS, Mapping
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
@@ -176,7 +176,7 @@ _FITS = {"blend": _fit_blends, "material": _fit_materials}
 
 def _gram(materials: MaterialCache, s: Settings) -> Gram:
     """The Gram matrix of the materials, from the library's cache."""
-    library, mapping = materials.library, mapping_named(s.mapping)
+    library, mapping = materials.library, MAPPINGS[s.mapping]
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
     key = cache_key(library.content_hash, materials.names, mapping, grid)
     cached = library.cache_get(key)

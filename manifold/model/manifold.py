@@ -14,7 +14,7 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.library.store import Library
-from manifold.mapping import Mapping, mapping_named
+from manifold.mapping import MAPPINGS, Mapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
@@ -125,7 +125,7 @@ class Manifold(LatentMap):
     @cached_property
     def mapping(self) -> Mapping:
         """The mapping of BRDF values."""
-        return mapping_named(self.settings.mapping)
+        return MAPPINGS[self.settings.mapping]
 
     def material(self, name: str) -> MeasuredBRDF:
         """A measured material, as in its file.

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from manifold.errors import UsageError
 from manifold.kernels import Kernel, kernel_named, require_mu
-from manifold.mapping import mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.pairs import RusinkiewiczGrid
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
@@ -62,7 +62,7 @@ class Settings:
         for name, value in _KIND_DEFAULTS[self.kind].items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
-        mapping_named(self.mapping)  # checks it
+        MAPPINGS[self.mapping]  # checks it
         optimizers = _KIND_OPTIMIZERS[self.kind]
         if self.optimizer not in optimizers:
             raise UsageError(

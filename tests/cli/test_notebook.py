@@ -61,7 +61,7 @@ def test_bands_take_any_sequence_and_refuse_what_is_no_axis():
         ({"latent_dim": 2.5}, "latent_dim is 2.5, expected a whole number from 1"),
         ({"latent_dim": -1}, "latent_dim is -1, expected a whole number from 1"),
         ({"sample_bands": 1}, "sample_bands is 1, expected a whole number from 2"),
-        ({"grid": "fine"}, "no grid is called 'fine', expected one of default, hikichi"),
+        ({"grid": "fine"}, "no grid is called 'fine'; expected one of default, hikichi"),
     ],
 )
 def test_settings_are_refused_before_a_library_is_read(settings, message):

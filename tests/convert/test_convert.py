@@ -276,7 +276,7 @@ def test_the_command_reports_the_error_and_what_was_assumed(files, tmp_path, cap
     ("arguments", "words"),
     [
         (["-o", "out.xyz"], "suffix '.xyz'"),
-        (["-o", "out.dat", "--format", "obj"], "no format 'obj'"),
+        (["-o", "out.dat", "--format", "obj"], "no format is called 'obj'; expected one of rgl, merl"),
         (["-o", "out.csv", "--sample", "other"], "no sample 'other'"),
         (["-o", "missing/out.csv"], "cannot write"),
     ],

@@ -23,7 +23,7 @@ from manifold.evaluate.methods import AS_PUBLISHED, PUBLISHED, fit_nearest, sett
 from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
-from manifold.mapping import mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.metrics import Errors
 from manifold.model.combination import Combination
 from manifold.pairs import RusinkiewiczGrid
@@ -160,7 +160,7 @@ def test_one_slow_tabulation_does_not_change_the_time_of_fits(monkeypatch):
 
 
 def test_small_weights_are_dropped_and_the_others_keep_their_proportions_and_the_sum_of_all():
-    whole = Combination(mapping_named("cube-root"), np.array([0.6, -0.3, 0.05, 0.5, -0.02, 0.17]))
+    whole = Combination(MAPPINGS["cube-root"], np.array([0.6, -0.3, 0.05, 0.5, -0.02, 0.17]))
     found = without_small_weights(whole, 0.1).weights
     np.testing.assert_array_equal(found[[2, 4]], 0.0)
     kept = [0, 1, 3, 5]
@@ -169,7 +169,7 @@ def test_small_weights_are_dropped_and_the_others_keep_their_proportions_and_the
 
 
 def test_weights_that_hardly_sum_to_anything_without_the_small_ones_are_not_scaled():
-    whole = Combination(mapping_named("cube-root"), np.array([1.0, -0.99, *[0.09] * 11]))
+    whole = Combination(MAPPINGS["cube-root"], np.array([1.0, -0.99, *[0.09] * 11]))
     np.testing.assert_array_equal(without_small_weights(whole, 0.1).weights[:2], [1.0, -0.99])
 
 

@@ -18,7 +18,7 @@ from manifold.evaluate.methods import STANDARD, standard_methods
 from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
-from manifold.mapping import MAPPINGS, mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.pairs import RusinkiewiczGrid
@@ -46,13 +46,13 @@ def many_bands():
 @pytest.mark.parametrize("mapping", MAPPINGS)
 def test_a_unit_vector_gives_the_measured_values_bit_for_bit(data, mapping):
     for n, weights in enumerate(np.eye(len(NAMES))):
-        predicted = Combination(mapping_named(mapping), weights, is_clipped=False).evaluate(data)
+        predicted = Combination(MAPPINGS[mapping], weights, is_clipped=False).evaluate(data)
         np.testing.assert_array_equal(predicted, data.f[n])
 
 
 @pytest.mark.parametrize("mapping", MAPPINGS)
 def test_a_combination_is_the_inverse_of_a_weighted_sum(data, mapping, rng):
-    T = mapping_named(mapping)
+    T = MAPPINGS[mapping]
     weights = rng.dirichlet(np.ones(len(NAMES)))
     expected = T.inverse(
         sum(w * T.forward(f, data.cosines) for w, f in zip(weights, data.f, strict=True)), data.cosines
@@ -62,7 +62,7 @@ def test_a_combination_is_the_inverse_of_a_weighted_sum(data, mapping, rng):
 
 
 def test_many_predictions_at_once_are_those_made_alone(data, rng):
-    T, R = mapping_named("cube-root"), mapping_named("log-relative")
+    T, R = MAPPINGS["cube-root"], MAPPINGS["log-relative"]
     combinations = [
         Combination(T, rng.normal(size=6)),
         Combination(R, rng.normal(size=6), is_clipped=False),
@@ -79,7 +79,7 @@ def test_a_prediction_meets_values_in_some_bands_only(many_bands, rng):
     grid = RusinkiewiczGrid(6, 4, 3)
     every = Data.evaluate(many_bands, grid, np.arange(60))
     some = Data.evaluate(many_bands, grid, bands)
-    whole = Combination(mapping_named("cube-root"), rng.normal(size=(60, 12)) / 6, np.array([10, 59]))
+    whole = Combination(MAPPINGS["cube-root"], rng.normal(size=(60, 12)) / 6, np.array([10, 59]))
     found = whole.in_bands(bands).evaluate(some)
     np.testing.assert_allclose(found, whole.evaluate(every)[:, bands], rtol=1e-10, atol=1e-12)
     with pytest.raises(ShapeError, match="bands \\[59\\] are samples"):
@@ -88,7 +88,7 @@ def test_a_prediction_meets_values_in_some_bands_only(many_bands, rng):
 
 def test_negative_values_are_cut_where_a_method_says_so(data):
     weights = np.array([2.0, -1.0, 0, 0, 0, 0])
-    T = mapping_named("identity")
+    T = MAPPINGS["identity"]
     assert Combination(T, weights, is_clipped=False).evaluate(data).min() < 0.0
     assert Combination(T, weights).evaluate(data).min() == 0.0
 
@@ -170,7 +170,7 @@ def test_pca_with_all_components_projects_on_the_others(data):
 
 
 def test_pca_agrees_with_a_singular_value_decomposition(data):
-    T = mapping_named("cube-root")
+    T = MAPPINGS["cube-root"]
     rows = (T.forward(data.f) * np.sqrt(data.cosines)[:, None]).reshape(len(NAMES), -1)
     mean = rows[1:].mean(axis=0)
     axes = np.linalg.svd(rows[1:] - mean, full_matrices=False)[2][:2]
@@ -239,7 +239,7 @@ def test_the_error_of_a_fit_says_what_it_learned_from(data):
 
 
 def test_gram_matrices_are_sums_over_pairs(data):
-    T = mapping_named("cube-root")
+    T = MAPPINGS["cube-root"]
     root = np.sqrt(data.cosines)[:, None]
     flat = (T.forward(data.f) * root).reshape(len(NAMES), -1)
     np.testing.assert_allclose(data.gram(T), flat @ flat.T, rtol=1e-9)
@@ -261,7 +261,7 @@ def test_of_many_bands_some_are_selected_evenly(many_bands):
 
 
 def test_standardised_errors_are_errors_over_expected_deviations(data):
-    T = mapping_named("cube-root")
+    T = MAPPINGS["cube-root"]
     weights = np.array([0.0, 0.3, 0.7, 0, 0, 0])
     combination = Combination(T, weights, variance=0.04)
     wrong = 0.3 * T.forward(data.f[1]) + 0.7 * T.forward(data.f[2]) - T.forward(data.f[0])

@@ -9,7 +9,7 @@ from manifold.encoding import Decoder, Encoder, Products, decoded_error, likelih
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.kernels import kernel_named
-from manifold.mapping import MAPPINGS, mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.metrics import cube_root_error, relative_error
 
 N, P = 12, 60
@@ -25,7 +25,7 @@ def values(rng):
 
 
 def decoder_of(values, gp, mapping="cube-root"):
-    T = mapping_named(mapping)
+    T = MAPPINGS[mapping]
     return Decoder(gp, T.forward(values[..., None])[..., 0], T, np.linspace(0.2, 1.0, P))
 
 

@@ -82,7 +82,7 @@ def test_impossible_parameters_are_refused(mu, length_scale):
 
 
 def test_an_unknown_kernel_is_refused_with_those_that_there_are():
-    with pytest.raises(UsageError, match=r"'cubic', expected one of se, matern32, matern52"):
+    with pytest.raises(UsageError, match=r"'cubic'; expected one of se, matern32, matern52"):
         kernel_named("cubic")
 
 
@@ -104,7 +104,7 @@ def test_estimators_take_kernels_of_ones_own(rng):
     np.testing.assert_array_equal(own, named)
     assert clone(GPLVM(kernel=Own)).kernel is Own
     with pytest.raises(
-        UsageError, match=r"kernel 'own' is your own, expected one of se, .* use the optimizer l-bfgs"
+        UsageError, match=r"kernel 'own' is your own, expected se, .* use the optimizer l-bfgs"
     ):
         GPLVM(kernel=Own, optimizer="dls").fit(Y)
     with pytest.raises(UsageError, match="expected a name, which a model's file can hold"):

@@ -28,7 +28,7 @@ from manifold.errors import (
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.mapping import mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.metrics import rmse
 from manifold.model import fitting, model_file
 from manifold.model.fitting import BrightMaterialWarning
@@ -90,7 +90,7 @@ def test_nearest_material_of_a_latent_is_the_nearest(model):
 def test_gram_matrix_agrees_with_a_loop(library, model):
     materials = model.materials.filled()
     grid = RusinkiewiczGrid(6, 5, 4)
-    found = fitting.gram_matrix(materials, mapping_named("cube-root"), grid)
+    found = fitting.gram_matrix(materials, MAPPINGS["cube-root"], grid)
     S = np.zeros((len(materials), len(materials)))
     wi, wo, above = grid.directions()
     for k in np.flatnonzero(above):

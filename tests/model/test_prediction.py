@@ -19,7 +19,7 @@ from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.brdf.sums import WeightedSum, cube_root
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
-from manifold.mapping import mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.model.combination import Combination, Values
 from manifold.model.dictionary import Dictionary
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
@@ -32,11 +32,10 @@ MATERIALS = [
     Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.1, 0.3, 0.6]), RGB),
     RoughConductor(GGX.isotropic(0.3), np.full(3, 0.2), np.full(3, 3.0), RGB),
 ]
-MAPPINGS = ["identity", "cube-root", "log", "log-relative"]
 
 
 def combined(mapping, *weights):
-    return PredictedBRDF(MATERIALS, Combination(mapping_named(mapping), np.array(weights)))
+    return PredictedBRDF(MATERIALS, Combination(MAPPINGS[mapping], np.array(weights)))
 
 
 def directions(rng, n):
@@ -48,7 +47,7 @@ def directions(rng, n):
 @pytest.mark.parametrize("index", range(3))
 def test_a_unit_vector_gives_the_material_bit_for_bit(mapping, index, rng):
     wi, wo = directions(rng, 200)
-    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named(mapping), np.eye(3)[index]))
+    predicted = PredictedBRDF(MATERIALS, Combination(MAPPINGS[mapping], np.eye(3)[index]))
     np.testing.assert_array_equal(predicted.eval(wi, wo), MATERIALS[index].eval(wi, wo))
     np.testing.assert_array_equal(predicted.eval_cos(wi, wo), MATERIALS[index].eval_cos(wi, wo))
 
@@ -56,7 +55,7 @@ def test_a_unit_vector_gives_the_material_bit_for_bit(mapping, index, rng):
 @pytest.mark.parametrize("mapping", MAPPINGS)
 def test_predictions_are_combined_in_the_mapped_domain(mapping, rng):
     weights = np.array([0.5, 0.7, -0.2])
-    T = mapping_named(mapping)
+    T = MAPPINGS[mapping]
     predicted = PredictedBRDF(MATERIALS, Combination(T, weights))
     wi, wo = directions(rng, 50)
     for a, b in zip(wi, wo, strict=True):
@@ -94,10 +93,8 @@ def test_measured_materials_are_combined_in_one_pass_as_one_by_one(measured_mate
     weights = np.array([0.6, -0.3, 0.5, 0.2])
     wi, wo = directions(rng, n)
     wo[::7] *= [1.0, 1.0, -1.0]  # some below the horizon
-    fused = PredictedBRDF(measured_materials, Combination(mapping_named(mapping), weights)).eval(wi, wo)
-    wrapped = PredictedBRDF(
-        [Wrapped(m) for m in measured_materials], Combination(mapping_named(mapping), weights)
-    )
+    fused = PredictedBRDF(measured_materials, Combination(MAPPINGS[mapping], weights)).eval(wi, wo)
+    wrapped = PredictedBRDF([Wrapped(m) for m in measured_materials], Combination(MAPPINGS[mapping], weights))
     general = wrapped.eval(wi, wo)
     # Fused values are in single precision, as files have them; differences of large terms cost some more.
     np.testing.assert_allclose(fused, general, rtol=2e-6, atol=1e-7 * np.abs(general).max())
@@ -209,13 +206,13 @@ def test_clipping_removes_and_counts_negative_values(rng):
 )
 def test_weights_that_fit_nothing_are_refused(weights):
     with pytest.raises(ShapeError, match=r"weights (have shape|are zero)"):
-        PredictedBRDF(MATERIALS, Combination(mapping_named("identity"), weights))
+        PredictedBRDF(MATERIALS, Combination(MAPPINGS["identity"], weights))
 
 
 def test_materials_of_different_bands_are_refused():
     other = Lambert(np.array([0.5]), Bands((500.0, 600.0)))
     with pytest.raises(BandMismatchError):
-        PredictedBRDF([MATERIALS[0], other], Combination(mapping_named("identity"), np.array([0.5, 0.5])))
+        PredictedBRDF([MATERIALS[0], other], Combination(MAPPINGS["identity"], np.array([0.5, 0.5])))
 
 
 # -- samples and lobes -------------------------------------------------------------------------------------
@@ -235,7 +232,7 @@ def of_atoms(rng, dictionary, *, sparsity=0.9):
 def test_atoms_are_combined_as_tabulated_values_are(measured_materials, dictionary, wrapped, rng):
     materials = [measured_materials[k] for k in (0, 1, 3)]  # the last has negative values
     weights = of_atoms(rng, dictionary)
-    combination = Combination(mapping_named("cube-root"), weights, np.arange(3), dictionary=dictionary)
+    combination = Combination(MAPPINGS["cube-root"], weights, np.arange(3), dictionary=dictionary)
     wi, wo = directions(rng, 3000)
     values = Values(np.stack([m.eval(wi, wo) for m in materials]), wi, wo)
     samples = np.maximum(np.cbrt(np.moveaxis(values.f, 2, 1).reshape(9, -1)), 0.0)
@@ -254,7 +251,7 @@ def test_a_prediction_of_lobes_alone_needs_no_material(rng):
     weights = np.zeros((3, dictionary.size(9)))
     weights[:, -7] = 0.8  # the Lambertian
     predicted = PredictedBRDF(
-        MATERIALS, Combination(mapping_named("cube-root"), weights, np.arange(3), dictionary=dictionary)
+        MATERIALS, Combination(MAPPINGS["cube-root"], weights, np.arange(3), dictionary=dictionary)
     )
     wi, wo = directions(rng, 20)
     np.testing.assert_allclose(predicted.eval(wi, wo), 0.8**3 / np.pi)
@@ -265,6 +262,6 @@ def test_samples_of_lobes_follow_their_pdf(theta_deg, rng):
     dictionary = Dictionary(lobes=Lobes((0.1, 0.4), (1.5, 2.0, 3.0)))
     weights = of_atoms(rng, dictionary, sparsity=0.5)
     predicted = PredictedBRDF(
-        MATERIALS, Combination(mapping_named("cube-root"), weights, np.arange(3), dictionary=dictionary)
+        MATERIALS, Combination(MAPPINGS["cube-root"], weights, np.arange(3), dictionary=dictionary)
     )
     assert chi_square_p_value(predicted, from_spherical(np.deg2rad(theta_deg), 1.0), rng) > 1e-4

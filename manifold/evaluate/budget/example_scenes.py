@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -13,8 +11,8 @@ from manifold import disk
 from manifold.analytic import corpus
 from manifold.colour.conversion import sensor_responses
 from manifold.colour.illuminants import Illuminant
-from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
+from manifold.registry import Registry
 
 
 @dataclass(frozen=True)
@@ -34,12 +32,13 @@ class Example:
     lamps: tuple[tuple[float, float, float, float], ...]
 
 
-EXAMPLES: Mapping[str, Example] = MappingProxyType(
+EXAMPLES: Registry[Example] = Registry(
+    "example",
     {
         "felt": Example("syn_felt_yellow", "D65", 0.10, ((-4.0, -3.0, 5.0, 2.0), (5.0, -2.0, 3.0, 1.0))),
         "paint": Example("syn_satin_rose", "A", 0.06, ((-4.0, -3.0, 5.0, 1.6), (5.0, -2.0, 2.5, 0.8))),
         "chrome": Example("syn_chrome_orange", "F11", 0.10, ((-4.0, -3.0, 5.0, 1.8), (4.5, -3.0, 2.5, 1.2))),
-    }
+    }.items(),
 )
 
 _SCENE = """<scene version="3.0.0">
@@ -79,8 +78,6 @@ def write(name: str, folder: Path) -> Path:
     Raises:
         UsageError: there is no such example, or the folder cannot be written.
     """
-    if name not in EXAMPLES:
-        raise UsageError(f"no example is called '{name}', expected one of {', '.join(EXAMPLES)}")
     example = EXAMPLES[name]
     material = next(m for m in corpus.isotropic_materials() if m.name == example.material)
     scene = folder / f"{name}.xml"

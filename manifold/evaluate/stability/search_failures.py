@@ -13,13 +13,13 @@ from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.kernels import SquaredExponential
 from manifold.likelihood import centre_gram, pca_start
-from manifold.mapping import mapping_named
+from manifold.mapping import MAPPINGS
 from manifold.model.combination import Combination
 from manifold.model.material_space import MaterialSpace
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array
 
-_MAPPING = mapping_named("cube-root")
+_MAPPING = MAPPINGS["cube-root"]
 _SEARCHES = ("dls", "l-bfgs")
 _CLOSE = 0.2  # of principal components of unit variance: K has a condition number of 1e10 and more
 

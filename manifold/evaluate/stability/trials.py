@@ -17,9 +17,9 @@ from functools import lru_cache, partial
 from typing import Any
 
 from manifold import progress, work
-from manifold.errors import ManifoldError, RendererError, UsageError
+from manifold.errors import ManifoldError, RendererError
 from manifold.evaluate.stability.testbed import TestBed
-from manifold.names import names_like
+from manifold.registry import Registry
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 
@@ -195,14 +195,9 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
     Raises:
         UsageError: a name is unknown.
     """
-    known = {mode.key for mode in modes}
-    unknown = [name for name in only if name not in known]
-    if unknown:
-        near = names_like(sorted(known), unknown[0], "there are")
-        raise UsageError(
-            f"no failure mode is called '{unknown[0]}'; {near} (benchmarks/results/stability.json lists all)"
-        )
-    return tuple(mode for mode in modes if not only or mode.key in only)
+    known = Registry("failure mode", ((mode.key, mode) for mode in modes))
+    wanted = [known[name] for name in only]
+    return tuple(mode for mode in modes if not only or mode in wanted)
 
 
 def run_modes(modes: Sequence[Mode], workers: Executor | None = None) -> Stability:

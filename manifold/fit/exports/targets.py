@@ -27,6 +27,7 @@ from manifold.fit.exports import (
 from manifold.fit.exports.document import Export, Parameter, defaults
 from manifold.fit.exports.principled_values import Principled
 from manifold.records import Array, Bands
+from manifold.registry import Registry
 
 Brdf = Callable[[Mapping[str, Any], Array, Array], Array]
 Content = Callable[[Export, Principled], bytes]
@@ -147,7 +148,7 @@ _ALL = (
     _target("unity", ".json", "Unity, High Definition pipeline, Lit", unity, _json(unity.CONVENTIONS)),
 )  # fmt: skip
 
-TARGETS: Mapping[str, Target] = {target.name: target for target in _ALL}
+TARGETS = Registry("target", ((target.name, target) for target in _ALL))
 """The targets by name."""
 
 
@@ -159,8 +160,6 @@ def target_of(name: str | None, path: Path) -> Target:
     """
     suffix = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
     if name is not None:
-        if name not in TARGETS:
-            raise UsageError(f"no target is called {name!r}, expected one of {', '.join(TARGETS)}")
         target = TARGETS[name]
         if path.suffix.lower() != target.suffix:
             raise UsageError(f"{path}: {suffix}, expected {target.suffix} for {name}")

@@ -46,7 +46,7 @@ def embed(library: Path, settings: Settings, seed: int | None, target: Path) -> 
     start = time.perf_counter()
     model = Manifold.fit(Library.open(library), settings)
     assert model.left_out is not None
-    errors = {"ball": model.left_out.ball, "cube_root": model.left_out.cube_root}
+    errors = model.left_out.errors.known
     np.savez(target, X=model.X, seconds=time.perf_counter() - start, **errors)
 
 

@@ -12,7 +12,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
@@ -22,6 +21,7 @@ from manifold.estimate.expected import errors_of
 from manifold.estimate.suggestions import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
+from manifold.model.expected_error import Reliability
 from manifold.records import Array, Bands
 
 CASES = 5  # random choices per material
@@ -105,21 +105,23 @@ def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, object]]:
                 gloss=dict.fromkeys(angles, 1.0),
             )  # fmt: skip
             found = calibrate(atoms, blank)
-            errors, expected = (
-                np.column_stack([of.linear, of.cube_root, of.ball]) for of in (found.errors, found.left_out)
-            )
-            summary = [f"{np.median(e):.2f} / {np.percentile(e, 90):.2f}" for e in errors.T]
-            ranks = [f"{spearmanr(*pair)[0]:.2f}" for pair in zip(expected.T, errors.T, strict=True)]
-            below = [f"{100 * share:.0f}" for share in np.mean(errors < 2.0 * expected, axis=0)]
+            both = found.errors, found.left_out
+            of_kind = {
+                kind: Reliability.of(*(getattr(of, kind) for of in both))
+                for kind in ("linear", "cube_root", "ball")
+            }
+            summary = ["{:.2f} / {:.2f}".format(*one.true) for one in of_kind.values()]
+            ranks = [f"{one.rank_correlation:.2f}" for one in of_kind.values()]
+            below = [f"{100 * one.below_twice:.0f}" for one in of_kind.values()]
             gloss = ", ".join(map(str, angles))
             print(f"| {name} | {gloss} | {' | '.join(summary)} | {', '.join(ranks)} | {', '.join(below)} |")
             rows["_".join((name, *map(str, angles)))] = {
                 kind: {
-                    "error": np.quantile(errors[:, k], [0.5, 0.9]).tolist(),
-                    "rank": float(spearmanr(expected[:, k], errors[:, k])[0]),
-                    "percent_below_twice": int(below[k]),
+                    "error": list(one.true),
+                    "rank": one.rank_correlation,
+                    "percent_below_twice": round(100 * one.below_twice),
                 }
-                for k, kind in enumerate(("linear", "cube_root", "ball"))
+                for kind, one in of_kind.items()
             }
     return rows
 

@@ -202,7 +202,7 @@ def compare(library: Path, landmarks: list[int], latent_dim: int) -> dict[str, d
         model = Manifold.fit(library, Settings(latent_dim=latent_dim, landmarks=count or None))
         used = time.process_time() - used
         assert model.left_out is not None
-        calibration = model.left_out.calibration()
+        calibration = model.left_out.reliability()
         holes = []
         for seed in (0, 1, 2):
             interior = Interior(model, seed)

@@ -381,16 +381,15 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
     ]
     errors = None
     if left_out is not None:
-        low, high = np.quantile(np.column_stack([left_out.ball, left_out.cube_root]), (0.5, 0.9), axis=0)
+        median, p90 = left_out.errors.median, left_out.errors.p90
         rows["left-out errors"] = [
-            f"median {low[0]:.1f}, 90th percentile {high[0]:.1f} CIEDE2000 of the ball",
-            f"{low[1]:.0%}, {high[1]:.0%} cube-root error",
+            f"median {median.ball:.1f}, 90th percentile {p90.ball:.1f} CIEDE2000 of the ball",
+            f"{median.cube_root:.0%}, {p90.cube_root:.0%} cube-root error",
             "the places of the others kept (reports fit them anew)",
         ]
         columns += ["left out: ball", "cube root"]
-        each = zip(
-            left_out.materials.tolist(), left_out.ball.tolist(), left_out.cube_root.tolist(), strict=True
-        )
+        both = left_out.errors.ball.tolist(), left_out.errors.cube_root.tolist()
+        each = zip(left_out.materials.tolist(), *both, strict=True)
         errors = {stored.names[i]: {"ball": ball, "cube_root": root} for i, ball, root in each}
         words = {name: (f"{e['ball']:.1f}", f"{e['cube_root']:.0%}") for name, e in errors.items()}
         table = [(*row, *words.get(str(row[0]), ("", ""))) for row in table]

@@ -268,13 +268,14 @@ def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library:
 
 def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibration:
     bands, grid, lights = atoms.band_axis, atoms.grid, panel.judged()
-    errors = []
-    for m in range(len(atoms.names)):
+
+    def method(m: int) -> tuple[Errors[float], Array]:
         material = atoms.materials[m]
         made, _ = coat_of(lab_of(material), gloss_units(material, angles_deg), bands)
         on_grid, on_ball = (made.eval(pairs.wi, pairs.wo) for pairs in (grid, lights))
-        errors.append(errors_of(atoms, m, on_grid, on_ball))
-    return Calibration.of(errors, [np.ones(2)] * len(errors))
+        return errors_of(atoms, m, on_grid, on_ball), np.ones(2)
+
+    return Calibration.leave_out(method, range(len(atoms.names)))
 
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")

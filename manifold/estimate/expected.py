@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,8 +38,11 @@ class Calibration:
     indicators: Array
 
     @classmethod
-    def of(cls, errors: Sequence[Errors[float]], indicators: Sequence[Array]) -> Calibration:
-        """Of left-out materials one by one."""
+    def leave_out(
+        cls, method: Callable[[int], tuple[Errors[float], Array]], materials: Iterable[int]
+    ) -> Calibration:
+        """Of errors and indicators (2,) that a method finds for materials by their numbers, from the others."""
+        errors, indicators = zip(*map(method, materials), strict=True)
         found = Errors.of_several(errors)
         return cls(Errors(found.ball, found.cube_root, found.linear), np.array(indicators))
 
@@ -152,12 +155,12 @@ def _cache_key(atoms: LibraryAtoms, readings: Readings, library: Library) -> str
 
 def _calibrated(atoms: LibraryAtoms, readings: Readings) -> Calibration:
     at_readings, at_gloss = atoms.at(readings.wi, readings.wo), atoms.gloss(tuple(readings.gloss))
-    errors, indicators = [], []
-    for m in range(len(atoms.names)):
+
+    def method(m: int) -> tuple[Errors[float], Array]:
         completion = leave_out(atoms, m, at_readings, readings, at_gloss)
-        errors.append(errors_of(atoms, m, completion.on_grid, completion.on_ball))
-        indicators.append(indicators_of(completion))
-    return Calibration.of(errors, indicators)
+        return errors_of(atoms, m, completion.on_grid, completion.on_ball), indicators_of(completion)
+
+    return Calibration.leave_out(method, range(len(atoms.names)))
 
 
 def leave_out(

@@ -372,17 +372,17 @@ def calibrated(
 
     Where the exposure is free, pixels alone say theirs, as they say that of the photographs.
     """
-    errors, found = [], []
-    for m in evenly_spaced(len(atoms.names), _LEFT_OUT):
+
+    def method(m: int) -> tuple[Errors[float], Array]:
         own = channel_atoms(atoms, m)
         rows = [seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
         if is_exposure_free and not any(one.n_beside for one in rows):
             t = probable_exposure(atoms, rows, [None] * len(rows), atoms.material_of != m)
             rows = [one.scaled(t) for one in rows]
         weights, priors = estimate(atoms, rows, atoms.material_of != m)
-        errors.append(errors_of(atoms, own, weights))
-        found.append(indicators(atoms, rows, weights, priors))
-    return Calibration.of(errors, found)
+        return errors_of(atoms, own, weights), indicators(atoms, rows, weights, priors)
+
+    return Calibration.leave_out(method, evenly_spaced(len(atoms.names), _LEFT_OUT).tolist())
 
 
 def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:

@@ -36,7 +36,7 @@ from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.model import fitting
 from manifold.model.combination import Values
-from manifold.model.left_out import CalibrationResult
+from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices
@@ -124,7 +124,7 @@ class Report:
     settings: dict[str, Any]
     condition: float
     methods: tuple[MethodResult, ...]
-    expected_errors: dict[str, CalibrationResult] | None
+    expected_errors: dict[str, Reliability] | None
     left_out: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -215,7 +215,7 @@ def make_report(
         settings=dict(vars(model.settings)),
         condition=model.gp.condition,
         methods=results,
-        expected_errors=None if model.left_out is None else model.left_out.calibration(),
+        expected_errors=None if model.left_out is None else model.left_out.reliability(),
         left_out=tuple(m.title for m in [*own, *others] if m not in chosen),
         seconds={"load": load, "tabulate": tabulate, "encode": encode, "evaluate": evaluate},
     )

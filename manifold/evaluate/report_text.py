@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.colour.panel import JUDGED
 from manifold.evaluate.report import MethodResult, Report
-from manifold.model.left_out import GUARANTEED, LEVEL
+from manifold.model.expected_error import GUARANTEED, LEVEL
 from manifold.names import counted
 from manifold.text_tables import table_lines
 

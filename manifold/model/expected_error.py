@@ -19,6 +19,11 @@ BELOW_TWICE = 0.9
 COARSE_BELOW = 8
 """Number of materials below which expected errors are uncertain by a factor of three, and vary little with place."""
 
+LEVEL = 0.9
+"""Share of new materials whose true error is to be below `Reliability.bound` times the expected one."""
+GUARANTEED = 1.0 - 2.0 * (1.0 - LEVEL)
+"""What jackknife+ guarantees of that share, whatever the distribution of materials."""
+
 _LIKE = 2.0  # number of materials at which the power a is one half (docs/explanation/expected-errors.md)
 _LEAST_RESIDUAL = 1e-4
 _RESIDUAL = 0.75  # power of a material's own residual, where it is known; the rest is that of its place
@@ -99,3 +104,42 @@ class ExpectedError:
         if residual is not None:
             log = (1.0 - _RESIDUAL) * log + _RESIDUAL * np.log(max(residual, _LEAST_RESIDUAL))
         return self.log_factor + log
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Expected errors of left-out materials beside true ones.
+
+    Attributes:
+        true, expected: median and 90th percentile.
+        rank_correlation: of expected with true errors (Spearman).
+        below_twice: share of true errors that are below twice the expected.
+        bound: by how much to multiply the expected error so that a new material's true one is below in 90 %; None of
+            too few materials. What jackknife+ guarantees of it, for materials that are exchangeable with these, is
+            `GUARANTEED`.
+        most_level: the highest such share that the number of materials allows.
+
+    Source: Barber, Candes, Ramdas & Tibshirani 2021, for residuals that are normalised by the expected ones.
+    """
+
+    true: tuple[float, float]
+    expected: tuple[float, float]
+    rank_correlation: float
+    below_twice: float
+    bound: float | None
+    most_level: float
+
+    @classmethod
+    def of(cls, true: Array, expected: Array) -> Reliability:
+        """Of true errors (N,) and those that were expected without the material."""
+        from scipy.stats import spearmanr  # takes half a second to import, and predictions do without
+
+        n = len(true)
+        k = int(np.ceil(LEVEL * (n + 1)))
+        true_both, expected_both = (
+            (float(np.median(e)), float(np.quantile(e, 0.9))) for e in (true, expected)
+        )
+        return cls(
+            true_both, expected_both, float(spearmanr(expected, true)[0]), float(np.mean(true < 2.0 * expected)),
+            float(np.sort(true / expected)[k - 1]) if k <= n else None, n / (n + 1.0),
+        )  # fmt: skip

@@ -26,8 +26,6 @@ from manifold.records import AnyArray, Array, Indices
 LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
 """From the index of a left-out material to its place (Q,), its prediction there, with weights over all materials, and
 its residual."""
-LeftOutErrors = Callable[[int, Combination], tuple[float, float]]
-"""From the index of a left-out material and its prediction to ball CIEDE2000 and cube-root error."""
 
 
 @dataclass(frozen=True, eq=False)

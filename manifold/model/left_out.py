@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Mapping as Fields
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,15 +15,15 @@ from manifold.brdf.measured import values_at
 from manifold.colour import panel
 from manifold.encoding import encoding_pairs
 from manifold.mapping import CubeRoot
-from manifold.metrics import Errors, cube_root_error
+from manifold.metrics import Errors
 from manifold.model.appearance import appearance_pairs, roots_at
 from manifold.model.blend_fitting import BlendSamples
 from manifold.model.blend_space import BlendSpace
 from manifold.model.blending import blend_weights, widest_gap
 from manifold.model.combination import Combination
-from manifold.model.expected_error import ExpectedError
+from manifold.model.expected_error import ExpectedError, Reliability
 from manifold.model.landmarks import LandmarkSearch, combined, farthest_samples
-from manifold.model.latent_space import LatentSpace, LeftOutErrors, LeftOutSearch, require_shapes
+from manifold.model.latent_space import LatentSpace, LeftOutSearch, require_shapes
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
@@ -31,7 +32,7 @@ from manifold.records import Array, Indices, Mask, evenly_spaced
 
 def landmark_left_out(
     space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
-) -> tuple[LeftOutSearch, LeftOutErrors]:
+) -> tuple[LeftOutSearch, Callable[[int, Combination], Errors[float]]]:
     """A search for a material among the others, and what tells the errors of its prediction in some bands (B',).
 
     The errors are those of `MaterialTable.errors`; only materials that are left out are read.
@@ -50,56 +51,25 @@ def landmark_left_out(
         weights = space.paths.weights(u, colours[0]) * colours[1][:, None]
         return x, Combination(CubeRoot(), weights, at), residual
 
-    def measure(i: int, combination: Combination) -> tuple[float, float]:
+    def measure(i: int, combination: Combination) -> Errors[float]:
         (brdf,) = materials.with_negative_values(names=[materials.names[i]])
         truth = brdf.select_bands(bands.tolist())
         on_ball, in_grid = (
             np.maximum(combined(combination.weights, table), 0.0).T ** 3
             for table in (samples.on_ball, samples.roots[:, : len(grid)])
         )
-        return (
-            lights.errors(values_at(truth, lights), on_ball, truth.bands).ball,
-            cube_root_error(values_at(truth, grid), in_grid, grid.cosines),
-        )
+        look = lights.errors(values_at(truth, lights), on_ball, truth.bands)
+        return look | Errors.of_values(values_at(truth, grid), in_grid, grid.cosines)
 
     return find, measure
 
-
-LEVEL = 0.9
-"""Share of new materials whose true error is to be below `CalibrationResult.bound` times the expected one."""
-GUARANTEED = 1.0 - 2.0 * (1.0 - LEVEL)
-"""What jackknife+ guarantees of that share, whatever the distribution of materials."""
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
 # Files of 0.2.0 hold errors in the studio alone, by "left_out_": they are not calibrated.
 _PREFIX, _ARRAYS = "left_out_in_lights_", ("places", "ball", "cube_root", "residual", "materials")
 _SAMPLE = 200  # materials that are left out where not all were laid out: spread evenly over the map
 _MOST_BALL = 10.0  # CIEDE2000: the appearance of another material
-_LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
-
-
-@dataclass(frozen=True)
-class CalibrationResult:
-    """Expected errors of left-out materials beside true ones.
-
-    Attributes:
-        true, expected: median and 90th percentile.
-        rank_correlation: of expected with true errors (Spearman).
-        below_twice: share of true errors that are below twice the expected.
-        bound: by how much to multiply the expected error so that a new material's true one is below in 90 %; None of
-            too few materials. What jackknife+ guarantees of it, for materials that are exchangeable with these, is
-            `GUARANTEED`.
-        most_level: the highest such share that the number of materials allows.
-
-    Source: Barber, Candes, Ramdas & Tibshirani 2021, for residuals that are normalised by the expected ones.
-    """
-
-    true: tuple[float, float]
-    expected: tuple[float, float]
-    rank_correlation: float
-    below_twice: float
-    bound: float | None
-    most_level: float
+_LEAST = {"ball": 0.05, "cube_root": 1e-3}  # errors below cannot be seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,23 +79,22 @@ class LeftOut:
     Attributes:
         space: of N materials.
         places: shape (n, Q).
-        ball: CIEDE2000 of the ball, mean over the judged lights, shape (n,).
-        cube_root: error of cube roots on the encoding grid, relative, shape (n,).
+        errors: of the ball, and of cube roots on the encoding grid, each (n,).
         residual: of the search, see `Embedded`, shape (n,).
         materials: which they are: all, or some of those of a map by landmarks, shape (n,).
     """
 
     space: LatentSpace
     places: Array
-    ball: Array
-    cube_root: Array
+    errors: Errors[Array]
     residual: Array
     materials: Indices
 
     @property
     def arrays(self) -> dict[str, Array]:
         """The arrays that a file stores, by name."""
-        return {_PREFIX + name: getattr(self, name) for name in _ARRAYS}
+        known = vars(self) | {name: getattr(self.errors, name) for name in _LEAST}
+        return {_PREFIX + name: known[name] for name in _ARRAYS}
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], space: LatentSpace) -> LeftOut | None:
@@ -143,7 +112,7 @@ class LeftOut:
         places, ball, cube_root, residual, materials = require_shapes(stored, shapes)
         if not np.all(np.diff(materials) > 0) or materials.min() < 0 or materials.max() >= len(space.X):
             raise ValueError("left-out materials are not those of the map")
-        return cls(space, places, ball, cube_root, residual, materials.astype(np.int64))
+        return cls(space, places, Errors(ball, cube_root), residual, materials.astype(np.int64))
 
     def expected(self, x: Array, residual: float | None = None) -> Errors[Array]:
         """Expected errors at latents x (M, Q) or (Q,), of a material of a residual if that is known, (M,) or ().
@@ -162,32 +131,21 @@ class LeftOut:
         """
         X = self.space.X
         is_far = KDTree(X).query(x)[0] > widest_gap(X)
-        most = max(_MOST_BALL, float(np.quantile(self.ball, 0.9)))
+        most = max(_MOST_BALL, float(np.quantile(self.errors.ball, 0.9)))
         return is_far | (self.expected(x).ball > most)
 
-    def calibration(self) -> dict[str, CalibrationResult]:
+    def reliability(self) -> dict[str, Reliability]:
         """Expected errors of each material, by the others alone, against its true ones."""
-        return {
-            "ball": self._compare(self.ball, _LEAST_BALL),
-            "cube_root": self._compare(self.cube_root, _LEAST_CUBE_ROOT),
-        }
-
-    def _compare(self, errors: Array, least: float) -> CalibrationResult:
-        from scipy.stats import spearmanr  # takes half a second to import, and predictions do without
-
-        (X, scale), expected = self._calibrated, np.empty_like(errors)
-        for i in range(len(X)):
-            others = np.delete(np.arange(len(X)), i)
-            fitted = ExpectedError.calibrate(X[others], self.places[others], errors[others], scale, least)
-            expected[i] = fitted.at(self.places[i : i + 1])[0]
-        (true, true_90), (median, p90) = np.quantile([errors, expected], (0.5, 0.9), axis=1).T.tolist()
-        rank, below = spearmanr(expected, errors)[0], np.mean(errors < 2.0 * expected)
-        n = len(errors)
-        k = int(np.ceil(LEVEL * (n + 1)))
-        bound = float(np.sort(errors / expected)[k - 1]) if k <= n else None
-        return CalibrationResult(
-            (true, true_90), (median, p90), float(rank), float(below), bound, n / (n + 1.0)
-        )
+        (X, scale), found = self._calibrated, {}
+        for name, least in _LEAST.items():
+            errors = getattr(self.errors, name)
+            expected = np.empty_like(errors)
+            for i in range(len(X)):
+                others = np.delete(np.arange(len(X)), i)
+                fitted = ExpectedError.calibrate(X[others], self.places[others], errors[others], scale, least)
+                expected[i] = fitted.at(self.places[i : i + 1])[0]
+            found[name] = Reliability.of(errors, expected)
+        return found
 
     @property
     def _calibrated(self) -> tuple[Array, float]:
@@ -206,8 +164,8 @@ class LeftOut:
     def _calibrate(self, residuals: Array | None) -> list[ExpectedError]:
         X, scale = self._calibrated
         return [
-            ExpectedError.calibrate(X, self.places, errors, scale, least, residuals)
-            for errors, least in ((self.ball, _LEAST_BALL), (self.cube_root, _LEAST_CUBE_ROOT))
+            ExpectedError.calibrate(X, self.places, getattr(self.errors, name), scale, least, residuals)
+            for name, least in _LEAST.items()
         ]
 
 
@@ -236,11 +194,9 @@ def leave_out(
     else:
         table = MaterialTable(materials.with_negative_values(), bands)
         find, measure = space.left_out_search(table, materials, settings), table.errors
-    places, (ball, cube_root, residual) = (
-        np.empty((len(chosen), space.X.shape[1])),
-        np.empty((3, len(chosen))),
-    )
+    places, residual, errors = np.empty((len(chosen), space.X.shape[1])), np.empty(len(chosen)), []
     for k, i in progress.each(enumerate(chosen.tolist()), "left-out materials"):
         places[k], combination, residual[k] = find(i)
-        ball[k], cube_root[k] = measure(i, combination)
-    return LeftOut(space, places, ball, cube_root, residual, chosen)
+        errors.append(measure(i, combination))
+    found = Errors.of_several(errors)
+    return LeftOut(space, places, Errors(found.ball, found.cube_root), residual, chosen)

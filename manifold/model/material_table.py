@@ -7,7 +7,7 @@ from functools import cached_property
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.colour import panel
 from manifold.encoding import encoding_pairs
-from manifold.metrics import cube_root_error
+from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Indices
 
@@ -34,11 +34,9 @@ class MaterialTable:
     def _in_grid(self) -> Values:
         return Values.at(self.materials, self._pairs)
 
-    def errors(self, i: int, combination: Combination) -> tuple[float, float]:
-        """CIEDE2000 of the ball, mean over the judged lights, and cube-root error of a prediction of material i."""
+    def errors(self, i: int, combination: Combination) -> Errors[float]:
+        """Errors of a prediction of material i."""
         here = combination.in_bands(self.bands)
         on_ball, in_grid = (evaluate([here], values)[0] for values in (self._on_ball, self._in_grid))
-        return (
-            self._lights.errors(self._on_ball.f[i], on_ball, self.materials[0].bands).ball,
-            cube_root_error(self._in_grid.f[i], in_grid, self._pairs.cosines),
-        )
+        look = self._lights.errors(self._on_ball.f[i], on_ball, self.materials[0].bands)
+        return look | Errors.of_values(self._in_grid.f[i], in_grid, self._pairs.cosines)

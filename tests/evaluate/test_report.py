@@ -260,7 +260,9 @@ def test_a_report_leads_with_the_models_own_error_for_left_out_materials(models,
     own, nearest = method(made, "blend_encoded"), method(made, "nearest")
     assert "blend_refitted" not in {m.key for m in made.methods}
     assert own.is_held_out
-    np.testing.assert_allclose(own.errors.ball, blend.left_out.ball, rtol=0.05, atol=0.05)  # of fewer bands
+    np.testing.assert_allclose(
+        own.errors.ball, blend.left_out.errors.ball, rtol=0.05, atol=0.05
+    )  # of fewer bands
     sentences = lead(made).split(". ")
     assert len(sentences) == 3
     assert f"{own.median.ball:.1f} CIEDE2000" in sentences[0]

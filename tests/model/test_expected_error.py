@@ -10,6 +10,7 @@ from helpers.small_library import small_library
 from scipy.stats import spearmanr
 
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model.diagnostics import in_words, predict
 from manifold.model.expected_error import ExpectedError
 from manifold.model.left_out import GUARANTEED, LEVEL, LeftOut
@@ -79,10 +80,11 @@ def test_a_residual_tells_more_than_the_place(scattered, rng):
 def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_expected_to_be_exact(library):
     """Copies are found where the other is, without error; what has other colours is not."""
     model = Manifold.fit(library)
-    k = 2
+    k, left_out = 2, model.left_out.errors
     errors = LeftOut(
-        model.space, model.left_out.places, np.where(np.arange(len(model.names)) == k, 1e-6, model.left_out.ball),
-        model.left_out.cube_root, model.left_out.residual, model.left_out.materials,
+        model.space, model.left_out.places,
+        Errors(np.where(np.arange(len(model.names)) == k, 1e-6, left_out.ball), left_out.cube_root),
+        model.left_out.residual, model.left_out.materials,
     )  # fmt: skip
     place = errors.expected(model.X[k])
     exact, other = (errors.expected(model.X[k], residual) for residual in (1e-9, 0.1))
@@ -93,7 +95,7 @@ def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_ex
 @pytest.mark.parametrize("kind", ["blend", "material"])
 def test_every_kind_is_calibrated_and_a_model_file_remembers(library, tmp_path, kind):
     fitted = Manifold.fit(library, Settings(kind=kind))
-    assert np.all(fitted.left_out.ball > 0.0)
+    assert np.all(fitted.left_out.errors.ball > 0.0)
     assert np.all(np.isfinite(fitted.left_out.places))
     fitted.save(tmp_path / "model.h5")
     loaded = Manifold.load(tmp_path / "model.h5", library)
@@ -111,7 +113,7 @@ def test_without_calibration_nothing_is_expected_and_the_remedy_is_named(library
 
 def test_a_left_out_material_is_predicted_by_the_others_alone(model):
     """Its error is that of an encode-decode without it: never 0, though the material itself is in the model."""
-    assert model.left_out.ball.min() > 0.05
+    assert model.left_out.errors.ball.min() > 0.05
     assert np.all(np.any(model.left_out.places != model.X, axis=1))
 
 
@@ -142,8 +144,8 @@ def test_a_place_that_is_not_supported_has_no_expected_error_in_words(model):
 
 
 def test_the_bound_needs_enough_materials(model):
-    found = model.left_out.calibration()["ball"]
-    n = len(model.left_out.ball)
+    found = model.left_out.reliability()["ball"]
+    n = len(model.left_out.errors.ball)
     assert found.most_level == n / (n + 1)
     assert found.bound is None or found.bound > 0.0
     assert (found.bound is None) == (np.ceil(0.9 * (n + 1)) > n)

@@ -38,8 +38,8 @@ from bench_scale import write_materials
 from manifold import cluster as dask
 from manifold import many
 from manifold.analytic.ggx import GGX
-from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.analytic.microfacet import Plastic
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.batch import batch
 from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource

@@ -21,7 +21,7 @@ from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.records import Array
 from manifold.surface.estimate import estimate_surface
-from manifold.surface.pictures import SurfacePictures, read_workbook
+from manifold.surface.lamp_pictures import SurfacePictures, read_workbook
 
 D65 = np.array([0.9505, 1.0, 1.0891])
 

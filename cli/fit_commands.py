@@ -155,7 +155,7 @@ def fit(
 def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSource) -> None:
     """A picture beside the JSON of a fit."""
     from manifold.estimate.sources import source_file
-    from manifold.fit.pictures import picture_of_fit
+    from manifold.fit.comparison import picture_of_fit
 
     target = outcome.path.with_suffix(".png")
     with progress.shown("Drawing"), source_file(source) as path:

@@ -53,14 +53,14 @@ def corpus(
         str | None,
         typer.Option(
             help="Write instead simulated measurements of each material by an instrument, with noise: "
-            "{manifold.analytic.instruments.INSTRUMENTS}.",
+            "{manifold.analytic.virtual_instruments.INSTRUMENTS}.",
             metavar="NAME",
         ),
     ] = None,
     json: options.JsonOption = None,
 ) -> None:
     """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer."""
-    from manifold.analytic import instruments
+    from manifold.analytic import virtual_instruments
     from manifold.analytic.corpus import write
     from manifold.library.identity import require_outside_libraries
 
@@ -72,7 +72,7 @@ def corpus(
     require_outside_libraries(folder, into=True)
     with progress.shown("Measuring synthetic materials"):
         if instrument is not None:
-            paths = instruments.write(folder, instrument, seed=seed)
+            paths = virtual_instruments.write(folder, instrument, seed=seed)
         else:
             paths = write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb)
     size = sum(path.stat().st_size for path in paths)

@@ -19,11 +19,11 @@ from .worker_options import OneWorkerOption, SchedulerOption, WorkersOption, wor
 
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
-    from manifold.model.diagnostics import Prediction
+    from manifold.model.diagnostics import DiagnosedPrediction
     from manifold.model.located import Reconstruction
 
 AUTO = "auto"
-_LEAST_TURN_DEG = 5.0  # that is worth a word
+_LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
 
 
 Kind = Literal["blend", "material"]
@@ -324,7 +324,7 @@ def predict(
     results.document(made.to_json())
 
 
-def show_prediction(results: terminal.Results, made: Prediction) -> None:
+def show_prediction(results: terminal.Results, made: DiagnosedPrediction) -> None:
     """Print what is known of a prediction."""
     rows: dict[str, object] = {"latent": ",".join(made.coordinates)}
     if made.colour is not None:

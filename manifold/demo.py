@@ -25,11 +25,11 @@ from manifold.evaluate.stability import stability_figure
 from manifold.evaluate.stability.catalogue import MODES
 from manifold.evaluate.stability.trials import run_modes, select_modes
 from manifold.fit import fits
+from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fits import FitSettings
-from manifold.fit.pictures import picture_of_fit
 from manifold.library.identity import require_outside_libraries
 from manifold.library.importing import import_files
-from manifold.model.diagnostics import Prediction
+from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.settings import Settings
 from manifold.page.explore import write_page
 from manifold.pictures import maps, renders
@@ -65,7 +65,7 @@ pre { overflow-x: auto; padding: .8rem; border: 1px solid gray; }
 
 
 def page(
-    folder: Path, pictures: Sequence[Path], explorer: Path, predicted: Prediction, report: Report
+    folder: Path, pictures: Sequence[Path], explorer: Path, predicted: DiagnosedPrediction, report: Report
 ) -> str:
     """What was done, the numbers that count, pictures, the explorer and the next commands, as HTML.
 
@@ -134,7 +134,7 @@ def page(
 """
 
 
-def _numbers(predicted: Prediction, report: Report) -> list[tuple[str, str]]:
+def _numbers(predicted: DiagnosedPrediction, report: Report) -> list[tuple[str, str]]:
     """Numbers and what they mean."""
     physical = predicted.plausibility
     found = [
@@ -210,7 +210,7 @@ class DemoResult:
     """
 
     files: dict[str, list[Path]]
-    predicted: Prediction
+    predicted: DiagnosedPrediction
     report: Report
     left_out: str | None
 

@@ -11,7 +11,7 @@ import scipy
 from scipy.linalg.lapack import dpotrs
 
 from manifold.gpr import GaussianProcess
-from manifold.mapping import Mapping
+from manifold.mapping import ValueMapping
 from manifold.metrics import relative_error
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
@@ -135,7 +135,7 @@ class Decoder:
 
     gp: GaussianProcess
     mapped: Array
-    mapping: Mapping
+    mapping: ValueMapping
     cosines: Array
 
     def decode(self, latents: Array) -> Array:

@@ -170,7 +170,7 @@ def _check_layout(tensors: Mapping[str, AnyArray], context: ErrorContext) -> Non
             remedy="it is no RGL file, or a damaged one: fetch it again",
         )
     if not spectral and "wavelengths" in tensors:
-        raise context.error("stands beside 'rgb', expected it beside 'spectra' only", field="wavelengths")
+        raise context.error("found with 'rgb', expected only with 'spectra'", field="wavelengths")
     sizes: dict[str, int] = {}
     for name, (dtype, axes) in _FIELDS.items():
         if name in (("rgb",) if spectral else ("spectra", "wavelengths")):

@@ -24,7 +24,7 @@ from manifold.records import Array
 from manifold.registry import Registry
 
 
-class Mapping(Protocol):
+class ValueMapping(Protocol):
     """The interface of a mapping T and its inverse."""
 
     @property
@@ -162,7 +162,7 @@ class LogRelative:
         return np.maximum(weight, self.floor)[..., None]
 
 
-MAPPINGS: Registry[Mapping] = Registry(
+MAPPINGS: Registry[ValueMapping] = Registry(
     "mapping", ((mapping.name, mapping) for mapping in (Identity(), CubeRoot(), Log(), LogRelative()))
 )
 """The mappings by name, with their default parameters.

@@ -8,8 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from manifold.colour.colour_science import frozen, standard_tables, wide_observer
 from manifold.colour.illuminants import Illuminant
-from manifold.colour.tables import frozen, standard_tables, wide_observer
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Bands, BsdfFile
 

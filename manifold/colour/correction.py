@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__, disk
+from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import interpolation_matrix, to_srgb, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow
-from manifold.colour.tables import colour_science
 from manifold.disk import read_json
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array, Bands, Indices, Mask

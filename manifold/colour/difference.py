@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import sensor_responses, srgb_to_xyz, to_xyz, xyz_weights
 from manifold.colour.illuminants import Illuminant, illuminant_power
 from manifold.colour.reflectances import srgb_spectra
-from manifold.colour.tables import colour_science
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError
 from manifold.formats.readings import DAYLIGHT, Viewing

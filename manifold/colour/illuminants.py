@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour.tables import read_columns, standard_tables
+from manifold.colour.colour_science import read_columns, standard_tables
 from manifold.errors import FileFormatError, UnknownNameError
 from manifold.names import names_like
 from manifold.records import Array, Bands

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour.tables import frozen
+from manifold.colour.colour_science import frozen
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array
 

@@ -15,10 +15,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from manifold.colour.colour_science import colour_science
 from manifold.colour.conversion import interpolation_matrix, to_xyz, xyz_to_srgb, xyz_weights
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_under_d65, lab_values
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.colour.tables import colour_science
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 from manifold.records import Array, Bands
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.colour.colour_science import colour_science, distribution, frozen, read_columns
 from manifold.colour.conversion import decode_srgb, to_srgb
-from manifold.colour.tables import colour_science, distribution, frozen, read_columns
 from manifold.errors import FileFormatError, ShapeError, UnknownNameError, UsageError
 from manifold.names import names_like
 from manifold.records import Array, Bands

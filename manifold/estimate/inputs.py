@@ -78,7 +78,7 @@ def find_samples(sources: Iterable[Path]) -> list[Sample]:
     for path in progress.each(paths, str):
         try:
             records = registry.read_all(path)
-        except ManifoldError:  # which whatever completes it is told again
+        except ManifoldError:  # raised again where it is completed
             groups[str(path)] = [_Part(path, None, path.stem, "", 0, None)]
             continue
         for one in records:
@@ -231,7 +231,7 @@ def _of_file(path: Path) -> Input:
 def _samples_of(path: Path) -> list[Input]:
     try:
         names = [record.name for record in registry.read_all(path)]
-    except ManifoldError:  # which whatever reads its values is told again
+    except ManifoldError:  # raised again where its values are read
         names = []
     several = [Input(safe_name(name), FileSource(path), name) for name in names]
     return several if len(several) > 1 else [_of_file(path)]

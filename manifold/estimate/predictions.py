@@ -19,7 +19,7 @@ from manifold.library.store import Library
 from manifold.model import diagnostics, located
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.model.comparison import brdf_errors
-from manifold.model.diagnostics import Prediction, diagnose
+from manifold.model.diagnostics import DiagnosedPrediction, diagnose
 from manifold.model.located import Located, Reconstruction
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import (
@@ -51,7 +51,7 @@ def predict(
     colour: ColourChoice = NEAREST,
     attributes: Attributes | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-) -> Prediction:
+) -> DiagnosedPrediction:
     """Predict the material at a latent and write it as an RGL file.
 
     Args:

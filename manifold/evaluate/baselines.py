@@ -8,7 +8,7 @@ import numpy as np
 
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.tabulated import Data
-from manifold.mapping import MAPPINGS, Identity, Mapping
+from manifold.mapping import MAPPINGS, Identity, ValueMapping
 from manifold.model.combination import Combination
 from manifold.model.reconstruction import DICTIONARY, MAX_BANDS, ComparedValues
 from manifold.pairs import Pairs
@@ -94,7 +94,7 @@ def _best_mix(data: Data, G: Array, i: int, training: Indices, among: Indices) -
     return _in_all_bands(data, training, weights, _IDENTITY)
 
 
-def _in_all_bands(data: Data, training: Indices, weights: Array, mapping: Mapping) -> Combination:
+def _in_all_bands(data: Data, training: Indices, weights: Array, mapping: ValueMapping) -> Combination:
     """A combination of whole materials, by weights of the training materials; negative values stay."""
     spread = np.zeros(data.n_materials)
     spread[training] = weights

@@ -18,7 +18,7 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate import chart_fits, stopwatch
 from manifold.evaluate.cross_validation import Method
 from manifold.evaluate.held_out import FOLDS, HeldOut
-from manifold.evaluate.methods import settings
+from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.results import KeptResults
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
 from manifold.library.store import Library
@@ -216,7 +216,7 @@ def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
 
 def _known_settings(n_bands: int) -> Registry[Method | str]:
     """All settings, by key: held-out ones, and the names of fits."""
-    known = Registry[Method | str]("setting", ((s.key, s) for s in settings(n_bands)))
+    known = Registry[Method | str]("setting", ((s.key, s) for s in chart_methods(n_bands)))
     known.update({f"fit_{method}": method for method in chart_fits.METHODS})
     return known
 

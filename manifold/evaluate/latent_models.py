@@ -13,7 +13,7 @@ from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
-from manifold.mapping import MAPPINGS, CubeRoot, Mapping
+from manifold.mapping import MAPPINGS, CubeRoot, ValueMapping
 from manifold.model.appearance import appearance_pairs, appearance_weight, roots_at
 from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
@@ -94,7 +94,7 @@ class LatentProcess:
 
     gp: GaussianProcess
     data: Data
-    mapping: Mapping
+    mapping: ValueMapping
     training: Indices
     prior: float
     known_variance: float | None = None

@@ -109,7 +109,7 @@ def _few_atoms(sample_bands: int) -> Method:
 # -- charts ------------------------------------------------------------------------------------------------
 
 
-def settings(n_bands: int) -> list[Method]:
+def chart_methods(n_bands: int) -> list[Method]:
     """All settings that a chart compares for materials of so many bands, simplest first."""
     mappings = ("identity", "cube-root", "log-relative")
     pcas = [_pca(f"pca_{k}_{T}", f"PCA {k}, {T}", T, k) for T in mappings for k in (2, 4, 6, 8)]

@@ -11,7 +11,7 @@ import numpy as np
 from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.encoding import PAIR_STRIDE
-from manifold.mapping import Mapping
+from manifold.mapping import ValueMapping
 from manifold.metrics import relative_error
 from manifold.model import fitting
 from manifold.model.combination import Values
@@ -109,7 +109,7 @@ class Data(Values):
         """D: direction pairs times bands."""
         return self.f.shape[1] * self.f.shape[2]
 
-    def gram(self, mapping: Mapping, bands: Indices | None = None, *, power: float = 1.0) -> Array:
+    def gram(self, mapping: ValueMapping, bands: Indices | None = None, *, power: float = 1.0) -> Array:
         """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has.
 
         Args:
@@ -128,7 +128,7 @@ class Data(Values):
 
         return self.cached((mapping, power, None if bands is None else tuple(bands.tolist())), products)
 
-    def samples(self, mapping: Mapping, bands: Indices | None = None) -> Array:
+    def samples(self, mapping: ValueMapping, bands: Indices | None = None) -> Array:
         """T(f), sample by sample.
 
         Args:

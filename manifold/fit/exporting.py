@@ -17,7 +17,7 @@ from manifold.brdf.orientation import aligned
 from manifold.colour.difference import VISIBLE
 from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
-from manifold.fit import fit_samples, pack, pictures
+from manifold.fit import comparison, fit_samples, pack
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
@@ -180,7 +180,7 @@ def export(
     disk.write_bytes(path, target.content(made, principled))
     if picture is not None:
         sources = [Source(subject.against, material), Source(f"exported: {target.name}", model)]
-        pictures.picture_of_brdfs(subject.name, sources, picture)
+        comparison.picture_of_brdfs(subject.name, sources, picture)
     if balls is not None:
         pack.write_balls(balls, material, model)
     notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])

@@ -17,15 +17,15 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import FIT, Input, is_rgl
 from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource, read_source, source_file
 from manifold.fit import fit_samples
+from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fit_samples import FitSamples
-from manifold.fit.pictures import picture_of_fit
 from manifold.fit.principled import METHODS, fit_bsdf
 from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.store import Library
 from manifold.model import diagnostics
-from manifold.model.diagnostics import Prediction
+from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model
 from manifold.names import printable
 from manifold.progress import Stages
@@ -148,7 +148,9 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     )  # fmt: skip
 
 
-def fit_prediction(place: PlaceSource, output: Path | None, settings: FitSettings) -> Outcome[Prediction]:
+def fit_prediction(
+    place: PlaceSource, output: Path | None, settings: FitSettings
+) -> Outcome[DiagnosedPrediction]:
     """Fit the material that a model predicts at a place; arguments as in `fit_file`.
 
     Raises:
@@ -160,7 +162,7 @@ def fit_prediction(place: PlaceSource, output: Path | None, settings: FitSetting
     loaded = load_model(place.model, place.library)
     stages.begin("reading materials")
     loaded.prepare()
-    predicted = diagnostics.predict(loaded, place.place, place.colour)
+    predicted = diagnostics.predict_and_diagnose(loaded, place.place, place.colour)
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
         latent=tuple(predicted.latent.tolist()),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Mapping as Fields
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Protocol
@@ -17,7 +16,7 @@ from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
 from manifold.kernels import Kernel, first_equal_row
-from manifold.mapping import CubeRoot, Mapping
+from manifold.mapping import CubeRoot, ValueMapping
 from manifold.metrics import relative_error
 from manifold.model.appearance import appearance_pairs, appearance_weight, roots_at
 from manifold.model.blending import NEIGHBOURS, blend_weights, widest_gap
@@ -80,7 +79,7 @@ class BlendSpace(LatentSpace):
         return arrays
 
     @classmethod
-    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
+    def from_arrays(cls, stored: Mapping[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
         """The space of a file's arrays. Raises ValueError where they do not fit each other or the number of bands."""
         X, bands = stored["X"], require_bands(stored, "bands", n_bands)
         N, n = len(X), len(X) * len(bands)
@@ -145,7 +144,7 @@ class BlendSpace(LatentSpace):
         coordinates, gains = colours if colours.ndim == 2 else (colours, 1.0)
         return self.paths.weights(u, coordinates) * np.reshape(gains, (-1, 1))
 
-    def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
+    def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
         """The weighted sum of a prediction at x (Q,): of whole materials, or of single bands in chosen colours."""
         k = self.training_index(x, colours)
         if k is not None:

@@ -15,7 +15,7 @@ import numpy as np
 from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ShapeError
-from manifold.mapping import Mapping
+from manifold.mapping import ValueMapping
 from manifold.model.dictionary import Dictionary
 from manifold.pairs import Pairs, cosine_weight
 from manifold.records import Array, Indices
@@ -33,11 +33,11 @@ class Values:
     f: Array
     wi: Array
     wo: Array
-    _mapped: dict[Mapping, Array] = field(default_factory=dict, repr=False, kw_only=True)
-    _samples: dict[tuple[Mapping, tuple[int, ...]], Array] = field(
+    _mapped: dict[ValueMapping, Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _samples: dict[tuple[ValueMapping, tuple[int, ...]], Array] = field(
         default_factory=dict, repr=False, kw_only=True
     )
-    _lobes: dict[tuple[Mapping, Lobes], Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _lobes: dict[tuple[ValueMapping, Lobes], Array] = field(default_factory=dict, repr=False, kw_only=True)
 
     @classmethod
     def at(cls, materials: Sequence[MeasuredBRDF], pairs: Pairs) -> Values:
@@ -52,7 +52,7 @@ class Values:
         """cos(theta_i) cos(theta_o) per direction pair, shape (P,)."""
         return cosine_weight(self.wi, self.wo)
 
-    def mapped(self, mapping: Mapping) -> Array:
+    def mapped(self, mapping: ValueMapping) -> Array:
         """T(f) of all materials, shape (N, P, B); cached."""
         if mapping not in self._mapped:
             cosines = np.broadcast_to(self.cosines, self.f.shape[:2])
@@ -64,7 +64,7 @@ class Values:
         """`(w f)^(1/3)` of all materials, shape (N, P, B): where the cube-root error is measured."""
         return np.cbrt(self.cosines)[:, None] * np.cbrt(self.f)
 
-    def mapped_samples(self, mapping: Mapping, bands: Indices) -> Array:
+    def mapped_samples(self, mapping: ValueMapping, bands: Indices) -> Array:
         """T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); cached."""
         key = (mapping, tuple(int(b) for b in bands))
         if key not in self._samples:
@@ -74,7 +74,7 @@ class Values:
             self._samples[key] = mapping.forward(flat, cosines)[..., 0]
         return self._samples[key]
 
-    def mapped_lobes(self, mapping: Mapping, lobes: Lobes) -> Array:
+    def mapped_lobes(self, mapping: ValueMapping, lobes: Lobes) -> Array:
         """T(f) of analytic lobes, shape (n_l, P); cached."""
         key = mapping, lobes
         if key not in self._lobes:
@@ -98,7 +98,7 @@ class Combination:
         dictionary: of atoms; None where the samples are what is combined.
     """
 
-    mapping: Mapping
+    mapping: ValueMapping
     weights: Array
     sample_bands: Indices | None = None
     is_clipped: bool = True
@@ -186,7 +186,7 @@ def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool 
 
 def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
     """Indices of those that one product serves, group by group; measured materials are in none."""
-    groups: dict[tuple[Mapping, bool], list[int]] = {}
+    groups: dict[tuple[ValueMapping, bool], list[int]] = {}
     for m, combination in enumerate(combinations):
         if combination.source is None:
             key = (combination.mapping, combination.sample_bands is None)

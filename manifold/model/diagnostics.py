@@ -30,7 +30,7 @@ MOST_EMBEDDING_BALL = 5.0  # CIEDE2000: an observer sees two different colours (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prediction:
+class DiagnosedPrediction:
     """A predicted material, with its expected error and diagnostics.
 
     Attributes:
@@ -102,7 +102,9 @@ class Prediction:
         return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
 
 
-def predict(model: Manifold, x: PlaceLike, choice: ColourChoice = NEAREST) -> Prediction:
+def predict_and_diagnose(
+    model: Manifold, x: PlaceLike, choice: ColourChoice = NEAREST
+) -> DiagnosedPrediction:
     """The prediction at a place in a chosen colour, with its diagnostics."""
     place = model.place(x)
     chosen = choose_colour(model, place, choice)
@@ -116,7 +118,7 @@ def diagnose(
     chosen: ChosenColour = UNCHOSEN,
     found: Plausibility | None = None,
     negative_share: float | None = None,
-) -> Prediction:
+) -> DiagnosedPrediction:
     """Diagnostics and expected error of a prediction.
 
     Args:
@@ -139,7 +141,7 @@ def diagnose(
         sentences = of_measured(measured, brdf)
     else:
         sentences = of_prediction(is_extrapolation, measured, chosen.residual, why)
-    return Prediction(
+    return DiagnosedPrediction(
         brdf=brdf,
         latent=place.latent,
         coordinates=model.space.printed(place.latent),

@@ -13,7 +13,7 @@ from manifold import progress
 from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.mapping import MAPPINGS, Mapping
+from manifold.mapping import MAPPINGS, ValueMapping
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
@@ -55,7 +55,7 @@ def value_blocks(
 
 def gram_matrix(
     materials: Sequence[BRDF],
-    mapping: Mapping,
+    mapping: ValueMapping,
     grid: RusinkiewiczGrid,
 ) -> Gram:
     """Accumulate the Gram matrix of N materials of the same bands over a grid of direction pairs.
@@ -78,7 +78,7 @@ def gram_matrix(
 def cache_key(
     content_hash: str,
     names: Sequence[str],
-    mapping: Mapping,
+    mapping: ValueMapping,
     grid: RusinkiewiczGrid,
 ) -> str:
     """Name under which a library caches a Gram matrix of some materials: a hash of all that it depends on."""

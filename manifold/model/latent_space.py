@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from collections.abc import Mapping as Fields
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -15,7 +14,7 @@ from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import ShapeError, UsageError
 from manifold.gpr import GaussianProcess
 from manifold.kernels import Kernel, first_equal_row
-from manifold.mapping import Mapping
+from manifold.mapping import ValueMapping
 from manifold.model.combination import Combination
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
@@ -99,7 +98,7 @@ class LatentSpace(ABC):
 
     @classmethod
     @abstractmethod
-    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> LatentSpace:
+    def from_arrays(cls, stored: Mapping[str, Array], kernel: Kernel, n_bands: int) -> LatentSpace:
         """The space of a file's arrays.
 
         Raises:
@@ -174,7 +173,7 @@ class LatentSpace(ABC):
     ) -> LeftOutSearch:
         """A search for the place of each material among the others, whose places are kept."""
 
-    def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
+    def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
         """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
         k = self.training_index(x, colours)
         if k is not None:
@@ -204,7 +203,7 @@ def fixed_colours(kind: str) -> str:
     return f"colours cannot be chosen on a manifold of kind {kind}; leave the colour out, or embed with kind blend"
 
 
-def require_shapes(stored: Fields[str, Array], shapes: Fields[str, tuple[int, ...]]) -> list[Array]:
+def require_shapes(stored: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> list[Array]:
     """The arrays of a file that have these names. Raises ValueError unless they have these shapes."""
     for name, shape in shapes.items():
         if stored[name].shape != shape:
@@ -212,7 +211,7 @@ def require_shapes(stored: Fields[str, Array], shapes: Fields[str, tuple[int, ..
     return [stored[name] for name in shapes]
 
 
-def require_bands(stored: Fields[str, Array], name: str, n_bands: int) -> Indices:
+def require_bands(stored: Mapping[str, Array], name: str, n_bands: int) -> Indices:
     """Band indices of a file, as integers. Raises ValueError unless they increase and there are such bands."""
     bands = stored[name].astype(np.int64)
     if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:

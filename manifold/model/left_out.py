@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Mapping as Fields
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -97,7 +96,7 @@ class LeftOut:
         return {_PREFIX + name: known[name] for name in _ARRAYS}
 
     @classmethod
-    def from_arrays(cls, stored: Fields[str, Array], space: LatentSpace) -> LeftOut | None:
+    def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
         """Those of a file's arrays; None where the model was not calibrated.
 
         Raises:

@@ -14,7 +14,7 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.library.store import Library
-from manifold.mapping import MAPPINGS, Mapping
+from manifold.mapping import MAPPINGS, ValueMapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
@@ -123,7 +123,7 @@ class Manifold(LatentMap):
         return self.library.bands
 
     @cached_property
-    def mapping(self) -> Mapping:
+    def mapping(self) -> ValueMapping:
         """The mapping of BRDF values."""
         return MAPPINGS[self.settings.mapping]
 

@@ -20,7 +20,7 @@ from manifold.brdf.sums import WeightedSum
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.directions import half_vector, require_directions
 from manifold.errors import ShapeError
-from manifold.mapping import CubeRoot, Identity, Mapping
+from manifold.mapping import CubeRoot, Identity, ValueMapping
 from manifold.model.combination import Combination
 from manifold.pairs import Pairs, cosine_weight
 from manifold.records import Array, Bands
@@ -291,7 +291,7 @@ class PredictedBRDF(NotebookPicture):
 class _MappedSum:
     """The sum of weights * T(f) of any BRDFs and any mapping, one BRDF after the other."""
 
-    def __init__(self, brdfs: Sequence[BRDF], weights: Array, mapping: Mapping):
+    def __init__(self, brdfs: Sequence[BRDF], weights: Array, mapping: ValueMapping):
         self._terms, self._mapping = list(zip(brdfs, weights, strict=True)), mapping
 
     def add_to(self, total: Array, pairs: Pairs) -> None:

@@ -1,5 +1,5 @@
 from .page import make_page
-from .tables import Tables, tabulate
+from .page_data import Tables, tabulate
 
 __all__ = [
     "Tables",

@@ -14,8 +14,8 @@ from manifold.model.blend_space import require_blends
 from manifold.model.manifold import Manifold
 from manifold.page.actions import Context
 from manifold.page.page import make_page
+from manifold.page.page_data import tabulate, to_document
 from manifold.page.server import ExplorerServer
-from manifold.page.tables import tabulate, to_document
 
 
 def write_page(

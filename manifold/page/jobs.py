@@ -79,7 +79,7 @@ class Queue:
     """
 
     def __init__(self, folder: Path, command: tuple[str, ...] = MANIFOLD) -> None:
-        """Wait for actions.
+        """A queue without actions.
 
         Args:
             folder: working folder of the commands.

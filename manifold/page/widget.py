@@ -18,7 +18,7 @@ from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
 from manifold.page.page import widget_module
-from manifold.page.tables import tabulate, to_document
+from manifold.page.page_data import tabulate, to_document
 
 
 class MapWidget(anywidget.AnyWidget):

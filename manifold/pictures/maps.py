@@ -13,7 +13,7 @@ from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.estimate.sources import LibrarySource, MaterialSource, PlaceSource, place_of, read_source
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice
-from manifold.model.diagnostics import Prediction
+from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike, on_line
 from manifold.model.walks import Walk
@@ -30,7 +30,7 @@ def latent_map(
     library: Path | None = None,
     marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
-) -> tuple[Prediction | None, tuple[str, ...]]:
+) -> tuple[DiagnosedPrediction | None, tuple[str, ...]]:
     """Draw the map of latents with a rendered ball per material, and with one of a prediction.
 
     Args:
@@ -44,7 +44,9 @@ def latent_map(
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
-    predicted = None if marked is None else diagnostics.predict(loaded, place_of(marked, loaded), colour)
+    predicted = (
+        None if marked is None else diagnostics.predict_and_diagnose(loaded, place_of(marked, loaded), colour)
+    )
     x = None if predicted is None else predicted.latent
     if not backend.is_available():
         figures.save(map_figure.latent_map(loaded, marked=x), output)
@@ -63,7 +65,7 @@ def walk(
     *,
     steps: int = 7,
     library: Path | None = None,
-) -> dict[float, Prediction]:
+) -> dict[float, DiagnosedPrediction]:
     """Draw the walk between two materials, and below it what lies between them on the map.
 
     Returns:
@@ -84,7 +86,7 @@ def walk(
         ("path of\nlatents", lambda value: loaded.predict(on_line(first, last, value))),
     ]
     rows: list[tuple[str, list[Array]]] = []
-    between: dict[float, Prediction] = {}
+    between: dict[float, DiagnosedPrediction] = {}
     for name, along in methods:
         images: list[Array] = []
         for value in t.tolist():
@@ -105,7 +107,7 @@ def walk(
 def _end(model: Manifold, source: MaterialSource) -> BRDF:
     """The BRDF at an end of a walk, its unmeasured cells filled."""
     if isinstance(source, PlaceSource):
-        return diagnostics.predict(model, source.place, source.colour).brdf
+        return diagnostics.predict_and_diagnose(model, source.place, source.colour).brdf
     if isinstance(source, LibrarySource) and source.name in model.names:
         return model.materials.filled([source.name])[0]
     brdf = MeasuredBRDF(fill_unmeasured(read_source(source)))

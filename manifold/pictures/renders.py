@@ -27,7 +27,7 @@ from manifold.render.image_metrics import Summary
 from manifold.render.render import RenderSettings, require_d65
 
 if TYPE_CHECKING:
-    from manifold.model.diagnostics import Prediction
+    from manifold.model.diagnostics import DiagnosedPrediction
 
 # What a measured file does without (models, predictions, figures) is imported where it is used: it takes 1.5 s.
 
@@ -52,7 +52,7 @@ class Rendered:
     settings: RenderSettings
     renderer: backend.Backend
     seconds: float
-    prediction: Prediction | None = None
+    prediction: DiagnosedPrediction | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, with the program's version."""
@@ -117,7 +117,7 @@ def ball_material(
     source: MaterialSource,
     *,
     direct: bool = False,
-) -> Iterator[tuple[BallMaterial, Prediction | None]]:
+) -> Iterator[tuple[BallMaterial, DiagnosedPrediction | None]]:
     """A material to be rendered, and the prediction that it is; files written for it are there during the block.
 
     Raises:
@@ -140,7 +140,7 @@ def ball_material(
 def latent_material(
     model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
     direct: bool = False,
-) -> Iterator[tuple[BallMaterial, Prediction]]:  # fmt: skip
+) -> Iterator[tuple[BallMaterial, DiagnosedPrediction]]:  # fmt: skip
     """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials.
 
     Raises:
@@ -170,7 +170,7 @@ def latent_material(
             "direct renders have the colours of latents, not those between two; render a predicted file"
         )
     warn_if_invisible(loaded.bands)
-    predicted = diagnostics.predict(loaded, latent, colour)
+    predicted = diagnostics.predict_and_diagnose(loaded, latent, colour)
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}

@@ -34,7 +34,7 @@ def sources(materials: Sequence[MaterialSource]) -> list[Source]:
             key = (material.model, material.library)
             if key not in models:
                 models[key] = Manifold.load(*key)
-            made = diagnostics.predict(models[key], material.place, material.colour)
+            made = diagnostics.predict_and_diagnose(models[key], material.place, material.colour)
             found.append((f"predicted at {given}", Source(f"predicted at {given}", made.brdf, made)))
         elif isinstance(material, FileSource) and material.path.suffix == ".json":
             content = fit_json.read(material.path)

@@ -13,7 +13,7 @@ from manifold.brdf.measured import EvaluableBRDF
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_rusinkiewicz, from_spherical
 from manifold.errors import UsageError
-from manifold.model.diagnostics import Prediction
+from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.plots.figures import in_lines, new_figure
 from manifold.records import Array
 
@@ -44,7 +44,7 @@ class Source:
 
     label: str
     brdf: EvaluableBRDF
-    prediction: Prediction | None = None
+    prediction: DiagnosedPrediction | None = None
 
 
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:

@@ -1,6 +1,6 @@
 from .estimate import Surface, estimate_surface
 from .files import SurfaceFiles, make_surface
-from .pictures import SurfacePictures, read_folder, read_workbook
+from .lamp_pictures import SurfacePictures, read_folder, read_workbook
 from .sparkle import Sparkle, sparkle_of
 from .tiling import Textures, tile
 

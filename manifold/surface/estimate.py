@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from manifold.records import Array, Mask
-from manifold.surface.pictures import SurfacePictures
+from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import SLOPE_STD, THIRD_STD, Response
 
 _SPARKLE = 1.8  # times its surroundings, or what the smooth surface explains

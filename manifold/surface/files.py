@@ -26,7 +26,7 @@ from manifold.render import backend
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, estimate_surface
-from manifold.surface.pictures import SurfacePictures, read_folder, read_workbook
+from manifold.surface.lamp_pictures import SurfacePictures, read_folder, read_workbook
 from manifold.surface.sparkle import Sparkle, sparkle_of
 from manifold.surface.spectra import spectral_changes
 from manifold.surface.tiling import Textures, tile

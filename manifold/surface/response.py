@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.records import Array
-from manifold.surface.pictures import SurfacePictures
+from manifold.surface.lamp_pictures import SurfacePictures
 
 _ANGLES_DEG = np.array([-65.0, -30.0, 0.0, 30.0, 45.0, 60.0])  # positive on the mirror's side
 _SLOPE = np.array([-1.74, -0.636, -0.131, 0.519, 0.876, 1.395])

@@ -13,7 +13,7 @@ import platformdirs
 import pytest
 
 from manifold import disk, errors
-from manifold.colour.tables import cached
+from manifold.colour.colour_science import cached
 from manifold.disk import read_text
 from manifold.errors import ManifoldError, UsageError
 from manifold.names import first_few, printable

@@ -12,8 +12,8 @@ from helpers.paths import REPOSITORY, real_rgl_folder
 from helpers.small_library import NAMES, measured
 
 from manifold.analytic.ggx import GGX
-from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.analytic.microfacet import Plastic
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.io_rgl import write_bsdf
 
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")

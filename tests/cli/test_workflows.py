@@ -23,7 +23,7 @@ from manifold.estimate.predictions import predict
 from manifold.evaluate import pipeline
 from manifold.evaluate.budget import example_scenes
 from manifold.evaluate.chart_fits import METHODS
-from manifold.evaluate.methods import settings
+from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.report_text import lead
 from manifold.evaluate.stability.catalogue import MODES
 from manifold.io_rgl import read_bsdf
@@ -64,7 +64,7 @@ def demo(tmp_path_factory, few_materials):
 
 def test_what_the_demo_charts_and_tries_is_in_the_registries():
     charted, tried = CHARTED_AND_TRIED
-    known = {setting.key for setting in settings(195)} | {f"fit_{method}" for method in METHODS}
+    known = {setting.key for setting in chart_methods(195)} | {f"fit_{method}" for method in METHODS}
     assert set(charted) <= known
     assert set(tried) <= {mode.key for mode in MODES}
 

@@ -10,6 +10,7 @@ import warnings
 import numpy as np
 import pytest
 
+from manifold.colour.colour_science import OBSERVER, standard_tables
 from manifold.colour.conversion import (
     SRGB_TO_XYZ,
     InvisibleBandsWarning,
@@ -23,7 +24,6 @@ from manifold.colour.conversion import (
 from manifold.colour.illuminants import illuminant_names
 from manifold.colour.metals import metal_ior, metal_names
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.colour.tables import OBSERVER, standard_tables
 from manifold.errors import ShapeError, UsageError
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.records import Bands

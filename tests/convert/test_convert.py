@@ -10,7 +10,7 @@ import pytest
 from helpers.instrument_files import RGB, dense, smooth, write_every_format, write_pab_opto
 
 from manifold.analytic import corpus
-from manifold.analytic.instruments import MINI_DIFF_BANDS, write_mini_diff
+from manifold.analytic.virtual_instruments import MINI_DIFF_BANDS, write_mini_diff
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import run
 from manifold.colour.conversion import to_srgb

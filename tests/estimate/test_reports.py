@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.instrument_files import smooth
 
-from manifold.analytic.instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
 from manifold.estimate import reports
 from manifold.formats import csv_table
 from manifold.formats.readings import aspecular_pair, geometry_ma_t12

@@ -11,7 +11,7 @@ import pytest
 from helpers.small_library import NAMES, small_model
 
 from manifold.analytic.base import Lambert
-from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.brdf import physical
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference

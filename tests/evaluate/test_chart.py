@@ -19,7 +19,7 @@ from manifold.errors import UsageError
 from manifold.evaluate import chart_figure, chart_fits, held_out, methods, storage_forms
 from manifold.evaluate.chart import COSTS, ERRORS, Chart, conclusion, cost_of, fronts, make_chart
 from manifold.evaluate.held_out import HeldOut, without_small_weights
-from manifold.evaluate.methods import AS_PUBLISHED, PUBLISHED, fit_nearest, settings
+from manifold.evaluate.methods import AS_PUBLISHED, PUBLISHED, chart_methods, fit_nearest
 from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
@@ -30,7 +30,7 @@ from manifold.pairs import RusinkiewiczGrid
 from manifold.plots import figures
 
 FILES = [small_library.measured(name) for name in small_library.NAMES]
-HELD_OUT = [s.key for s in settings(3)]
+HELD_OUT = [s.key for s in chart_methods(3)]
 GRID = RusinkiewiczGrid(18, 9, 6)
 
 
@@ -54,7 +54,7 @@ def rows(made):
 
 def test_settings_are_unique_and_those_of_spectra_contain_those_of_rgb():
     assert len(HELD_OUT) == len(set(HELD_OUT))
-    assert {s.key for s in settings(195)} > set(HELD_OUT)
+    assert {s.key for s in chart_methods(195)} > set(HELD_OUT)
 
 
 def test_the_json_has_every_setting_with_finite_measures(made):
@@ -153,7 +153,7 @@ def test_one_slow_tabulation_does_not_change_the_time_of_fits(monkeypatch):
 
     monkeypatch.setattr(held_out, "_REPEATS", 3)
     monkeypatch.setattr(Stopwatch, "lap", lap)
-    nearest = settings(3)[0]
+    nearest = chart_methods(3)[0]
     fit = HeldOut(FILES, GRID, [nearest]).measure(nearest).fit
     assert fit.median == 1.0 + 3.0
     assert next(tabulating, None) is None
@@ -269,7 +269,7 @@ def test_the_document_lists_every_key():
     listed = re.findall(
         r"`([^`]+)`", text.partition("**Keys** for `--only`:")[2].partition(". Libraries in RGB")[0]
     )
-    own = [setting.key for setting in settings(195)]
+    own = [setting.key for setting in chart_methods(195)]
     assert listed == [*own, *(f"fit_{method}" for method in chart_fits.METHODS)]
 
 

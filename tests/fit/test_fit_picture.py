@@ -12,8 +12,8 @@ from matplotlib.image import imread
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.estimate.sources import FileSource, PlaceSource, source_file
+from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fits import FitSettings, fit_file, fit_prediction
-from manifold.fit.pictures import picture_of_fit
 from manifold.io_rgl import write_bsdf
 from manifold.pictures.renders import compare
 from manifold.pictures.slices import sources

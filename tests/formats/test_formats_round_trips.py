@@ -19,7 +19,7 @@ def test_values_are_those_of_the_material_at_the_directions_read(files, name):
     found = registry.read_readings(files[name], limit=5000)
     expected = smooth(found.bands).eval(found.wi, found.wo)
     if name == "pab-opto":  # one band of the spectrophotometer's 31
-        from manifold.analytic.instruments import MA_T12_BANDS
+        from manifold.analytic.virtual_instruments import MA_T12_BANDS
 
         expected = smooth(MA_T12_BANDS).eval(found.wi, found.wo)[:, [10]]
     assert len(found) >= 6

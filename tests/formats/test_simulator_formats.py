@@ -12,8 +12,8 @@ from helpers.instrument_files import dense, lighttools_axes, smooth, write_every
 from helpers.paths import REPOSITORY
 
 from manifold.analytic.ggx import GGX
-from manifold.analytic.instruments import MINI_DIFF_BANDS
 from manifold.analytic.microfacet import Plastic
+from manifold.analytic.virtual_instruments import MINI_DIFF_BANDS
 from manifold.cli.main import run
 from manifold.colour.conversion import luminance
 from manifold.convert.conversion import convert

@@ -11,7 +11,7 @@ from helpers.instrument_files import smooth
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manifold.analytic.instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings, write_ma_t12
 from manifold.colour.difference import lab_under_d65, lab_values
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import FileFormatError

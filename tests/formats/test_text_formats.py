@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from manifold.analytic.corpus import isotropic_materials
 from manifold.analytic.ggx import GGX
-from manifold.analytic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings
 from manifold.analytic.microfacet import Plastic
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats import astm, csv_table, lighttools, registry, utia

@@ -11,8 +11,13 @@ from colour_cxf import cxf3
 
 from manifold import disk
 from manifold.analytic.ggx import GGX
-from manifold.analytic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_mini_diff
 from manifold.analytic.microfacet import Plastic
+from manifold.analytic.virtual_instruments import (
+    MA_T12_BANDS,
+    MINI_DIFF_BANDS,
+    ma_t12_readings,
+    write_mini_diff,
+)
 from manifold.directions import from_spherical
 from manifold.formats import (
     astm,

@@ -12,7 +12,7 @@ import pytest
 from helpers.small_library import small_model
 
 from manifold.analytic.base import Lambert
-from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.batch import Command, SheetWarning, _Made, ball_path, batch
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import Input, find_inputs, find_samples

@@ -12,7 +12,7 @@ from helpers.small_library import small_library
 
 from manifold import cluster, many, pairs
 from manifold.analytic.base import Lambert
-from manifold.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.batch import batch
 from manifold.convert.targets import Options
 from manifold.errors import ManifoldError

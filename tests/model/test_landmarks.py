@@ -16,7 +16,7 @@ from manifold.model import fitting, landmarks, left_out, map
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.page.tables import tabulate, to_document
+from manifold.page.page_data import tabulate, to_document
 from manifold.plots import map_figure
 
 MORE = ("syn_paint_sand", "syn_paper_red", "syn_satin_white", "syn_gloss_green")

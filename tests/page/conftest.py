@@ -18,7 +18,7 @@ def model(tmp_path_factory):
 @pytest.fixture(scope="module")
 def document(model):
     """What a page of the map is told."""
-    from manifold.page.tables import tabulate, to_document
+    from manifold.page.page_data import tabulate, to_document
 
     return to_document(model, tabulate(model))
 

@@ -21,7 +21,7 @@ from manifold.estimate.gloss import gloss_units
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.page.page import make_page
-from manifold.page.tables import AngleGrid, tabulate, tabulated_pairs, to_document
+from manifold.page.page_data import AngleGrid, tabulate, tabulated_pairs, to_document
 
 sys.path.insert(0, str(REPOSITORY / "benchmarks"))
 import bench_page

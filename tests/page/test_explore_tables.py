@@ -16,14 +16,14 @@ from manifold.directions import to_rusinkiewicz
 from manifold.errors import UsageError
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
-from manifold.page import explore, tables
+from manifold.page import explore, page_data
 from manifold.page.page import make_page, page_script, widget_module
-from manifold.page.tables import AngleGrid, error_field, tabulated_pairs
+from manifold.page.page_data import AngleGrid, error_field, tabulated_pairs
 
 
 @pytest.fixture(scope="module")
 def tabulated(model):
-    return tables.tabulate(model)
+    return page_data.tabulate(model)
 
 
 def interpolated(grid, values, wi, wo):
@@ -74,7 +74,7 @@ def unpacked(document, shape):
 
 
 def test_a_ball_from_packed_tables_is_the_ball_of_the_prediction(model, tabulated, rng):
-    packed = json.loads(json.dumps(tables.packed(tabulated)))
+    packed = json.loads(json.dumps(page_data.packed(tabulated)))
     components = unpacked(packed, tabulated.components.shape)[..., : tabulated.pairs.n_grid]
     ball = ball_colours.ball()
     cosines = np.cbrt(ball.wi[:, 2] * ball.wo[:, 2])[:, None]
@@ -91,7 +91,7 @@ def test_a_ball_from_packed_tables_is_the_ball_of_the_prediction(model, tabulate
 def test_expected_errors_of_few_materials_are_called_coarse_on_the_page(model, monkeypatch):
     loaded = Manifold.load(model.library.path.parent / "model.h5")
     assert error_field(loaded)["unit"] == f"CIEDE2000 of the ball; coarse, known from {len(NAMES)} materials"
-    monkeypatch.setattr("manifold.page.tables.COARSE_BELOW", len(NAMES))
+    monkeypatch.setattr("manifold.page.page_data.COARSE_BELOW", len(NAMES))
     assert error_field(loaded)["unit"] == "CIEDE2000 of the ball"
 
 
@@ -99,7 +99,7 @@ def test_only_maps_of_blends_have_a_page(tmp_path):
     library = Library.open(small_library(tmp_path))
     model = Manifold.fit(library, Settings(kind="material"))
     with pytest.raises(UsageError, match="kind material, expected blend"):
-        tables.tabulate(model)
+        page_data.tabulate(model)
 
 
 def test_a_page_is_one_file_that_asks_for_nothing(tmp_path):

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
-from manifold.surface.pictures import SurfacePictures, _in_plane
+from manifold.surface.lamp_pictures import SurfacePictures, _in_plane
 from manifold.surface.response import Response
 
 ANGLES_DEG = np.array([60.0, 45.0, 30.0, 0.0, -30.0, -65.0, np.nan])

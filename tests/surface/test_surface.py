@@ -13,7 +13,7 @@ from manifold.errors import FileFormatError, UsageError
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.surface.estimate import estimate_surface, integrated
-from manifold.surface.pictures import SurfacePictures, read_folder, read_workbook
+from manifold.surface.lamp_pictures import SurfacePictures, read_folder, read_workbook
 from manifold.surface.response import Response
 from manifold.surface.sparkle import sparkle_of
 from manifold.surface.tiling import blend, dust_in, tile, uncropped

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
+from manifold.mapping import CubeRoot, Identity, Log, LogRelative, ValueMapping
 from manifold.model.blending import NEGLIGIBLE
 from manifold.records import Array
 from manifold.render.plugin.mixture import Mixture
@@ -560,7 +560,7 @@ def _turned(mi: Any, w: Any, turn: Any) -> Any:
 class _DrJitMapping:
     """T and its inverse on Dr.Jit arrays; see `manifold.mapping`."""
 
-    def __init__(self, mi: Any, dr: Any, mapping: Mapping) -> None:
+    def __init__(self, mi: Any, dr: Any, mapping: ValueMapping) -> None:
         self._dr, self._mapping = dr, mapping
         if not isinstance(mapping, Identity | CubeRoot | Log | LogRelative):
             raise UsageError(f"the plugin `manifold` does not know the mapping {mapping.name}")

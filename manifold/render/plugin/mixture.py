@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
-from manifold.mapping import Mapping
+from manifold.mapping import ValueMapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
@@ -52,7 +52,7 @@ class Mixture:
 
     names: tuple[str, ...]
     tables: Tables
-    mapping: Mapping
+    mapping: ValueMapping
     bands: Bands
     weights: Array | None
     lobes: Array

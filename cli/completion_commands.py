@@ -213,15 +213,8 @@ def complete(
             one = coat.ColourSample(f"L {L:.4g}, a {a:.4g}, b {b:.4g}", (L, a, b), units)
             target = or_default(output, "completed.bsdf")
             with progress.shown("Completing"):
-                coated = coat.complete(library, one, target, options=written)
-                if picture:
-                    from manifold.estimate.sources import FileSource
-                    from manifold.pictures import renders
-                    from manifold.render.render import RenderSettings
-
-                    renders.render(
-                        FileSource(target), checked(target.with_suffix(".png"), "picture"), RenderSettings()
-                    )
+                ball = checked(target.with_suffix(".png"), "picture") if picture else None
+                coated = coat.complete(library, one, target, picture=ball, options=written)
             if report is not None:
                 reports.write_coat(report, coated)
             _show_completed(results, coated, coated.rows, report)

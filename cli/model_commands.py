@@ -384,16 +384,7 @@ def locate(
                 model, request, output, library=library, picture=picture,
                 options=OutputOptions(physical, terminal.is_strict()),
             )  # fmt: skip
-        place = seen.located
-        assert place is not None
-        photo_options.show_photographs(
-            results,
-            "Located the photographed ball",
-            seen,
-            latent=",".join(place.coordinates),
-            nearest=[f"{name} ({apart:.2f})" for name, apart in place.nearest],
-            **{"reconstruction error": place.rows["reconstruction error"]},
-        )
+        photo_options.show_photographs(results, "Located the photographed ball", seen)
         return
     if not materials:
         raise UsageError("found no material; name one, or give --photo PICTURE and --light PICTURE")

@@ -184,29 +184,10 @@ class PhotoOptions:
 NONE = PhotoOptions()
 
 
-def show_photographs(results: terminal.Results, title: str, found: FromPhotographs, **first: object) -> None:
+def show_photographs(results: terminal.Results, title: str, found: FromPhotographs) -> None:
     """Print what was found in photographs."""
-    material = found.material
-    rows: dict[str, object] = {
-        "photographs": [
-            f"{ball.photograph.path.name}, ball at {ball.circle}"
-            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
-            for ball in found.balls
-        ],
-        **first,
-        "expected error": material.expected.words,
-        "residual of pixels": f"{100 * material.residual:.1f} % in cube roots",
-        "exposure": f"{material.exposure:.3g}",
-        "made of": [f"{name} {share:.2f}" for name, share in material.made_of],
-    }
-    if found.plausibility is not None:
-        rows["albedo"] = f"at most {found.plausibility.max_albedo:.2f}"
-    if found.output is not None:
-        rows["written to"] = found.output
-    if found.picture is not None:
-        rows["picture"] = found.picture
-    rows["time"] = f"{found.seconds:.1f} s"
-    results.rows(title, rows | {f"note {k}": note for k, note in enumerate(found.diagnostics, start=1)})
+    notes = {f"note {k}": note for k, note in enumerate(found.diagnostics, start=1)}
+    results.rows(title, {**found.rows, "time": f"{found.seconds:.1f} s", **notes})
     if found.plan is not None:
         show_plan(results, found.plan, " beside what there is")
     results.document(found.to_json())

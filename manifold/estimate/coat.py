@@ -37,7 +37,7 @@ from manifold.estimate.attributes import (
     lab_of_factor,
     tinted,
 )
-from manifold.estimate.completions import atoms_of, parse_lab
+from manifold.estimate.completions import atoms_of, draw_ball, parse_lab
 from manifold.estimate.expected import Calibration, cached, errors_of
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
@@ -199,7 +199,12 @@ def nearest_coat(
 
 
 def complete(
-    library: Path, sample: ColourSample, output: Path, *, options: OutputOptions = COMPLETION_OPTIONS
+    library: Path,
+    sample: ColourSample,
+    output: Path,
+    *,
+    picture: Path | None = None,
+    options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Coated:
     """Write a coat over a Lambertian of a colour and gloss as an RGL file.
 
@@ -207,6 +212,7 @@ def complete(
         library: whose bands the file has, and on whose materials the expected error is measured.
         sample: the colour and gloss.
         output: the file to write; its name becomes the material's.
+        picture: of the ball, to render.
         options: of the file.
     Raises:
         UsageError: the output does not end in `.bsdf`, or there is no such gloss.
@@ -217,7 +223,7 @@ def complete(
     for angle, units in sample.gloss.items():
         if (fault := gloss_fault(angle, units)) is not None:
             raise UsageError(fault)
-    stages = Stages({"reading materials": 4, "expected error": 2, "writing": 1})
+    stages = Stages({"reading materials": 4, "expected error": 2, "writing": 1, "rendering": 2})
     opened = Library(library)
     stages.begin("reading materials")
     atoms = atoms_of(opened)
@@ -232,6 +238,9 @@ def complete(
         f"colour and gloss of {sample.name}, by manifold {__version__}",
         remedy="ask for a darker colour or less gloss", keeps_hue=True, expected_error=expected.cube_root,
     )  # fmt: skip
+    if picture is not None:
+        stages.begin("rendering")
+        draw_ball(output, picture)
     brdf = made if written.file is None else MeasuredBRDF(written.file)
     lab, gloss = lab_of(brdf), gloss_units(brdf, sample.gloss)
     return Coated(

@@ -191,11 +191,8 @@ def complete(
         keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
     )
     if picture is not None:
-        from manifold.render import ball, images
-        from manifold.render.render import RenderSettings
-
         stages.begin("rendering")
-        images.write_image(picture, ball.read_material(output).render(RenderSettings()))
+        draw_ball(output, picture)
     plausibility = written.plausibility
     if written.file is not None:
         made = made.as_written(MeasuredBRDF(written.file))
@@ -211,6 +208,14 @@ def complete(
         output, picture, made, correction, expected, plausibility, suggested, notes,
         time.perf_counter() - start,
     )  # fmt: skip
+
+
+def draw_ball(file: Path, picture: Path) -> None:
+    """Render the ball of a file into a picture."""
+    from manifold.render import ball, images
+    from manifold.render.render import RenderSettings
+
+    images.write_image(picture, ball.read_material(file).render(RenderSettings()))
 
 
 _kept: dict[tuple[Path, str], LibraryAtoms] = {}  # of the library that was used last, for the next sample

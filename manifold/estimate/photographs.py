@@ -81,6 +81,32 @@ class FromPhotographs:
     seconds: float
     plan: LampPlan | None = None
 
+    @property
+    def rows(self) -> dict[str, object]:
+        """What a table says of it, by label: words, and lists of words."""
+        material, place = self.material, self.located
+        rows: dict[str, object] = {
+            "photographs": [
+                f"{ball.photograph.path.name}, ball at {ball.circle}"
+                + "".join(f", lamp {lamp}" for lamp in ball.lamps)
+                for ball in self.balls
+            ]
+        }
+        if place is not None:
+            rows["latent"] = ",".join(place.coordinates)
+            rows["nearest"] = [f"{name} ({apart:.2f})" for name, apart in place.nearest]
+            rows["reconstruction error"] = place.rows["reconstruction error"]
+        rows |= {
+            "expected error": material.expected.words,
+            "residual of pixels": f"{100 * material.residual:.1f} % in cube roots",
+            "exposure": f"{material.exposure:.3g}",
+            "made of": [f"{name} {share:.2f}" for name, share in material.made_of],
+        }
+        if self.plausibility is not None:
+            rows["albedo"] = f"at most {self.plausibility.max_albedo:.2f}"
+        files = {"written to": self.output, "picture": self.picture}
+        return rows | {label: path for label, path in files.items() if path is not None}
+
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {

@@ -58,8 +58,6 @@ def inputs_of(
         output: likewise; a folder that is there is for several.
         is_wanted: which files of folders; RGL files if None.
         samples: whether a file of several samples is several materials.
-    Raises:
-        UsageError: a source is missing, or a folder is read and written.
     """
     from manifold.estimate import inputs
     from manifold.estimate.sources import FileSource
@@ -91,9 +89,6 @@ def make_many(
         outputs: what the folder is for, and what to do.
         failed: what is wrong with other sources.
         then: called with what was made, before it is printed.
-    Raises:
-        UsageError: the folder is named like a file.
-        FileFormatError: some failed.
     """
     from manifold.batch import batch, cell, notes_of
 

@@ -129,8 +129,6 @@ def colour_choice(
 
     Args:
         refused: where there is nothing to be coloured: the option that they go with, and why.
-    Raises:
-        UsageError: several are given, or one where there is nothing to be coloured.
     """
     from manifold.model.colours import NEAREST, ColourChoice
 
@@ -141,22 +139,14 @@ def colour_choice(
 
 
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
-    """What an argument means that stands for a material.
-
-    Raises:
-        UsageError: it is no file, no material of the library, and no place.
-    """
+    """What an argument means that stands for a material."""
     from manifold.estimate.sources import parse_source
 
     return parse_source(text, model, library or (None if model.exists() else DEFAULT_LIBRARY))
 
 
 def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:
-    """What arguments mean that stand for materials; patterns such as `*.bsdf` mean what they match.
-
-    Raises:
-        UsageError: one is no file, no material of the library, and no place.
-    """
+    """What arguments mean that stand for materials; patterns such as `*.bsdf` mean what they match."""
     from manifold.disk import matching
 
     return [material_source(each, model, library) for text in texts for each in matching(text)]
@@ -166,11 +156,7 @@ def material_sources(
     texts: Sequence[str], latents: Sequence[str], model: Path, library: Path | None, *,
     like: str | None, reflectance: Path | None, srgb: str | None,
 ) -> list[MaterialSource]:  # fmt: skip
-    """Arguments that stand for materials, then places of `--latent`, predictions in the colour of the options.
-
-    Raises:
-        UsageError: one means nothing, or a colour is given where nothing is predicted.
-    """
+    """Arguments that stand for materials, then places of `--latent`, predictions in the colour of the options."""
     from manifold.estimate.sources import PlaceSource
 
     found = several_materials(texts, model, library)
@@ -185,11 +171,7 @@ def one_material(
     text: str | None, latent: str | None, model: Path, library: Path | None, *,
     like: str | None, reflectance: Path | None, srgb: str | None,
 ) -> MaterialSource:  # fmt: skip
-    """The one material of a command, see `material_sources`.
-
-    Raises:
-        UsageError: none is named, or two.
-    """
+    """The one material of a command, see `material_sources`."""
     if (text is None) == (latent is None):
         found = "nothing" if text is None else f"{text} and --latent {latent}"
         raise UsageError(

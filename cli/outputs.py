@@ -55,8 +55,6 @@ def checked(path: Path, name: str = "output") -> Path:
     Args:
         path: a file or folder.
         name: of the parameter that it stands for.
-    Raises:
-        UsageError: it is another file of the command, or lies in a library.
     """
     from manifold.library.identity import require_outside_libraries
 

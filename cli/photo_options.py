@@ -141,11 +141,7 @@ class PhotoOptions:
     ] = None
 
     def request(self) -> PhotoRequest | None:
-        """What the options ask for; None without photographs.
-
-        Raises:
-            UsageError: there is no light, or the exposure is no number.
-        """
+        """What the options ask for; None without photographs."""
         if not self.photo:
             return None
         from manifold.estimate.sightings import PhotoRequest

@@ -171,11 +171,7 @@ def slices(
 
 
 def parse_wavelengths(text: str) -> list[float]:
-    """One to four numbers separated by commas.
-
-    Raises:
-        UsageError: they are something else.
-    """
+    """One to four numbers separated by commas."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

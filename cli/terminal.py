@@ -153,11 +153,7 @@ class Results:
     """What a command prints on stdout: text for people and, where asked, a JSON file; for `-`, JSON alone."""
 
     def __init__(self, json_target: Path | None = None) -> None:
-        """Refuse a JSON file that cannot be written, before any work.
-
-        Raises:
-            UsageError: its folder is missing or not writable, or it is a folder itself.
-        """
+        """Refuse a JSON file that cannot be written, before any work."""
         self._target = json_target
         self._only_json = json_target is not None and str(json_target) == "-"
         if json_target is not None and not self._only_json:
@@ -194,11 +190,7 @@ class Results:
         sys.stdout.writelines(f"{line}\n" for line in text_tables.table_lines(columns, cells, bold=True))
 
     def document(self, document: Mapping[str, Any]) -> None:
-        """Write the results as JSON where they were asked for.
-
-        Raises:
-            UsageError: the file cannot be written.
-        """
+        """Write the results as JSON where they were asked for."""
         if self._target is None:
             return
         document = {"program": f"manifold {__version__}", **document, "warnings": list(warned)}

@@ -39,11 +39,7 @@ SchedulerOption = Annotated[
 def workers_of(
     count: int | None, scheduler: str | None, default: int | None = None
 ) -> AbstractContextManager[Executor | None]:
-    """The workers of `--workers` or `--scheduler`, to enter; by default a process per core, or so many.
-
-    Raises:
-        UsageError: both are given, or Dask is not installed.
-    """
+    """The workers of `--workers` or `--scheduler`, to enter; by default a process per core, or so many."""
     from manifold import work
 
     if scheduler is None:

@@ -121,10 +121,6 @@ def batch(
         workers: see `work.run`.
     Returns:
         An outcome per source, in their order.
-    Raises:
-        UsageError: the folder cannot be made, is a file, or another run writes to it.
-        FileFormatError: there is another file of the index's name.
-        ManifoldError: a process was killed.
     """
     made = Batch(command, folder, [])
     with ExitStack() as at_end:
@@ -349,11 +345,7 @@ def _keep_to_one_thread() -> None:
 
 
 def make_folder(folder: Path, what: str) -> None:
-    """Make the folder of many outputs, `what` in words.
-
-    Raises:
-        UsageError: it is a file, or cannot be made.
-    """
+    """Make the folder of many outputs, `what` in words."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -363,11 +355,7 @@ def make_folder(folder: Path, what: str) -> None:
 
 @contextmanager
 def _only_run_in(folder: Path, what: str) -> Iterator[None]:
-    """Make a folder, and hold its lock: results of two runs would be mixed.
-
-    Raises:
-        UsageError: another run holds it, or the folder cannot be written to.
-    """
+    """Make a folder, and hold its lock: results of two runs would be mixed."""
     make_folder(folder, what)
     lock = FileLock(folder / ".manifold.lock")
     try:
@@ -390,8 +378,6 @@ class OutputIndex:
     Args:
         folder: of the outputs.
         what: they are, in the plural; `exports` makes `exports.jsonl`.
-    Raises:
-        FileFormatError: there is another file of the index's name.
     """
 
     def __init__(self, folder: Path, what: str) -> None:
@@ -426,11 +412,7 @@ class OutputIndex:
         return result if isinstance(result, dict) else None
 
     def add(self, path: Path, made_of: dict[str, Any], result: dict[str, Any], sha256: str) -> None:
-        """Note a file that was written, what is known of it, and its hash: all plain values of JSON.
-
-        Raises:
-            UsageError: the index cannot be written.
-        """
+        """Note a file that was written, what is known of it, and its hash: all plain values of JSON."""
         entry = {
             "file": path.name,
             "made_of": _stamped(made_of),

@@ -45,10 +45,6 @@ def workers(address: str) -> Iterator[Executor]:
 
     Args:
         address: of the scheduler, such as `tcp://10.0.0.1:8786`.
-    Raises:
-        UsageError: Dask is not installed.
-        ManifoldError: the scheduler does not answer, lacks this package, or was lost; several workers were lost at
-            one task; or a worker has other versions of packages, or not the folder.
     """
     if find_spec("distributed") is None:
         raise UsageError(f"{address}: needs Dask, which is not installed; pip install brdf-manifold[cluster]")

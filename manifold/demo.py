@@ -220,9 +220,6 @@ def run(folder: Path) -> DemoResult:
 
     A folder with an earlier demo is used again: its measured materials, library and fit are kept, all else is
     made anew. Without Mitsuba nothing is rendered or fitted.
-
-    Raises:
-        UsageError: the folder lies in a library.
     """
     require_outside_libraries(folder, into=True)
     folder.mkdir(parents=True, exist_ok=True)

@@ -21,9 +21,6 @@ def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, with its suffix, renamed to it when the block ends without an error.
 
     The target of a symbolic link is replaced, not the link; permissions are kept.
-
-    Raises:
-        UsageError: the folder does not exist, or the file cannot be written.
     """
     require_writable(path)
     target = Path(os.path.realpath(path))
@@ -44,11 +41,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def require_writable(path: Path) -> None:
-    """Check before the work that a file can be written.
-
-    Raises:
-        UsageError: there is no such folder, it is not writable, or the path is no regular file.
-    """
+    """Check before the work that a file can be written."""
     target = os.path.realpath(path)
     folder = os.path.dirname(target)
     if os.path.isdir(target):
@@ -87,9 +80,6 @@ def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
         path: the file.
         advice: what to do where it cannot be read, for the error.
         most: bytes.
-    Raises:
-        MissingFileError: there is no such file.
-        UsageError: it is no regular file, too large, or cannot be read.
     """
     if not os.path.isfile(path):  # a pipe would block, and a device need not end
         if os.path.exists(path):
@@ -106,11 +96,7 @@ def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
 
 
 def read_text(path: Path, *, advice: str) -> str:
-    """A text in UTF-8, with or without a byte order mark.
-
-    Raises:
-        UsageError: as `read_bytes`, or the file is not UTF-8.
-    """
+    """A text in UTF-8, with or without a byte order mark."""
     try:
         return read_bytes(path, advice=advice, most=MOST_TEXT).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -124,9 +110,6 @@ def read_json(path: Path, expected: str, most: int = MOST_TEXT) -> Any:
         path: the file.
         expected: what it should be, in words.
         most: bytes.
-    Raises:
-        UsageError: as `read_bytes`.
-        FileFormatError: it is not JSON.
     """
     content = read_bytes(path, advice=f"name {expected}", most=most)
     try:

@@ -78,11 +78,7 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         return np.sqrt(self.output_variance_ * self.gp_.variance(X))
 
     def leave_one_out(self) -> Array:
-        """Every training output predicted from the others, shape of the training outputs.
-
-        Raises:
-            ShapeError: there are fewer than two samples.
-        """
+        """Every training output predicted from the others, shape of the training outputs."""
         check_is_fitted(self)
         if len(self.Y_fit_) < 2:
             raise ShapeError("leave-one-out needs at least 2 samples, found 1")

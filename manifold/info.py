@@ -33,8 +33,6 @@ def inspect_instrument_file(
 
     Returns:
         labels and values, the same for JSON, and tables: their heads and rows.
-    Raises:
-        FileFormatError: the file is damaged.
     """
     records = registry.read_all(path)
     first = records[0]
@@ -177,9 +175,6 @@ def inspect(
         path: what to look at.
         library: where a model's library is now, if not where the model remembers it.
         verify: read and hash a library again.
-    Raises:
-        UsageError: there is nothing at this path, or verification is asked of something else than a library.
-        FileFormatError, LibraryError, ModelError: it is damaged.
     """
     if not path.exists():
         raise UsageError(

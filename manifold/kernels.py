@@ -57,11 +57,7 @@ class Kernel(ABC):
 
     @property
     def numbers(self) -> tuple[int, float]:
-        """Parameters for compiled loops: index of the family, `1 / l^2`.
-
-        Raises:
-            UsageError: it is none of this package's.
-        """
+        """Parameters for compiled loops: index of the family, `1 / l^2`."""
         if self.family not in KERNELS:
             raise UsageError(
                 f"kernel '{self.family}' is your own, expected {KERNELS} for direct local search; "
@@ -170,8 +166,6 @@ def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float
         name: of the kernel, or a class derived from `Kernel` that has `family`, `steepest` and `radial`.
         mu: noise filter.
         length_scale: l.
-    Raises:
-        UsageError: no kernel has that name, or mu or the length scale cannot be used.
 
     >>> kernel_named("se", mu=1e-4).smooth(np.array([[0.0]]), np.array([[0.0], [1.0]])).round(3)
     array([[1.   , 0.607]])

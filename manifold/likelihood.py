@@ -140,11 +140,7 @@ def require_prior(prior: float) -> None:
 
 
 def require_gram(S: Array, n_outputs: int) -> Array:
-    """A Gram matrix as float64 (N, N).
-
-    Raises:
-        ShapeError: S is not square, symmetric and finite, N is below 2, or n_outputs below 1.
-    """
+    """A Gram matrix as float64 (N, N)."""
     S = np.asarray(S, dtype=np.float64)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
         raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")

@@ -144,10 +144,7 @@ def _complete_colour(
 
 
 def import_outputs(made: Batch[Any], library: Path) -> None:
-    """Import the files of a batch into a library, in place of others of the same names.
-
-    Raises: as `import_files`; `ManifoldError` where one of them cannot be imported.
-    """
+    """Import the files of a batch into a library, in place of others of the same names."""
     paths = [o.path for o in made.outcomes if o.failure is None]
     failed = import_files(library, paths, replace=True).failed if paths else {}
     if failed:

@@ -25,8 +25,6 @@ def nonnegative_weights(gram: Array, cross: Array) -> Array:
         cross: inner products of R vectors with the atoms, shape (R, n).
     Returns:
         Shape (R, n).
-    Raises:
-        ShapeError: a value is not finite.
 
     >>> nonnegative_weights(np.eye(2), np.array([[0.5, -1.0]])).round(6)
     array([[0.5, 0. ]])

@@ -85,11 +85,7 @@ def _locate_all(wi, wo, isotropic, reduction, out):
 
 
 def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
-    """Directions (..., 3) and uniform variates (..., 2) as contiguous (K, 3) and (K, 2), and what they broadcast to.
-
-    Raises:
-        ShapeError: wi is not made of unit vectors, u is not (..., 2) in [0, 1], or they do not broadcast.
-    """
+    """Directions (..., 3) and uniform variates (..., 2) as contiguous (K, 3) and (K, 2), and what they broadcast to."""
     wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
     if u.ndim == 0 or u.shape[-1] != 2 or not np.all((u >= 0.0) & (u <= 1.0)):
         raise ShapeError(f"u has shape {u.shape}, expected (..., 2) with values in [0, 1]")
@@ -116,11 +112,7 @@ class Pairs:
     """
 
     def __init__(self, wi: Array, wo: Array) -> None:
-        """Broadcast two arrays of unit vectors (..., 3) against each other.
-
-        Raises:
-            ShapeError: an array is not (..., 3), not finite, not of unit length, or they do not broadcast.
-        """
+        """Broadcast two arrays of unit vectors (..., 3) against each other."""
         wi, wo = require_directions(wi, "wi"), require_directions(wo, "wo")
         try:
             wi, wo = np.broadcast_arrays(wi, wo)
@@ -208,11 +200,7 @@ class RusinkiewiczGrid:
 
     @classmethod
     def named(cls, name: str) -> RusinkiewiczGrid:
-        """`default` (45 x 23 x 12, held-out errors) or `hikichi` (90 x 90 x 180, Hikichi & Iwasaki, eq. 22).
-
-        Raises:
-            UsageError: the name is unknown.
-        """
+        """`default` (45 x 23 x 12, held-out errors) or `hikichi` (90 x 90 x 180, Hikichi & Iwasaki, eq. 22)."""
         return NAMED_GRIDS[name]
 
     def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:

@@ -107,11 +107,7 @@ class Stages:
         self._shares, self._reached = dict(shares), 0
 
     def begin(self, stage: str) -> None:
-        """Say that a stage begins: what is reported from now on is its progress.
-
-        Raises:
-            KeyError: there is no such stage.
-        """
+        """Say that a stage begins: what is reported from now on is its progress."""
         names = list(self._shares)
         total = sum(self._shares.values())
         before = sum(self._shares[name] for name in names[: names.index(stage)]) if stage in names else 0.0

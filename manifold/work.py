@@ -36,8 +36,6 @@ def run(
 
     Args:
         workers: None runs them in this process, in order, and pickles nothing.
-    Raises:
-        ManifoldError: a worker was lost.
     """
     if workers is None or (isinstance(workers, ProcessPoolExecutor) and len(tasks) == 1):
         yield from map(partial(_attempt, function), range(len(tasks)), tasks)

@@ -59,11 +59,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
         return wo[:, 2] / np.pi
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF value f in 1/sr, shape (..., B); 0 where a direction is at or below the horizon.
-
-        Raises:
-            ShapeError: a direction is not a unit vector (..., 3), or the shapes do not broadcast.
-        """
+        """BRDF value f in 1/sr, shape (..., B); 0 where a direction is at or below the horizon."""
         pairs = Pairs(wi, wo)
         return _scatter(self._eval, pairs.shape, self.bands.count, pairs.wi, pairs.wo)
 
@@ -82,8 +78,6 @@ class AnalyticBRDF(NotebookPicture, ABC):
         Returns:
             wo (..., 3) and their density in 1/sr (...); the density is 0 where the sample fell below the
             horizon or `wi` lies there, and such samples count as black.
-        Raises:
-            ShapeError: `wi` is not made of unit vectors, or u is not (..., 2) in [0, 1].
         """
         wi, u, shape = flat_samples(wi, u)
         wo = np.zeros_like(wi)
@@ -104,9 +98,6 @@ class AnalyticBRDF(NotebookPicture, ABC):
 
         Numerical: within 1e-3 of the exact integral for the microfacet models and their mixtures, and
         within 5e-3 for `Sheen` and `Layered`.
-
-        Raises:
-            ShapeError: `wi` is not made of unit vectors (..., 3).
         """
         wi = require_directions(wi, "wi")
         flat = wi.reshape(-1, 3)
@@ -247,12 +238,7 @@ def _scatter(
 
 
 def set_per_band(record: Any, name: str, low: float, high: float = np.inf) -> None:
-    """Make a field of a frozen record, such as `Lambert`, a read-only array (B,), or (1,) of a single number.
-
-    Raises:
-        ShapeError: it is neither of shape (B,) nor a single number.
-        UsageError: a value is not in [low, high].
-    """
+    """Make a field of a frozen record, such as `Lambert`, a read-only array (B,), or (1,) of a single number."""
     a = np.atleast_1d(np.array(getattr(record, name), dtype=np.float64))
     if a.shape not in ((record.bands.count,), (1,)):
         raise ShapeError(

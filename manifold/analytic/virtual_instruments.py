@@ -144,8 +144,6 @@ def write(
         instrument: `ma-t12` (workbooks) or `mini-diff` (ASTM).
         seed: of the noise.
         materials: which.
-    Raises:
-        UsageError: there is no such instrument, or the folder cannot be made.
     """
     bands, suffix = INSTRUMENTS[instrument]
 

@@ -44,12 +44,7 @@ def cached(name: str, key: str, compute: Callable[[], Any]) -> Any:
 
 
 def read_columns(path: Path, what: str) -> tuple[Array, Array]:
-    """Wavelengths in nm, increasing, and values of a text file of two columns, both of shape (B,).
-
-    Raises:
-        UsageError: the file cannot be read.
-        FileFormatError: it has no such columns.
-    """
+    """Wavelengths in nm, increasing, and values of a text file of two columns, both of shape (B,)."""
     advice = f"expected a text file of wavelengths and {what}s"
     content = disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT)
     lines = decode(content).splitlines()

@@ -118,11 +118,7 @@ def luminance(values: Array, bands: Bands) -> Array:
 
 @lru_cache(maxsize=64)
 def xyz_weights(bands: Bands, illuminant: str = "D65", observer_deg: int = 2) -> Array:
-    """The read-only matrix (B, 3) that takes band values to XYZ; see `to_xyz`. Linear sRGB has one observer, 2 degrees.
-
-    Raises:
-        UsageError: there is no such illuminant or observer, or it gives no light where the observer sees.
-    """
+    """The read-only matrix (B, 3) from band values to XYZ; see `to_xyz`. Linear sRGB has one observer, 2 degrees."""
     light = Illuminant.named(illuminant)
     if bands.is_rgb:
         return _RGB_WEIGHTS
@@ -139,8 +135,6 @@ def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Arr
     Returns:
         wavelengths in nm, shape (K,), every 1 nm, and weights, shape (K, 3), whose sums over wavelengths are the XYZ
         of the perfect diffuser, with Y = 1.
-    Raises:
-        UsageError: the light has no power where the observer sees, or there is no such observer.
     """
     if observer_deg not in (2, 10):
         raise UsageError(f"an observer of {observer_deg} degrees, expected 2 (CIE 1931) or 10 (CIE 1964)")

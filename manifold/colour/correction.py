@@ -119,8 +119,6 @@ def learn_correction(
         forms: which to try.
         groups: of which physical sample each value is, shape (n,), to leave out one sample at a time; by default
             values are left out one by one.
-    Raises:
-        UsageError: fewer than four places, or all values are zero.
     """
     x, y = np.maximum(np.asarray(x, np.float64), 0.0), np.asarray(y, np.float64)
     if len(x) < 4 or not x.max() > 0.0:
@@ -214,12 +212,7 @@ def write_correction(path: Path, correction: ColourCorrection) -> None:
 
 
 def read_correction(path: Path) -> ColourCorrection:
-    """Read a correction.
-
-    Raises:
-        UsageError: the file cannot be read.
-        FileFormatError: it is no colour correction, or a damaged one.
-    """
+    """Read a correction."""
     content = read_json(path, "a colour correction")
     try:
         return _from_json(content)

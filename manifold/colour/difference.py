@@ -73,11 +73,7 @@ def to_lab(xyz: Array, white: Array) -> Array:
 
 
 def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
-    """CIELAB (..., 3) of BRDF values (..., B) in 1/sr, taken as radiance factors; linear sRGB has that of D65/2.
-
-    Raises:
-        UsageError: there is no such illuminant or observer.
-    """
+    """CIELAB (..., 3) of BRDF values (..., B) in 1/sr, taken as radiance factors; linear sRGB has that of D65/2."""
     weights = xyz_weights(bands, *viewing)
     return to_lab(np.pi * np.asarray(f) @ weights, weights.sum(axis=0))
 
@@ -90,8 +86,6 @@ def lab_under_d65(lab: Array, viewing: Viewing) -> Array:
     Args:
         lab: CIELAB under the illuminant, relative to its white, shape (..., 3).
         viewing: its light and observer.
-    Raises:
-        UsageError: there is no such illuminant or observer.
     Source: Mallett & Yuksel 2019, for the spectra.
     """
     if viewing == DAYLIGHT:

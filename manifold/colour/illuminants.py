@@ -82,9 +82,6 @@ def illuminant_power(bands: Bands, illuminant: str) -> Array:
     """Relative spectral power of an illuminant at the bands, shape (B,); 1 for RGB bands.
 
     0 where its table does not reach.
-
-    Raises:
-        UsageError: there is no such illuminant.
     """
     lamp = Illuminant.named(illuminant)
     return np.ones(bands.count) if bands.is_rgb else lamp.at(np.asarray(bands.wavelengths_nm))

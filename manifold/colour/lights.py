@@ -60,8 +60,6 @@ def exposed(environment: Array) -> Array:
 
     Args:
         environment: linear RGB radiance, shape (H, W, 3), laid out as `studio` does.
-    Raises:
-        UsageError: no light comes from above, or a value is not finite or negative.
     """
     require_light(environment)
     theta = np.pi * (np.arange(len(environment)) + 0.5) / len(environment)

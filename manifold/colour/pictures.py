@@ -68,11 +68,6 @@ def read_picture(path: Path) -> Picture:
 
     It is upright, as its orientation says. Layers and other channels than red, green, blue or grey, and alpha are left
     out of EXR and TIFF.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is no picture, too large, or of a kind or in colours that are not supported.
-        UsageError: it is a camera's raw file, and rawpy is not installed.
     """
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")

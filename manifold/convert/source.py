@@ -126,11 +126,6 @@ def open_source(
         rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
         merge: whether several files are of one sample although they name it differently.
         unit: of values in files that say none, see `registry.read`.
-    Raises:
-        UsageError: a file cannot be read, has no such sample, or is a whole BRDF, which cannot be corrected; or
-            several name different samples.
-        FileFormatError: a file is not what it should be.
-        BandMismatchError: the correction was learned in other bands.
     """
     of_rgl = [path for path in paths if begins_with(path, MAGIC)]
     if of_rgl and len(paths) > 1:

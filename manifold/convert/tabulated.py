@@ -47,11 +47,7 @@ class DenseBRDF(TabulatedBRDF):
     """A dense table, linear between its nodes; nodes that were not measured hold the nearest that was."""
 
     def __init__(self, table: DenseTable) -> None:
-        """Fill what was not measured.
-
-        Raises:
-            UsageError: nothing was measured.
-        """
+        """Fill what was not measured."""
         measured = table.measured
         if not np.any(measured):
             raise UsageError(f"{table.name}: nothing was measured, so there is nothing to interpolate")
@@ -110,11 +106,7 @@ class ReadingsBRDF(TabulatedBRDF):
     """
 
     def __init__(self, readings: Readings) -> None:
-        """Group the readings by incidence.
-
-        Raises:
-            UsageError: they do not cover hemispheres: too few, or all in one plane.
-        """
+        """Group the readings by incidence."""
         finite = np.isfinite(readings.values).all(axis=1)
         wi, wo, values = readings.wi[finite], readings.wo[finite], readings.values[finite]
         theta, phi = to_spherical(wi)

@@ -295,11 +295,7 @@ TARGETS: Registry[Target] = Registry(
 
 
 def target_of(output: Path, to: str | None) -> Target:
-    """The format to write: `to`, one of `TARGETS`, or what the suffix of the output stands for.
-
-    Raises:
-        UsageError: there is no such format, or the suffix is of none.
-    """
+    """The format to write: `to`, one of `TARGETS`, or what the suffix of the output stands for."""
     if to is not None:
         return TARGETS[to]
     by_suffix = {suffix: target for target in TARGETS.values() for suffix in target.suffixes}

@@ -66,11 +66,7 @@ class Wanted:
 
     @classmethod
     def parse(cls, text: str) -> Wanted:
-        """Of `30`, `+10` or `-10`; a sign makes it relative.
-
-        Raises:
-            UsageError: it is no finite number.
-        """
+        """Of `30`, `+10` or `-10`; a sign makes it relative."""
         if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)", text.strip()):
             raise UsageError(f"found '{text}', expected a number such as 30, or +10 or -10 for a change")
         return cls(float(text), text.strip()[0] in "+-")
@@ -108,11 +104,7 @@ class Attributes:
         return np.array([lightness, chroma, hue % 360.0])
 
     def units(self, present: Mapping[float, float]) -> dict[float, float]:
-        """Gloss units asked for by angle in degrees, where those of a material are some.
-
-        Raises:
-            UsageError: gloss meters have no such angle, or there is no such gloss.
-        """
+        """Gloss units asked for by angle in degrees, where those of a material are some."""
         units = {angle: self.gloss[angle].of(now) for angle, now in present.items()}
         for angle, asked in units.items():
             if (fault := gloss_fault(angle, asked)) is not None:
@@ -131,11 +123,7 @@ class Attributes:
         chroma: str | None = None,
         hue: str | None = None,
     ) -> Attributes | None:
-        """Of texts such as `60=40` for gloss and `+10` for the others; None where all are missing.
-
-        Raises:
-            UsageError: one of them is of another form.
-        """
+        """Of texts such as `60=40` for gloss and `+10` for the others; None where all are missing."""
         given = {}
         for text in gloss:
             angle, _, units = text.rpartition("=")
@@ -214,8 +202,6 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
         x: the material to begin with.
         attributes: what it should become.
         colour: its colour at present, as `choose_colour` takes it.
-    Raises:
-        UsageError: colours of the map are fixed, there is no such gloss meter, or no such lightness, chroma or gloss.
 
     >>> adjust(model, "syn_card_brown", Attributes({60.0: Wanted(40.0)}, hue=Wanted(30.0)))  # doctest: +SKIP
     """
@@ -383,9 +369,6 @@ def find(
             geometries, in which case materials without gloss near it may be listed.
         lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any.
         gloss: gloss units by angle in degrees, 20, 60 or 85.
-    Raises:
-        UsageError: gloss meters have no such angle, or the readings have no colours.
-        LibraryError: a material cannot be read.
     """
     differs = None if material is None else _difference_from(material)
     found = []

@@ -214,9 +214,6 @@ def complete(
         output: the file to write; its name becomes the material's.
         picture: of the ball, to render.
         options: of the file.
-    Raises:
-        UsageError: the output does not end in `.bsdf`, or there is no such gloss.
-        LibraryError: a material cannot be read.
     """
     start = time.perf_counter()
     require_bsdf_output(output)
@@ -301,9 +298,6 @@ def read_colours(path: Path, gloss: Mapping[float, float], viewing: Viewing = DA
         path: of the file.
         gloss: of all samples, gloss units by angle in degrees; columns of gloss go before it.
         viewing: light and observer of the colours.
-    Raises:
-        UsageError: the file cannot be read, a colour is none, or there is no such illuminant or observer.
-        FileFormatError: a line is no colour, or a name comes twice.
     """
     text = disk.read_text(path, advice="name a text of lines of name, L, a, b")
     lines = [
@@ -400,8 +394,6 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
     Args:
         brdf: the material.
         gloss: gloss units by angle in degrees, one at least, above 0.
-    Raises:
-        UsageError: gloss meters have no such angle.
     """
     bands, meters = brdf.bands, [gloss_meter(angle) for angle in gloss]
     old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)

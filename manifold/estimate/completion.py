@@ -367,9 +367,6 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
     """Readings that a library of some bands can complete: linear sRGB for an RGB library, spectra for any.
 
     Three narrow bands become spectra, see `colour.narrow_bands`.
-
-    Raises:
-        BandMismatchError: linear sRGB cannot become a spectrum; or bands are no colour, for an RGB library.
     """
     readings = with_spectra(readings)
     nm = readings.wavelengths_nm

@@ -231,12 +231,7 @@ def atoms_of(library: Library) -> LibraryAtoms:
 
 
 def parse_lab(text: str, viewing: Viewing = DAYLIGHT) -> Array:
-    """The CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer.
-
-    Raises:
-        UsageError: there are not three finite numbers, the lightness is not from 0 to 100, or there is no such
-            illuminant or observer.
-    """
+    """The CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer."""
     try:
         lab = np.array([float(part) for part in text.split(",")])
     except ValueError:
@@ -247,11 +242,7 @@ def parse_lab(text: str, viewing: Viewing = DAYLIGHT) -> Array:
 
 
 def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
-    """Gloss units by angle in degrees, of texts such as `60=12.5`.
-
-    Raises:
-        UsageError: a text is none, an angle is none of a gloss meter's, or comes twice.
-    """
+    """Gloss units by angle in degrees, of texts such as `60=12.5`."""
     found: dict[float, float] = {}
     for text in texts:
         angle, is_pair, units = text.partition("=")

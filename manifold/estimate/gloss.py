@@ -30,11 +30,7 @@ _GLASS_INDEX = 1.567
 
 @cache
 def gloss_meter(angle_deg: float) -> Picture:
-    """What a gloss meter at one of `GLOSS_ANGLES_DEG` collects: one sum, in gloss units.
-
-    Raises:
-        UsageError: gloss meters have no such angle.
-    """
+    """What a gloss meter at one of `GLOSS_ANGLES_DEG` collects: one sum, in gloss units."""
     if angle_deg not in RECEPTORS_DEG:
         raise UsageError(f"gloss at {angle_deg:g} degrees, expected 20, 60 or 85 (ISO 2813)")
     theta = np.deg2rad(angle_deg)
@@ -61,9 +57,6 @@ def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_
     """Gloss units of a BRDF, by its luminance, at some incidences in degrees.
 
     Files hold highlights as wide as the goniometer resolved: the gloss of what is polished comes out too low.
-
-    Raises:
-        UsageError: gloss meters have no such angle.
     """
     units = {}
     for angle in angles_deg:

@@ -69,8 +69,6 @@ def find_samples(sources: Iterable[Path]) -> list[Sample]:
 
     Args:
         sources: files, patterns, and folders, which are searched for files of readings.
-    Raises:
-        UsageError: a source is missing, or a folder holds no readings.
     """
     groups: dict[str, list[_Part]] = {}
     given = [path for source in sources for path in matching(str(source))]
@@ -203,9 +201,6 @@ def find_inputs(
         sources: files, folders, which are searched at every depth, libraries, materials of these, and places.
         is_wanted: which files of folders.
         samples: whether every sample of an instrument's file is a material.
-    Raises:
-        UsageError: a source is missing, or a folder holds none.
-        LibraryError: a library is damaged.
     """
     found: list[Input] = []
     for source in sources:

@@ -44,9 +44,6 @@ def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection
 
     Args:
         pairs: of every sample the reference's readings and the other's, all in the same bands.
-    Raises:
-        BandMismatchError: bands differ between samples, or the other instrument has not three.
-        UsageError: too few directions are shared.
     """
     for pair in pairs[1:]:
         for one, first in zip(pair, pairs[0], strict=True):
@@ -62,11 +59,7 @@ def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection
 
 
 def correct_colours(readings: Readings, correction: ColourCorrection) -> Readings:
-    """Readings in the bands of the reference that a correction was learned from.
-
-    Raises:
-        BandMismatchError: they have other bands than those that are corrected.
-    """
+    """Readings in the bands of the reference that a correction was learned from."""
     correction.source.require_same(
         readings.bands, readings.name, "the colour correction was learned from another instrument's"
     )
@@ -90,9 +83,6 @@ def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrect
         other: a goniometer's, in the same bands, or in three.
     Returns:
         The readings, and the correction that was learned; None where the bands are the same.
-    Raises:
-        BandMismatchError: the other has other bands, and not three.
-        UsageError: too few directions are shared.
     """
     if reference.bands == other.bands:
         return _joined(reference, other), None
@@ -141,11 +131,7 @@ def between_measurements(parts: Sequence[Readings]) -> Between | None:
 
 
 def _shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
-    """Values of another instrument (S, 3) and of the reference (S, B) where both read a sample.
-
-    Raises:
-        BandMismatchError: the other instrument has not three bands.
-    """
+    """Values of another instrument (S, 3) and of the reference (S, B) where both read a sample."""
     if other.bands.count != _CAMERA_BANDS:
         raise BandMismatchError(
             f"{other.name}: {other.bands}, expected three bands, to be corrected by the {reference.bands} of "
@@ -212,10 +198,6 @@ def read(
         unit: of values in files that say none, see `registry.read`.
     Returns:
         The readings, and the colour correction that was learned from the files of two instruments, if any.
-    Raises:
-        FileFormatError: a file is of no known format, or damaged.
-        BandMismatchError: bands of the files, or of the correction, do not go together.
-        UsageError: a file cannot be read, or has no such sample.
     """
     is_only = len(paths) == 1
     readings = [
@@ -263,9 +245,6 @@ def calibrate(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, li
         output: a JSON file.
     Returns:
         The correction, and the names of the samples it was learned from.
-    Raises:
-        UsageError: the number of files is odd, no names are the same, or too few directions are shared.
-        BandMismatchError: bands differ between samples, or the other instrument has not three.
     """
     disk.require_writable(output)
     is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)

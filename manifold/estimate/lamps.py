@@ -59,11 +59,7 @@ class Lamp:
 
     @classmethod
     def towards(cls, vector: Array, distance: float = np.inf, colour: Array | None = None) -> Lamp:
-        """A lamp in a direction (3,) of any length.
-
-        Raises:
-            UsageError: the direction is zero or not finite, or the lamp would touch the ball.
-        """
+        """A lamp in a direction (3,) of any length."""
         vector = np.asarray(vector, dtype=np.float64)
         length = float(np.linalg.norm(vector))
         if not (np.isfinite(length) and length > 0.0):
@@ -74,12 +70,7 @@ class Lamp:
 
 
 def parse_lamp(text: str) -> list[Lamp]:
-    """The lamps of `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or a file of these, a line for every photograph.
-
-    Raises:
-        UsageError: the text is none of these.
-        FileFormatError: a line of the file is no direction.
-    """
+    """The lamps of `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or a file of these, a line for every photograph."""
     if text == "flash":
         return [Lamp(np.array([0.0, 0.0, 1.0]))]
     if Path(text).is_file():
@@ -97,10 +88,6 @@ def read_lamps(path: Path) -> list[Lamp]:
     """Lamps of a text file, a line each: direction, and intensity in one channel or three, if it is known.
 
     A first line of one number is how many follow, as sets of photometric stereo have it.
-
-    Raises:
-        UsageError: the file cannot be read.
-        FileFormatError: a line is no direction.
     """
     text = disk.read_text(path, advice="name a text of lines X Y Z")
     rows = [

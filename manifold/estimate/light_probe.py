@@ -72,8 +72,6 @@ def find_light(
         photographs: of one size.
         circle: the outline, where it is known nearly; it is refined.
         distance: of the lamps from the middle of the ball, in its radii.
-    Raises:
-        UsageError: the pictures differ in size, no ball is found, or no lamp explains a picture, which is named.
     """
     sizes = {one.values.shape[:2] for one in photographs}
     if len(sizes) > 1:
@@ -289,11 +287,7 @@ class _Pixels:
         return _Fit(x, cost, curvature)
 
     def probe(self, fit: _Fit, paths: Sequence[Path]) -> Probe:
-        """What a fit says.
-
-        Raises:
-            UsageError: it does not explain a picture.
-        """
+        """What a fit says."""
         shift, _, slopes, gains = self._split(fit.x)
         residual = np.sqrt(
             np.sum(self._off(fit.x) ** 2, axis=1)

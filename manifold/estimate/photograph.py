@@ -181,9 +181,6 @@ def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
     """Where a ball's outline may be in photographs of one size, the likeliest first.
 
     It is sought in their maximum, which no terminator cuts where lamps differ.
-
-    Raises:
-        UsageError: there is none, or nothing of a picture was seen.
     """
     for one in photographs:
         if not np.any(np.isfinite(one.values).all(axis=2) & ~one.is_clipped):

@@ -151,11 +151,6 @@ def complete(
         picture: of photographs, predictions and differences; None draws none.
         count: how many further pictures to suggest.
         options: of the output.
-    Raises:
-        MissingFileError, FileFormatError: a picture cannot be read.
-        BandMismatchError: readings or sensitivities do not go with the bands of the library.
-        UsageError: no ball is found, most of it is clipped, the output cannot be written, or `strict` is set and
-            its albedo would exceed 1.05.
     """
     start = time.perf_counter()
     require_bsdf_output(output)
@@ -404,10 +399,6 @@ def read_responses(path: Path, bands: Bands) -> Array:
     Args:
         path: text file of wavelengths in nm and three sensitivities, separated by commas or blanks.
         bands: of the reflectances.
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it has not four columns of finite numbers, or a channel sees nothing of these bands.
-        BandMismatchError: the bands are RGB.
     """
     if bands.is_rgb:
         raise BandMismatchError(

@@ -187,9 +187,6 @@ def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Bloc
         photograph: of it.
         circle: its outline.
         pictures: how many there are of it: each of more than ten has fewer blocks.
-    Raises:
-        UsageError: the circle is not in the picture, the ball is black, most of it is clipped or unseen, or what is
-            seen of a cylinder is nearly flat.
     """
     path, (H, W) = photograph.path, photograph.values.shape[:2]
     is_cylinder = isinstance(circle, Cylinder)

@@ -31,10 +31,6 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
     (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,
     `srgb` and `reflectance`, a path from the folder of the table. Separators are comma, semicolon or tab; Excel's line
     `sep=;` may come first.
-
-    Raises:
-        UsageError: the file cannot be read, or has no row.
-        FileFormatError: its header is none.
     """
     advice = "name a CSV file of points"
     text = decode(disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT))

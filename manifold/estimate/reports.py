@@ -47,8 +47,6 @@ def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> No
         path: of the page.
         made: what was completed and written.
         sources: files of its readings.
-    Raises:
-        UsageError: the page cannot be written.
     """
     completion, brdf = made.completion, MeasuredBRDF(read_bsdf(made.path))
     readings = completion.readings

@@ -157,12 +157,7 @@ class SeenBall:
 
 
 def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
-    """Read photographs and lights, and find the balls.
-
-    Raises:
-        MissingFileError, FileFormatError: a picture cannot be read.
-        UsageError: no ball is found, or there are not as many lights, circles or turns as photographs, or one.
-    """
+    """Read photographs and lights, and find the balls."""
     if not request.distance > 1.0:
         raise UsageError(f"a camera at {request.distance:g} radii of the ball, expected more than 1")
     if request.exposure is not None and not 0.0 < request.exposure < np.inf:
@@ -246,11 +241,7 @@ def _under_lamps(
 
 
 def _found_at(request: PhotoRequest) -> float | None:
-    """The distance of lamps that are to be found, in radii of the ball, far where none is given; None of given lamps.
-
-    Raises:
-        UsageError: it is no distance, or several are given.
-    """
+    """Distance of lamps that are to be found, in radii of the ball, far where none is given; None of given lamps."""
     if not any(text.partition(",")[0] == "found" for text in request.lamps):
         return None
     _, _, distance = request.lamps[0].partition(",")
@@ -266,11 +257,7 @@ def _found_at(request: PhotoRequest) -> float | None:
 
 
 def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
-    """A photograph relative to a white diffuser that faces its lamp, by a grey card that faces the camera.
-
-    Raises:
-        UsageError: the card is not in the picture, is clipped or black, or its lamp does not light it.
-    """
+    """A photograph relative to a white diffuser that faces its lamp, by a grey card that faces the camera."""
     try:
         x, y, width, height, reflectance = (float(part) for part in grey.split(","))
     except ValueError:
@@ -294,21 +281,14 @@ def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
 
 
 def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[Photograph]:
-    """Photographs less one that was taken without light.
-
-    Raises:
-        UsageError: it is of another size.
-    """
+    """Photographs less one that was taken without light."""
     if any(one.values.shape != dark.values.shape for one in photographs):
         raise UsageError(f"{dark.path}: of another size than the photographs, expected the same camera")
     return [replace(one, values=np.maximum(one.values - dark.values, 0.0)) for one in photographs]
 
 
 def _outline_of(photographs: Sequence[Photograph], given: str) -> tuple[Circle, tuple[str, ...]]:
-    """The outline of the ball in photographs of one size, given or the likeliest, and doubts about the latter.
-
-    Raises: as `outlines_in` and `Circle.parse`.
-    """
+    """The outline of the ball in photographs of one size, given or the likeliest, and doubts about the latter."""
     if given:
         return Circle.parse(given), ()
     best = outlines_in(photographs)[0]

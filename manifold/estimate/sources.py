@@ -101,9 +101,6 @@ def parse_source(
         model: path of the model whose map and library are meant; it need not exist for files.
         library: path of another library, or of the model's, if it was moved.
         colour: of a prediction.
-    Raises:
-        MissingFileError: it looks like a path, and nothing is there.
-        UnknownNameError: it is none of these.
     """
     text = text.strip()
     path = Path(text)
@@ -133,11 +130,7 @@ def parse_source(
 
 
 def read_source(source: MaterialSource) -> BsdfFile:
-    """The RGL file of a source, turned as it was measured; a prediction is measured by the virtual goniometer.
-
-    Raises:
-        UsageError, FileFormatError, LibraryError, ModelError: it cannot be read or predicted.
-    """
+    """The RGL file of a source, turned as it was measured; a prediction is measured by the virtual goniometer."""
     if isinstance(source, FileSource):
         return read_bsdf(source.path)
     if isinstance(source, LibrarySource):
@@ -149,12 +142,7 @@ def read_source(source: MaterialSource) -> BsdfFile:
 
 
 def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
-    """The place of a source on a map; what is not among its materials is located by its values, see `Manifold.embed`.
-
-    Raises:
-        UsageError, FileFormatError, LibraryError: it cannot be read, or is no place.
-        BandMismatchError: its bands are not the model's.
-    """
+    """The place of a source on a map; what is not among its materials is located by its values (`Manifold.embed`)."""
     if isinstance(source, LibrarySource) and source.name in model.names:
         return model.place(source.name)
     if isinstance(source, FileSource | LibrarySource):
@@ -167,11 +155,7 @@ def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
 
 @contextmanager
 def source_file(source: MaterialSource) -> Iterator[Path]:
-    """The path of a file that holds a source, which is temporary unless the source is a file.
-
-    Raises:
-        UsageError, LibraryError, ModelError: it cannot be read or predicted.
-    """
+    """The path of a file that holds a source, which is temporary unless the source is a file."""
     if isinstance(source, FileSource):
         yield source.path
         return

@@ -143,11 +143,7 @@ def suggest(
 def directions_left(
     count: int, readings: Readings | None = None, instrument: str | None = None
 ) -> tuple[Array, Array]:
-    """Directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3).
-
-    Raises:
-        UsageError: there is no such instrument, or there are fewer than `count`.
-    """
+    """Directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3)."""
     wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
     total, of = len(wi), f" of {instrument}" if instrument else ""
     if readings is not None:

@@ -33,9 +33,6 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -
     """Fit evenly spaced materials by one of `METHODS`.
 
     Predictions are evaluations at as many direction pairs as the material's file has.
-
-    Raises:
-        UsageError, RendererError: the method does not run here, or Mitsuba is missing.
     """
     measured, fits, numbers = [], [], []
     for i in evenly_spaced(len(files), count).tolist():

@@ -106,8 +106,6 @@ def cross_validate(
         lap: does the work of a fit; its result, and how long it took.
         own_tables: so many fits first map the values and multiply them anew, which is part of their time.
         on_material: called with the number of materials done.
-    Raises:
-        ShapeError: a fit has too few different materials to learn from.
     """
     found: dict[int, Combination] = {}
     fit_times, encode_times = [], []

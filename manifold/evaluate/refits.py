@@ -53,8 +53,6 @@ def refit_there(
         n_materials: of the model.
         model: its file.
         library: if it was moved.
-    Raises:
-        ManifoldError: a fit failed, or a worker was lost.
     """
     size = -(-n_materials // _PARTS)
     starts = range(0, n_materials, size)

@@ -74,8 +74,6 @@ def choose(
         mapping, latent_dim: what to choose.
     Returns:
         The settings chosen, and all candidates that were tried, in order.
-    Raises:
-        UsageError: there are fewer than four materials.
     """
     if len(materials) < 4:
         raise UsageError(

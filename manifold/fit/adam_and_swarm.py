@@ -71,8 +71,6 @@ def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options:
         samples: RGB.
         residuals: in whose metric the result's cost is given; Adam does not see it.
         options: hyperparameters.
-    Raises:
-        RendererError: Mitsuba runs in a scalar variant, which cannot differentiate.
     """
     mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
     if not mi.variant().startswith("llvm"):

@@ -36,8 +36,6 @@ def picture_of_fit(
         settings: of both renders, by default 256 x 256 pixels under D65, the one light for what has no spectrum.
     Returns:
         CIEDE2000 and FLIP, means over the pixels of the ball.
-    Raises:
-        UsageError, FileFormatError: a file cannot be used, or the picture not be written.
     """
     figures.require_writable(output)
     settings = RenderSettings() if settings is None else settings

@@ -74,8 +74,6 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
     Args:
         path: the file.
         against: for a fit, the measured file to compare with; the fit itself if None.
-    Raises:
-        UsageError, FileFormatError: a file cannot be used.
     """
     if path.suffix.lower() == ".bsdf":
         if against is not None:
@@ -97,11 +95,7 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
 def subject_of_prediction(
     model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
     ) -> Subject:  # fmt: skip
-    """The material that a model predicts at a latent, fitted.
-
-    Raises:
-        UsageError, LatentError, ModelError: the model or the latent cannot be used.
-    """
+    """The material that a model predicts at a latent, fitted."""
     stages = Stages({"reading materials": 3, "fitting": 7})
     loaded = Manifold.load(model, library)
     place = loaded.place(latent)
@@ -149,8 +143,6 @@ def export(
         picture: of the material beside the target's model, drawn there; none if None.
         balls: of both in two lights, drawn there; none if None.
         textures: writes textures for the base colour that was found, linear sRGB; None for one material everywhere.
-    Raises:
-        UsageError: the fit has no counterpart in engines, or a file cannot be written.
     """
     if picture is not None:
         figures.require_writable(picture)
@@ -251,11 +243,7 @@ def _export(
 
 
 def export_sources(source: Path) -> list[ExportSource]:
-    """Every material of a library, or every `.bsdf` file and fit of a folder, at every depth; none is read yet.
-
-    Raises:
-        UsageError: there is none, or two have the same name.
-    """
+    """Every material of a library, or every `.bsdf` file and fit of a folder, at every depth; none is read yet."""
     if (source / "zarr.json").is_file():
         library = Library(source)
         return [

@@ -42,11 +42,7 @@ class Metric:
 
     @classmethod
     def of(cls, name: str, samples: FitSamples) -> Metric:
-        """The measure for some samples.
-
-        Raises:
-            UsageError: the name is unknown.
-        """
+        """The measure for some samples."""
         if name not in METRICS:
             raise UsageError(f"no residual is called {name!r}, expected one of {', '.join(METRICS)}")
         mean = np.average(samples.f_cos, axis=0, weights=samples.weight).mean()

@@ -155,9 +155,6 @@ def from_readings(readings: Readings) -> FitSamples:
     """Samples of an instrument's readings: those measured in all bands, 87 degrees from the normal at most.
 
     Three narrow bands become spectra, see `colour.narrow_bands`.
-
-    Raises:
-        UsageError: fewer than four different pairs are left, or all values are 0.
     """
     readings = with_spectra(readings)
     far = np.minimum(readings.wi[:, 2], readings.wo[:, 2]) >= _GRAZING_COS

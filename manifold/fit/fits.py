@@ -91,12 +91,7 @@ class FitSettings:
 
 
 def read_family(path: Path) -> BsdfFamily:
-    """A BSDF family from a JSON file of `type`, `parameters` and `fixed`; see `BsdfFamily.to_json`.
-
-    Raises:
-        UsageError: the file is missing.
-        FileFormatError: it is no such description.
-    """
+    """A BSDF family from a JSON file of `type`, `parameters` and `fixed`; see `BsdfFamily.to_json`."""
     return fit_json.family_of(disk.read_json(path, "a JSON description of a BSDF"), str(path))
 
 
@@ -105,9 +100,6 @@ def fit_file(source: Path | Measured, target: Path, settings: FitSettings) -> Ou
 
     Returns:
         The fit, or why there is none.
-    Raises:
-        UsageError: the JSON cannot be written.
-        RendererError: Mitsuba is missing.
     """
     backend.imported()
     disk.require_writable(target)
@@ -130,8 +122,6 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     Args:
         settings: how.
         with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
-    Raises:
-        RendererError: Mitsuba is missing.
     """
     backend.imported()
     columns: dict[str, Callable[[Content], Any]] = {
@@ -151,11 +141,7 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
 def fit_prediction(
     place: PlaceSource, output: Path | None, settings: FitSettings
 ) -> Outcome[DiagnosedPrediction]:
-    """Fit the material that a model predicts at a place; arguments as in `fit_file`.
-
-    Raises:
-        UsageError, LatentError, ModelError: the model, the latent or the output cannot be used.
-    """
+    """Fit the material that a model predicts at a place; arguments as in `fit_file`."""
     path = Path("predicted.fit.json") if output is None else output
     disk.require_writable(path)
     stages = Stages({"reading materials": 3, "fitting": 7})

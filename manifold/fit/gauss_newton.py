@@ -151,8 +151,6 @@ def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
 
     Returns:
         Vectors (n, K) and costs (n,), those left out where the BSDF is not finite.
-    Raises:
-        NumericalError: it is finite nowhere.
     """
     layout, bsdf, metric = residuals.layout, residuals.evaluator, residuals.criterion.metric
     samples = residuals.criterion.samples

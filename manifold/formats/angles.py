@@ -32,9 +32,6 @@ def directions(
         angles: by `angle_name`, in radians, each (P,); theta_i and theta_o at least.
         context: names the file in errors.
         notes: what was assumed is added.
-    Raises:
-        FileFormatError: an elevation is beyond 180 degrees, no row is of reflected light, or the azimuths are neither
-            phi_i and phi_o, nor one of these, nor their difference.
     """
     keep = np.ones(len(angles["theta_i"]), dtype=bool)
     for key in ("theta_i", "theta_o"):

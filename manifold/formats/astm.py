@@ -52,13 +52,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of the table, one record.
-
-    Raises:
-        FileFormatError: no `VARS`, unknown columns, rows of other lengths, fewer rows than announced, or a cell
-            that is no finite number; the error names the line.
-        UsageError: the file cannot be read.
-    """
+    """Readings of the table, one record."""
     context = ErrorContext(path, _REMEDY)
     lines = read_lines(path)
     start = next((k for k, line in enumerate(lines) if re.match(r"\s*VARS?\b", line, re.IGNORECASE)), None)
@@ -198,12 +192,7 @@ def _readings(
 
 
 def write(path: Path, readings: Readings) -> None:
-    """The table in radians, azimuths from 0 to 2 pi, in order of the readings.
-
-    Raises:
-        ShapeError: a value was not measured, which such tables cannot express.
-        UsageError: the file cannot be written.
-    """
+    """The table in radians, azimuths from 0 to 2 pi, in order of the readings."""
     if not np.all(readings.measured):
         raise ShapeError(f"{readings.name}: values that were not measured, expected all; select the others")
     lines = [

@@ -48,10 +48,6 @@ def read(path: Path) -> list[Readings]:
     """Readings in all wavelengths; a pair of directions that lacks one is not measured there.
 
     Readings with a larger uncertainty weigh less, and their scatter is that of cube roots.
-
-    Raises:
-        FileFormatError: no JSON of the schema, or a variable is missing, or of another length or unit.
-        UsageError: the file cannot be read.
     """
     context = ErrorContext(path, _REMEDY)
     try:

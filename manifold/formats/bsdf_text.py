@@ -78,12 +78,7 @@ def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, In
 
 
 def read_blocks(path: Path) -> BsdfText:
-    """All tables of a file.
-
-    Raises:
-        FileFormatError: a list or table is cut off or too long, or holds what is no number.
-        UsageError: the file cannot be read.
-    """
+    """All tables of a file."""
     lines = read_lines(path)
     words = Words(data_lines(lines), ErrorContext(path, _REMEDY))
     comments = [line.strip() for line in lines if line.lstrip().startswith(("#", "!"))]

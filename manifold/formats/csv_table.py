@@ -51,12 +51,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of every sample of a CSV file.
-
-    Raises:
-        FileFormatError: there is no header, or a cell is not what its column holds; the error names it.
-        UsageError: the file cannot be read.
-    """
+    """Readings of every sample of a CSV file."""
     context = ErrorContext(path, _REMEDY)
     lines = [_uncommented(line) for line in decode(read_bytes(path)).split("\n")]
     own = dict(_own_comments(lines))

@@ -42,12 +42,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of every object that has reflectance spectra at directional geometries.
-
-    Raises:
-        FileFormatError: another version of CxF, not well formed, or no such spectra.
-        UsageError: the file cannot be read.
-    """
+    """Readings of every object that has reflectance spectra at directional geometries."""
     context = ErrorContext(path, _REMEDY)
     root = _parse(read_bytes(path, _LARGEST), context)
     specifications = {

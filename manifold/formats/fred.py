@@ -30,12 +30,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of reflected light at all incidences.
-
-    Raises:
-        FileFormatError: other units, an incidence without values, or a line of neither two nor three numbers.
-        UsageError: the file cannot be read.
-    """
+    """Readings of reflected light at all incidences."""
     context = ErrorContext(path, _REMEDY)
     lines = data_lines(read_lines(path), marks=())
     context.require_rows(lines)

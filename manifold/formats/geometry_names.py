@@ -75,11 +75,7 @@ def is_geometry(text: str) -> bool:
 
 
 def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> dict[str, Angles]:
-    """The angles of all names of a table's geometries, taken together; other texts are left out.
-
-    Raises:
-        FileFormatError: the names may mean different directions.
-    """
+    """The angles of all names of a table's geometries, taken together; other texts are left out."""
     names = list(dict.fromkeys(names))
     angles = {name: of_name for name in names if (of_name := parse_geometry(name)) is not None}
     alone = {name: a for name in names if name not in angles and (a := parse_aspecular(name)) is not None}

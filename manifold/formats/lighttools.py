@@ -47,12 +47,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Reflectance of the front side.
-
-    Raises:
-        FileFormatError: a list or table is cut off or holds what is no number, or nothing is reflected.
-        UsageError: the file cannot be read.
-    """
+    """Reflectance of the front side."""
     text = read_blocks(path)
     blocks = [block for block in text.blocks if _is_reflected(block)]
     if not blocks:

@@ -39,12 +39,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings and texture of every sample of a workbook.
-
-    Raises:
-        FileFormatError: it is another archive, damaged, unpacks to more than any workbook does, or a cell is wrong.
-        UsageError: the file cannot be read.
-    """
+    """Readings and texture of every sample of a workbook."""
     context = ErrorContext(path, _REMEDY)
     data = read_bytes(path, _LARGEST_FILE)
     workbook = _without_images(data, context)
@@ -73,11 +68,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _tables(sheets: Mapping[str, list[list[Cell]]], context: ErrorContext) -> list[tuple[Table, Columns]]:
-    """The sheets that hold readings: those called spectral, else all.
-
-    Raises:
-        FileFormatError: there is none.
-    """
+    """The sheets that hold readings: those called spectral, else all."""
     titles = [title for title in sheets if "spectral" in title.lower()] or list(sheets)
     tables = [Table(sheets[title], title) for title in titles]
     found = [one for table in tables if (one := find_columns(table, context)) is not None]

@@ -39,12 +39,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[DenseTable]:
-    """The table; linear sRGB.
-
-    Raises:
-        FileFormatError: other counts, another length, or a value that is not finite.
-        UsageError: the file cannot be read.
-    """
+    """The table; linear sRGB."""
     context = ErrorContext(path, "download the file again")
     data = read_bytes(path, 2 * _SIZE)
     counts = _HEADER.unpack_from(data)
@@ -66,11 +61,7 @@ def read(path: Path) -> list[DenseTable]:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """A MERL file of a half-difference table in linear sRGB at MERL's nodes.
-
-    Raises:
-        UsageError: the file cannot be written.
-    """
+    """A MERL file of a half-difference table in linear sRGB at MERL's nodes."""
     measured = np.isfinite(table.values).all(axis=-1, keepdims=True)
     # What is measured is not negative in a MERL file, where that says "not measured"; colours may be out of gamut.
     planes = np.where(measured, np.maximum(table.values, 0.0) / SCALES, -1.0)

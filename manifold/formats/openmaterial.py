@@ -39,12 +39,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings in all bands; a pair of directions that lacks a band is not measured there.
-
-    Raises:
-        FileFormatError: no JSON of a BRDF look-up table, or a row that is not what its columns hold.
-        UsageError: the file cannot be read.
-    """
+    """Readings in all bands; a pair of directions that lacks a band is not measured there."""
     context = ErrorContext(path, _REMEDY)
     try:
         content = json.loads(read_bytes(path, _LARGEST))

@@ -38,12 +38,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of one incidence.
-
-    Raises:
-        FileFormatError: no incidence, an unknown quantity, or a row that is not `theta phi value`.
-        UsageError: the file cannot be read.
-    """
+    """Readings of one incidence."""
     context = ErrorContext(path, _REMEDY)
     lines = read_lines(path)
     header = _header(lines)

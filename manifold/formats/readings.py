@@ -120,13 +120,7 @@ class Readings:
     between: Between | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and values, and make arrays read-only.
-
-        Raises:
-            ShapeError: directions are not unit vectors above the horizon (P, 3), values not (P, B), or infinite;
-                wavelengths do not increase; weights are not (P,), negative or not finite; gloss is negative, more
-                than that of a mirror, or at other angles; P = 0.
-        """
+        """Check shapes and values, and make arrays read-only."""
         wi, wo = (require_directions(w, f"{self.name}: {n}") for n, w in (("wi", self.wi), ("wo", self.wo)))
         if wi.ndim != 2 or wi.shape != wo.shape or wi.shape[0] == 0:
             raise ShapeError(f"{self.name}: wi has shape {wi.shape}, wo {wo.shape}, expected (P, 3), P > 0")

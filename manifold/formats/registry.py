@@ -83,11 +83,7 @@ FORMATS = Registry("format", ((known.name, known) for known in _KNOWN))
 
 
 def identify(path: Path | str) -> Format | None:
-    """The format that a file's content is of, or None; RGL files are not of these, see `manifold.io_rgl`.
-
-    Raises:
-        UsageError: it is missing, no regular file, or cannot be read.
-    """
+    """The format that a file's content is of, or None; RGL files are not of these, see `manifold.io_rgl`."""
     head = _head(Path(path))
     return next(
         (known for known in FORMATS.values() if not head.startswith(MAGIC) and known.sniff(head)), None
@@ -165,10 +161,6 @@ def read(
         sample: which, by name; may be left out where there is only one.
         is_only: whether the sample is sought in this file alone: then even a single sample must have the name.
         unit: one of `readings.UNITS`, of a table that says none.
-    Raises:
-        UsageError: there are several and none is named, none has this name, the file says its unit, or it cannot be
-            read.
-        FileFormatError: the file is of no known format, or damaged.
     """
     found = read_all(path)
     if unit is not None:
@@ -203,12 +195,7 @@ def read_readings(
 
 
 def read_pairs(reference: Path, other: Path, limit: int | None = None) -> list[tuple[Readings, Readings]]:
-    """The samples that two instruments' files both hold: one each, or those of the same names.
-
-    Raises:
-        UsageError: one holds several samples, none of which has a name in the other, or cannot be read.
-        FileFormatError: a file is of no known format, or damaged.
-    """
+    """The samples that two instruments' files both hold: one each, or those of the same names."""
     found = [{record.name: record for record in read_all(path)} for path in (reference, other)]
     first, second = ({name: _as_readings(record, limit) for name, record in of.items()} for of in found)
     if len(first) == len(second) == 1:
@@ -227,12 +214,7 @@ def _as_readings(record: Record, limit: int | None) -> Readings:
 
 
 def merge(records: Sequence[Record]) -> Record:
-    """One record of several files of one sample, such as pab-opto's, one per incidence.
-
-    Raises:
-        UsageError: dense tables cannot be merged.
-        FileFormatError: the bands differ.
-    """
+    """One record of several files of one sample, such as pab-opto's, one per incidence."""
     if len(records) == 1:
         return records[0]
     readings = [r for r in records if isinstance(r, Readings)]

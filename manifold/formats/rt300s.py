@@ -33,12 +33,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of all sheets.
-
-    Raises:
-        FileFormatError: no workbook, or none with these rows; a cell is no number; RT are counts of the detector.
-        UsageError: the file cannot be read.
-    """
+    """Readings of all sheets."""
     context = ErrorContext(path, _REMEDY)
     table = _table(path, context)
     azimuth, incidence, receive = np.deg2rad(table[:3])

@@ -58,13 +58,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of reflected light above the horizon.
-
-    Raises:
-        FileFormatError: a binary file, one older than version 7, one of transmission only, or lists and tables that are
-            cut off or hold what is no number.
-        UsageError: the file cannot be read.
-    """
+    """Readings of reflected light above the horizon."""
     context = ErrorContext(path, _REMEDY)
     head = re.split(_BREAK, read_bytes(path).decode("latin-1"), maxsplit=4)
     header = _HEADER.match(head[0])

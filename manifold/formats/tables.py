@@ -151,12 +151,7 @@ def resembles_header(heads: Sequence[str]) -> bool:
 
 
 def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] | None:
-    """The columns of the first row that is a header, and the table whose bands are columns; None without a header.
-
-    Raises:
-        FileFormatError: the header names a column twice, or one that is not understood stands among its values; a
-            wavelength below it is none.
-    """
+    """The columns of the first row that is a header, and the table whose bands are columns; None without a header."""
     for index, row in enumerate(table.rows[:_HEADER_ROWS]):
         heads = [text_of(cell) for cell in row]
         geometry = _geometry_column(table, index, heads)
@@ -384,8 +379,6 @@ def read_table(
         context: names the file in errors.
         name: of the sample where the table has no column of names.
         instrument: for the record.
-    Raises:
-        FileFormatError: a cell is not what its column holds, or there are no readings.
     """
     _require_nothing_above(table, columns, context)
     notes: list[str] = []

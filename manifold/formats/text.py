@@ -84,11 +84,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 
 
 def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
-    """The whole file.
-
-    Raises:
-        UsageError: it is missing, not a regular file, longer than `most` bytes, or cannot be read.
-    """
+    """The whole file."""
     return disk.read_bytes(path, advice="check the path", most=most)
 
 

@@ -45,12 +45,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[DenseTable]:
-    """The table; linear sRGB.
-
-    Raises:
-        FileFormatError: another length, or a value that is not finite.
-        UsageError: the file cannot be read.
-    """
+    """The table; linear sRGB."""
     context = ErrorContext(path, "download the file again")
     data = read_bytes(path, 2 * SIZE)
     if len(data) != SIZE:
@@ -83,10 +78,6 @@ def _largest_albedo(values: Array) -> float:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """A UTIA file of a table in linear sRGB at UTIA's nodes.
-
-    Raises:
-        UsageError: the file cannot be written.
-    """
+    """A UTIA file of a table in linear sRGB at UTIA's nodes."""
     planes = np.nan_to_num(np.moveaxis(table.values, -1, 0))
     disk.write_bytes(path, planes.astype("<f8").tobytes())

@@ -85,11 +85,7 @@ def as_brdf(values: Array, kind: Quantity, wo: Array, notes: list[str], white: f
 def bands_of(
     heads: list[str], values: Array, notes: list[str], context: ErrorContext, comments: Iterable[str] = ()
 ) -> tuple[Array | None, Array]:
-    """Wavelengths in nm, increasing, or None for linear sRGB, and the values (P, B) in their order.
-
-    Raises:
-        FileFormatError: a head names no band, or two name the same.
-    """
+    """Wavelengths in nm, increasing, or None for linear sRGB, and the values (P, B) in their order."""
     letters = [channel(head) or "" for head in heads]
     for space in ("rgb", "xyz"):
         if sorted(letters) == sorted(space):

@@ -51,12 +51,7 @@ def directions(theta_i: float, radial: Array, azimuth: Array, rotation: float = 
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of the reflected directions above the horizon.
-
-    Raises:
-        FileFormatError: transmission, a list or table that is cut off or holds what is no number.
-        UsageError: the file cannot be read.
-    """
+    """Readings of the reflected directions above the horizon."""
     text = read_blocks(path)
     said = text.blocks[0].words if text.blocks else {}
     if said.get("scattertype", "BRDF").upper().startswith("BTDF"):

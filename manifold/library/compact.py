@@ -89,11 +89,7 @@ class Compact:
         return compressed_bytes(self.coefficients) + compressed_bytes(pack(self.tables)[0])
 
     def decode(self) -> dict[str, Any]:
-        """The fields of `BsdfFile` that hold arrays.
-
-        Raises:
-            LookupError, ValueError: damaged.
-        """
+        """The fields of `BsdfFile` that hold arrays."""
         return decode(self.coefficients, self.tables)
 
 

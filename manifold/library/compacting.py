@@ -65,9 +65,6 @@ def compact_library(path: Path | str, tolerance: float = DEFAULT_TOLERANCE) -> C
     Args:
         path: the library.
         tolerance: as `encode` takes it.
-    Raises:
-        UsageError: the tolerance is not above 0.
-        LibraryError: it cannot be written, or another process writes to it.
     """
     require_tolerance(tolerance)
     library = Library(path)
@@ -110,8 +107,6 @@ def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
     Args:
         file: the material.
         tolerance: mean CIEDE2000 of the ball; the cube-root error may be `CUBE_ROOT_PER_BALL` times that.
-    Raises:
-        LibraryError: no step that was tried is fine enough.
     """
     roots, errors_of, kept = _Roots(file), _errors_from(file), _kept_tables(file)
     step, most = _COARSEST * roots.norm, Accuracy(tolerance, tolerance, CUBE_ROOT_PER_BALL * tolerance)

@@ -51,11 +51,7 @@ def rgl_table() -> Mapping[str, Entry]:
 
 
 def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic: bool) -> list[Entry]:
-    """The entries of some names, or all isotropic ones, and with `anisotropic` those too.
-
-    Raises:
-        UsageError: an unknown name.
-    """
+    """The entries of some names, or all isotropic ones, and with `anisotropic` those too."""
     if names is None:
         return [entry for entry in table.values() if entry.is_isotropic or anisotropic]
     for name in names:
@@ -121,10 +117,6 @@ def fetch(
         table: what is known of each file; the database's own table by default.
         timeout_s: seconds without data after which a connection counts as stalled.
         attempts: tries per file.
-    Raises:
-        UsageError: an unknown name, another kind of URL, or a folder in a library.
-        FetchError: the folder cannot be written.
-        IncompleteFetchError: files are missing; its `result` tells what worked.
     """
     entries = {
         f"{e.name}_spec.bsdf": e for e in select(names, rgl_table() if table is None else table, anisotropic)

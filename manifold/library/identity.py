@@ -213,12 +213,7 @@ def alike(name: str) -> str:
 
 
 def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
-    """Metadata of a material, from the attributes of its group.
-
-    Raises:
-        LookupError: one is missing.
-        ValueError: one is of another type.
-    """
+    """Metadata of a material, from the attributes of its group."""
     optional = ("name", "accuracy", "rotation_rad")
     known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name not in optional}
     accuracy, rotation_rad = values.get("accuracy"), float(values.get("rotation_rad", 0.0))

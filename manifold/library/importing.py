@@ -131,8 +131,6 @@ def find_files(
         sources: files and folders.
         is_wanted: which files of a folder; libraries and hidden folders in it are left out.
         what: they are, in words.
-    Raises:
-        UsageError: a source is missing, or a folder holds none.
     """
     found: dict[Path, None] = {}
     for source in map(Path, sources):

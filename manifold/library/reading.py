@@ -24,8 +24,6 @@ def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tup
         group: of the material.
         info: of it.
         is_rgb: whether it has no wavelengths.
-    Raises:
-        LookupError, ValueError, OSError: it is damaged.
     """
     hashed: dict[str, AnyArray] | None = None
     if info.accuracy is None:

@@ -49,8 +49,6 @@ def writing(library: Path) -> Iterator[Path]:
         library: resolved path of a library; it need not exist yet.
     Yields:
         An empty folder on the library's file system, removed at the end.
-    Raises:
-        LibraryError: another process holds the lock, or the folder cannot be written.
     """
     prefix = f".{library.name}.importing-"
     home = library if os.path.ismount(library) else library.parent
@@ -160,11 +158,7 @@ def _conclude(target: Path) -> None:
 
 
 def make_store(folder: Path, bands: Bands, staged: Path) -> None:
-    """Make an empty library; the caller holds its write lock and lends a staging folder.
-
-    Raises:
-        LibraryError: something is there already.
-    """
+    """Make an empty library; the caller holds its write lock and lends a staging folder."""
     if folder.exists() and (not folder.is_dir() or contents(folder)):
         raise LibraryError(f"{folder}: exists already; choose a path where there is nothing yet")
     root = staged / "library"

@@ -270,11 +270,7 @@ class Library:
 
 
 def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
-    """Schema version and bands of the library in a folder, which is `shown` in errors.
-
-    Raises:
-        LibraryError: it is none.
-    """
+    """Schema version and bands of the library in a folder, which is `shown` in errors."""
     again = "import its files again into a new library"
     try:
         attributes: dict[str, Any] = dict(open_group(folder).attrs)

@@ -117,11 +117,7 @@ def read_extra(group: zarr.Group) -> dict[str, Array]:
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    """One of the group's arrays, whose size and codecs can be trusted.
-
-    Raises:
-        LookupError: there is none, or it is not as this package writes them.
-    """
+    """One of the group's arrays, whose size and codecs can be trusted."""
     _require_metadata(_folder(group) / name, f"it lacks its field '{name}'")
     array = group[name]
     if not isinstance(array, zarr.Array):

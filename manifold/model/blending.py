@@ -126,8 +126,6 @@ def blend_layout(
         implausible: cost of a blend of two, at least 0, shape (N, N).
         n_components: Q.
         cost: of blends of any number.
-    Raises:
-        ShapeError: all distances are zero.
     Source: Kruskal 1964 for the stress, Torgerson 1952 for the start, Rockafellar 1976 for the damped steps.
     """
     N = len(distance)

@@ -82,12 +82,7 @@ UNCHOSEN = ChosenColour(None, None, 0.0)
 
 
 def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> ChosenColour:
-    """Find the colours of the structure at a place x.
-
-    Raises:
-        UsageError: no such material, file or sRGB colour; or a colour for a manifold of whole materials.
-        FileFormatError: the file holds no reflectance spectrum.
-    """
+    """Find the colours of the structure at a place x."""
     if not model.space.takes_colours:
         if choice != NEAREST:
             raise UsageError(fixed_colours(model.space.kind))
@@ -120,11 +115,7 @@ def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> Chosen
 
 
 def parse_srgb(text: str) -> Array:
-    """Encoded sRGB values in [0, 1], shape (3,), of `#rrggbb` or `r,g,b`.
-
-    Raises:
-        UsageError: it is neither.
-    """
+    """Encoded sRGB values in [0, 1], shape (3,), of `#rrggbb` or `r,g,b`."""
     digits = text.removeprefix("#")
     try:
         if "," in text:

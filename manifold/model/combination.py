@@ -124,11 +124,7 @@ class Combination:
         return used, replace(self, weights=of_materials[:, used].reshape(len(self.weights), -1))
 
     def in_bands(self, bands: Indices) -> Combination:
-        """The same prediction in some bands (B',), to meet values that are measured in these alone.
-
-        Raises:
-            ShapeError: a sample band is not among them.
-        """
+        """The same prediction in some bands (B',), to meet values that are measured in these alone."""
         if self.sample_bands is None:
             return self
         missing = np.setdiff1d(self.sample_bands, bands)

@@ -97,12 +97,7 @@ Fitted = tuple[LatentSpace, Statistics, BlendSamples | None]
 
 
 def fit_space(materials: MaterialCache, settings: Settings) -> Fitted:
-    """Fit the kind of space that the settings ask for to all materials of a cache.
-
-    Raises:
-        UsageError: fewer than two materials, or more dimensions than materials less one.
-        LibraryError: a material cannot be read.
-    """
+    """Fit the kind of space that the settings ask for to all materials of a cache."""
     count, most = len(materials.names), len(materials.names) - 1
     if count < 2:
         raise UsageError(

@@ -99,11 +99,7 @@ class LatentSpace(ABC):
     @classmethod
     @abstractmethod
     def from_arrays(cls, stored: Mapping[str, Array], kernel: Kernel, n_bands: int) -> LatentSpace:
-        """The space of a file's arrays.
-
-        Raises:
-            ValueError: the arrays do not fit each other, or the number of bands.
-        """
+        """The space of a file's arrays."""
 
     def printed(self, x: Array) -> tuple[str, ...]:
         """Coordinates of a latent (Q,) with the digits that reproduce its prediction."""
@@ -126,12 +122,7 @@ class LatentSpace(ABC):
         """Weights at latents X (M, Q) summed over the samples of a material, averaged over bands, shape (M, N)."""
 
     def require_colours(self, colours: Array | None) -> Array | None:
-        """Colours as float64: (B,), or with gains (2, B).
-
-        Raises:
-            UsageError: colours are given, but fixed by the latents.
-            ShapeError: they have another shape or are not finite.
-        """
+        """Colours as float64: (B,), or with gains (2, B)."""
         if colours is None:
             return None
         if not self.takes_colours:

@@ -97,11 +97,7 @@ class LeftOut:
 
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
-        """Those of a file's arrays; None where the model was not calibrated.
-
-        Raises:
-            ValueError: they do not fit the space.
-        """
+        """Those of a file's arrays; None where the model was not calibrated."""
         if _PREFIX + "residual" not in stored:  # nor those of older files, which do not have it
             return None
         count = len(stored[_PREFIX + "materials"])

@@ -126,8 +126,6 @@ def locate_brdf(
         brdf: in the bands of its library.
         notes: on the BRDF, which become part of the diagnostics.
         rotations_rad: azimuths by which the sample may lie turned; other than 0, of a measured file only.
-    Raises:
-        BandMismatchError: its bands are not the library's.
     """
     trials = [0.0] if model.materials.is_isotropic else rotations_rad
     rotation, found = min(
@@ -168,9 +166,6 @@ def reconstruct_file(
         file: the measured file.
         without: names of materials that take no part.
         numbers: that may describe the file; by default as many as it takes.
-    Raises:
-        BandMismatchError: the file's bands are not the library's.
-        UsageError: it is black, no material is left, or there is none of a name in `without`.
     """
     names = names_without(library, without)
     if not names:

@@ -307,10 +307,7 @@ def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold,
 
 
 def load_model(path: Path, library: Path | None = None) -> Manifold:
-    """A model, read again only where its file or its library has changed.
-
-    Raises: as `Manifold.load`.
-    """
+    """A model, read again only where its file or its library has changed."""
     changed = path.stat().st_mtime_ns if path.exists() else 0
     key = path.absolute(), changed, None if library is None else library.absolute()
     loaded, content_hash = _model(*key)

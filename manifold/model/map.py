@@ -153,29 +153,16 @@ class LatentMap:
         return float(weights[weights > 0] @ shares / weights.sum())
 
     def latent(self, name: str) -> Array:
-        """The latent of a material, shape (Q,).
-
-        Raises:
-            UsageError: the model has no such material.
-        """
+        """The latent of a material, shape (Q,)."""
         return self.X[self.materials.index(name)].copy()
 
     def between(self, a: str, b: str, t: float) -> Array:
-        """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,).
-
-        Raises:
-            UsageError: the model has no such material, or t is not from 0 to 1.
-        """
+        """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
         require_between(t)
         return on_line(self.latent(a), self.latent(b), t)
 
     def place(self, x: PlaceLike) -> Place:
-        """The place that a latent or a text means.
-
-        Raises:
-            LatentError: there are not Q finite coordinates.
-            UsageError: a text is no material of the model, no path between two, and no coordinates.
-        """
+        """The place that a latent or a text means."""
         if isinstance(x, Place):
             return x
         if not isinstance(x, str):

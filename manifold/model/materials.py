@@ -67,22 +67,13 @@ class MaterialCache:
         return any(self.library.attributes(name).is_synthetic for name in self.names)
 
     def index(self, name: str) -> int:
-        """The index of a material.
-
-        Raises:
-            UsageError: there is none of that name.
-        """
+        """The index of a material."""
         if name not in self.names:
             raise UnknownNameError(f"no material '{name}' in this model; {names_like(self.names, name)}")
         return self.names.index(name)
 
     def measured(self, name: str) -> MeasuredBRDF:
-        """A material as its file has it.
-
-        Raises:
-            UsageError: there is none of that name.
-            LibraryError: the library no longer has it.
-        """
+        """A material as its file has it."""
         self.index(name)
         if name not in self._measured:
             is_same = name in self._filled and name not in self._changed

@@ -69,12 +69,7 @@ class ModelRecord:
 
 
 def write_model(path: Path, record: ModelRecord) -> None:
-    """Write a model, atomically.
-
-    Raises:
-        UsageError: the file cannot be written.
-        ModelError: a value is not finite.
-    """
+    """Write a model, atomically."""
     values = {
         # Relative to the model, so that a folder with both can be moved.
         "library": os.path.relpath(record.library.resolve(), path.resolve().parent),
@@ -102,11 +97,7 @@ def write_model(path: Path, record: ModelRecord) -> None:
 
 
 def read_model(path: Path) -> ModelRecord:
-    """Read a model.
-
-    Raises:
-        ModelError: no such file, no model of this package, another version, or damaged.
-    """
+    """Read a model."""
     if not path.exists():
         raise MissingModelError(f"{path}: no such model; create one with `manifold embed`")
     if path.is_dir():
@@ -193,8 +184,6 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
         path: of the model.
         stored: its content.
         library: path of the library, if it was moved.
-    Raises:
-        LibraryError: it is not there, lacks materials of the model, or has other bands.
     """
     if library is None:
         library = stored.library
@@ -218,11 +207,7 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
 
 
 def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, LeftOut | None]:
-    """Settings, latent space, and errors of left-out materials of a model file.
-
-    Raises:
-        ModelError: they do not fit each other.
-    """
+    """Settings, latent space, and errors of left-out materials of a model file."""
     try:
         settings = Settings(**{f.name: stored.settings[f.name] for f in fields(Settings)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), stored.n_bands or 0)

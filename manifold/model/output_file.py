@@ -194,11 +194,7 @@ def write_output(
 def write_checked(
     output: Path, brdf: BRDF, options: OutputOptions = DEFAULT_OPTIONS, **how: Any
 ) -> WrittenFile:
-    """The same, with a refusal as an error.
-
-    Raises:
-        UsageError: its albedo would exceed 1.05, and `strict` is set.
-    """
+    """The same, with a refusal as an error."""
     written = write_output(output, brdf, options, **how)
     if written.refusal is not None:
         raise UsageError(written.refusal)

@@ -38,9 +38,6 @@ def parse_path(text: str, names: Collection[str]) -> tuple[str, str, float] | No
     """The two materials and t of `FROM:TO:T`; None where the text is a name itself, or of another form.
 
     Names may hold colons: of the ways to split the text, it is the one that gives two materials.
-
-    Raises:
-        UsageError: T is not from 0 to 1, or there are several such ways.
     """
     *parts, last = text.split(":")
     ways = [(":".join(parts[:k]), ":".join(parts[k:])) for k in range(1, len(parts))]
@@ -82,20 +79,12 @@ def parse_coordinates(text: str) -> list[float] | None:
 
 
 def is_place(text: str) -> bool:
-    """Whether a text has the form of coordinates or of `FROM:TO:T`, whatever materials there are.
-
-    Raises:
-        UsageError: T is not from 0 to 1.
-    """
+    """Whether a text has the form of coordinates or of `FROM:TO:T`, whatever materials there are."""
     return parse_coordinates(text) is not None or parse_path(text, ()) is not None
 
 
 def require_latent(x: ArrayLike, latent_dim: int) -> Array:
-    """One latent as float64 (Q,).
-
-    Raises:
-        LatentError: it does not have Q finite coordinates, or has far larger ones than materials have.
-    """
+    """One latent as float64 (Q,)."""
     x = _numbers(x)
     if x.ndim > 1:
         raise LatentError(f"latents of shape {x.shape}, expected one, ({latent_dim},)")
@@ -108,11 +97,7 @@ def require_latent(x: ArrayLike, latent_dim: int) -> Array:
 
 
 def require_latents(x: ArrayLike, latent_dim: int) -> Array:
-    """One latent (Q,) or several (M, Q) as float64.
-
-    Raises:
-        LatentError: they have another shape, or are not finite.
-    """
+    """One latent (Q,) or several (M, Q) as float64."""
     x = _numbers(x)
     if x.ndim not in (1, 2) or x.shape[-1] != latent_dim or not np.all(np.isfinite(x)):
         raise LatentError(

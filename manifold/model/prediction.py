@@ -105,9 +105,6 @@ class PredictedBRDF(NotebookPicture):
             materials: whole, or in the sample bands alone where the combination is of single bands.
             combination: weights and mapping.
             bands: to predict; by default those of the materials.
-        Raises:
-            ShapeError: the weights do not fit the materials, are not finite, or are all zero.
-            BandMismatchError: the materials have different bands.
         """
         for material in materials[1:]:
             materials[0].bands.require_same(material.bands, "materials of a prediction", "use one library")
@@ -185,8 +182,6 @@ class PredictedBRDF(NotebookPicture):
 
         Args:
             wi, wo: unit vectors (..., 3) that broadcast against each other.
-        Raises:
-            ShapeError: a direction array is not (..., 3), not finite, or not of unit length.
         """
         if self._measured is not None:
             return self._measured.eval(wi, wo)
@@ -222,8 +217,6 @@ class PredictedBRDF(NotebookPicture):
         Args:
             wi: incident unit vectors (..., 3).
             u: uniform variates in [0, 1), shape (..., 2).
-        Raises:
-            ShapeError: wi is not (..., 3), or u is not (..., 2).
         """
         wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
         if u.shape[-1:] != (2,):

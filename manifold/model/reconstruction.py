@@ -123,8 +123,6 @@ def reconstruct(
         sample_bands: which of their bands are samples, increasing, shape (B_s,).
         brdf: the material, in the bands of the library.
         numbers: that may describe it, see `ComparedValues.weights`; by default as many as it takes.
-    Raises:
-        UsageError: it is black, or numbers is below 1.
     """
     if numbers is not None and numbers < 1:
         raise UsageError(f"found {numbers} numbers to describe a material by, expected at least 1")

@@ -25,11 +25,7 @@ class ReflectanceColours:
     """Turns reflectances into colour coordinates at any structure, and back."""
 
     def __init__(self, space: LatentSpace, materials: MaterialCache, settings: Settings) -> None:
-        """Take a fitted space and the materials behind it.
-
-        Raises:
-            UsageError: its materials have fixed colours.
-        """
+        """Take a fitted space and the materials behind it."""
         if not isinstance(space, BlendSpace):
             raise UsageError(fixed_colours(space.kind))
         self._own, self._reflectances = space.own_colours, space.reflectances
@@ -39,11 +35,7 @@ class ReflectanceColours:
         return f"<ReflectanceColours: of {len(self._own)} materials>"
 
     def reflectance(self, name: str) -> Array:
-        """Reflectance of a material, shape (B,).
-
-        Raises:
-            UsageError: the model has no such material.
-        """
+        """Reflectance of a material, shape (B,)."""
         return self._reflectances[self._materials.index(name)].copy()
 
     def reached(self, x: Array, colours: Array) -> Array:
@@ -72,8 +64,6 @@ class ReflectanceColours:
             reflectance: shape (B,).
         Returns:
             colours (B,), and the reflectance reached, (B,).
-        Raises:
-            ShapeError: there is not one finite value per band.
         """
         expected = self._reflectances.shape[1:]
         reflectance = np.asarray(reflectance, dtype=np.float64)

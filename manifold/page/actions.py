@@ -87,8 +87,6 @@ def action(
         context: of the page.
         inputs: temporary folder of what the commands read.
         is_taken: whether something is, or will be, at a path.
-    Raises:
-        UsageError: it is anything else.
     """
     if kind not in _ENDINGS:
         raise UsageError(f"no action '{kind[:40]}', expected {', '.join(_ENDINGS)}")
@@ -125,8 +123,6 @@ def complete(
         sample: which of a file's samples; may be empty.
         context, is_taken: as of `action`.
         replace: whether a file of that name may be replaced.
-    Raises:
-        UsageError: the sample's name is too long or has control characters.
     """
     if len(sample) > _MOST_SAMPLE or not sample.isprintable():
         raise UsageError(f"sample: expected at most {_MOST_SAMPLE} printable characters")
@@ -161,8 +157,6 @@ def photograph(
             `elevation` in degrees, `distance` in radii of the ball, and `exposure`, `free` where it is not known; see
             `manifold locate --photo`.
         context, is_taken: as of `action`.
-    Raises:
-        UsageError: it is anything else.
     """
     _require_photograph(request, path.stat().st_size)
     picture = path.with_suffix(request["suffix"])
@@ -186,11 +180,7 @@ def photograph(
 
 
 def plain_name(name: Any) -> str:
-    """A name that can stand in a path and before any ending.
-
-    Raises:
-        UsageError: it is none.
-    """
+    """A name that can stand in a path and before any ending."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise UsageError("name: expected letters, digits, - and _, 60 at most, a letter or digit first")
     return name

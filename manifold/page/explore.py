@@ -30,9 +30,6 @@ def write_page(
         model: path of a model.
         output: the file.
         library: where the model's library is now, if not where the model has it.
-    Raises:
-        UsageError: the map is no map of blends, or the file cannot be written.
-        ModelError, LibraryError: the model or its library cannot be read.
     """
     disk.require_writable(output)
     page = make_page(_document(_load(model, library)))
@@ -53,8 +50,6 @@ def server(
         model, library: as of `write_page`.
         folder: where the page's actions write.
         port: to listen on; 0 is any that is free.
-    Raises:
-        UsageError: the map is no map of blends, the folder does not exist, or the port is taken.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder")

@@ -59,11 +59,7 @@ class ExplorerServer(ThreadingHTTPServer):
     request_queue_size = 128  # connections that wait to be accepted
 
     def __init__(self, page: str, context: Context, port: int = 0, queue: Queue | None = None) -> None:
-        """Listen on a port; 0 is any that is free.
-
-        Raises:
-            UsageError: the port is taken, or may not be used.
-        """
+        """Listen on a port; 0 is any that is free."""
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:

@@ -38,12 +38,7 @@ class MapWidget(anywidget.AnyWidget):
     link = traitlets.Unicode("").tag(sync=True)
 
     def __init__(self, model: Manifold) -> None:
-        """Tabulate the materials of a map, in seconds.
-
-        Raises:
-            UsageError: the map is no map of blends.
-            LibraryError: a material cannot be read.
-        """
+        """Tabulate the materials of a map, in seconds."""
         self.model = model
         start = model.X.mean(axis=0)
         super().__init__(data=to_document(model, tabulate(model)), latent=start.tolist())
@@ -54,11 +49,7 @@ class MapWidget(anywidget.AnyWidget):
         return latent
 
     def prediction(self) -> PredictedBRDF:
-        """The material at the point, in the chosen colour.
-
-        Raises:
-            UsageError: the colour cannot be used.
-        """
+        """The material at the point, in the chosen colour."""
         x, colour = self.model.place(list(self.latent)).latent, dict(self.colour)
         path = colour.pop("between", None)
         if path is not None and np.allclose(x, self.model.between(*path)):  # else the point was moved since

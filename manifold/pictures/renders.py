@@ -118,11 +118,7 @@ def ball_material(
     *,
     direct: bool = False,
 ) -> Iterator[tuple[BallMaterial, DiagnosedPrediction | None]]:
-    """A material to be rendered, and the prediction that it is; files written for it are there during the block.
-
-    Raises:
-        UsageError: `direct` without a place; and what `latent_material` and `sources.source_file` raise.
-    """
+    """A material to be rendered, and the prediction that it is; files written for it are there during the block."""
     if isinstance(source, PlaceSource):
         predicted = latent_material(
             source.model, source.place, library=source.library, colour=source.colour, direct=direct,
@@ -141,11 +137,7 @@ def latent_material(
     model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
     direct: bool = False,
 ) -> Iterator[tuple[BallMaterial, DiagnosedPrediction]]:  # fmt: skip
-    """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials.
-
-    Raises:
-        UsageError: `direct` without LLVM; and what `estimate.predict` raises.
-    """
+    """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials."""
     from manifold.estimate import predictions
     from manifold.model import diagnostics
     from manifold.model.manifold import load_model

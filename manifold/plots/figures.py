@@ -111,22 +111,14 @@ def in_lines(name: str, width: int = 40, most: int = 3) -> str:
 
 
 def require_writable(path: Path) -> None:
-    """Check, before a figure is drawn, that `save` can write it.
-
-    Raises:
-        UsageError: the suffix is unknown, or the folder cannot be written.
-    """
+    """Check, before a figure is drawn, that `save` can write it."""
     if path.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{path}: no picture format '{path.suffix}'; expected one of {', '.join(_SUFFIXES)}")
     disk.require_writable(path)
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG (or what the suffix says), atomically.
-
-    Raises:
-        UsageError: the file cannot be written, or the suffix is unknown.
-    """
+    """Write a figure as PNG (or what the suffix says), atomically."""
     require_writable(path)
     with disk.replacing(path) as partial:
         figure.savefig(partial)

@@ -98,8 +98,6 @@ def write(path: Path, title: str, intro: str, body: str | Sequence[Section]) -> 
         title: of the page.
         intro: a sentence below it.
         body: its sections, or HTML.
-    Raises:
-        UsageError: the file cannot be written.
     """
     inside = body if isinstance(body, str) else "".join(section.html() for section in body)
     made = f"{intro} Made by manifold {__version__}, {date.today().isoformat()}."

@@ -99,11 +99,7 @@ def _version(path: Path) -> int:
 
 @cache
 def choose() -> Backend:
-    """The backend of this process: the newest libLLVM, or the scalar variants.
-
-    Raises:
-        UsageError: `MANIFOLD_RENDERER` is none of its values, or asks for an LLVM that is not there.
-    """
+    """The backend of this process: the newest libLLVM, or the scalar variants."""
     wanted = os.environ.get(RENDERER_VARIABLE, "auto")
     if wanted not in ("auto", "llvm", "scalar"):
         raise UsageError(f"{RENDERER_VARIABLE} is '{wanted}', expected auto, llvm or scalar")
@@ -119,11 +115,7 @@ def choose() -> Backend:
 
 
 def is_available() -> bool:
-    """Whether Mitsuba can be imported; rendering and fitting need it, and nothing else does.
-
-    Raises:
-        UsageError: as `choose`.
-    """
+    """Whether Mitsuba can be imported; rendering and fitting need it, and nothing else does."""
     try:
         imported()
     except RendererError:
@@ -133,12 +125,7 @@ def is_available() -> bool:
 
 @cache
 def imported() -> Any:
-    """Mitsuba, in whatever variant is set.
-
-    Raises:
-        UsageError: as `choose`.
-        RendererError: Mitsuba is not installed, or does not load on this machine.
-    """
+    """Mitsuba, in whatever variant is set."""
     choose()
     try:
         import mitsuba
@@ -192,9 +179,6 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
     Args:
         colour: `spectral`, `rgb` or `mono`.
         backend: by default `choose()`.
-    Raises:
-        UsageError: no such kind of colour, or Mitsuba was built without the variant.
-        RendererError: Mitsuba is missing, or Dr.Jit was imported with a libLLVM that does not work.
     """
     global _is_advised
     if colour not in _COLOURS:

@@ -42,12 +42,7 @@ class BallMaterial:
 
 
 def read_material(path: Path) -> BallMaterial:
-    """An RGL file, or the JSON of a fit.
-
-    Raises:
-        FileFormatError: it is no RGL file, and no fit.
-        UsageError: Mitsuba's `measured` does not take it.
-    """
+    """An RGL file, or the JSON of a fit."""
     if path.suffix == ".json":
         from manifold.render import fit_json
 
@@ -70,23 +65,13 @@ def read_material(path: Path) -> BallMaterial:
 def make_settings(
     *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
 ) -> RenderSettings:
-    """Settings with an illuminant by name or file, and an environment from a file.
-
-    Raises:
-        UsageError: there is no such illuminant or file.
-        FileFormatError: a file holds no spectrum, or no picture.
-    """
+    """Settings with an illuminant by name or file, and an environment from a file."""
     image = None if environment is None else lights.exposed(images.read_image(environment))
     return RenderSettings(size, samples, seed, parse_illuminant(illuminant), image)
 
 
 def parse_illuminant(text: str) -> Illuminant:
-    """A CIE illuminant by its name, or a file of two columns.
-
-    Raises:
-        UsageError: there is neither.
-        FileFormatError: the file holds no spectrum.
-    """
+    """A CIE illuminant by its name, or a file of two columns."""
     path = Path(text)
     if path.suffix and path.is_file():
         return Illuminant.read(path)

@@ -46,8 +46,6 @@ def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluat
         family: what to evaluate.
         wi, wo: unit vectors (M, 3).
         n_bands: B. Bands are evaluated in threes, as the channels of Mitsuba's RGB variants.
-    Raises:
-        UsageError: Mitsuba has no such plugin, or the plugin no such parameter.
     """
     mi = backend.mitsuba(colour="rgb")
     kind = LaneEvaluator if mi.variant().startswith("llvm") else ScalarEvaluator
@@ -60,8 +58,6 @@ def load_bsdf(family: BsdfFamily, values: dict[str, Any]) -> Any:
     Args:
         family: its type and fixed entries.
         values: by name; one number, or three for a colour.
-    Raises:
-        UsageError: Mitsuba refuses the type or a value.
     """
     return _load(backend.mitsuba(colour="rgb"), bsdf_dict(family, values))
 
@@ -116,11 +112,7 @@ def _refusal(kind: str, error: RuntimeError) -> UsageError:
 
 
 def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
-    """Mitsuba's key of every free parameter: `name` for a plain number, `name.value` for a texture.
-
-    Raises:
-        UsageError: Mitsuba has no such plugin, the plugin no such parameter, or it only mirrors and transmits.
-    """
+    """Mitsuba's key of every free parameter: `name` for a plain number, `name.value` for a texture."""
     bsdf = _load_at_defaults(mi, family)
     if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
         raise UsageError(

@@ -241,8 +241,6 @@ def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool 
     Args:
         names: of the free parameters.
         wide_colours: let base colours range from -0.25 to 1.25, not from 0 to 1.
-    Raises:
-        UsageError: a name is unknown.
     """
     colour = _WIDE if wide_colours else _COLOUR
     family = BsdfFamily("principled", (colour, *_PRINCIPLED[1:]))

@@ -60,8 +60,6 @@ def family_of(content: Any, file: str) -> BsdfFamily:
     Args:
         content: of the JSON.
         file: its name, for the error.
-    Raises:
-        FileFormatError: an entry is missing, unknown or wrong, or a type is no plugin that may be loaded.
     """
     _require_schema(content, file, "bsdf")
     if holds_none(content.get("fixed", {})):  # which ends Mitsuba's process
@@ -220,22 +218,13 @@ def write_document(path: Path, content: dict[str, Any]) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The plain values of a written fit, validated.
-
-    Raises:
-        UsageError: there is no such file.
-        FileFormatError: it is no fit, an entry is missing or of the wrong type, or entries contradict each other.
-    """
+    """The plain values of a written fit, validated."""
     content: dict[str, Any] = disk.read_json(path, "a .bsdf file or the JSON of a fit")
     require_fit(content, path.name)
     return content
 
 
 def read_bsdf(path: Path) -> Any:
-    """Mitsuba's BSDF of a written fit, in the RGB variant of the backend.
-
-    Raises:
-        UsageError, FileFormatError: as `read`, or Mitsuba refuses the BSDF.
-    """
+    """Mitsuba's BSDF of a written fit, in the RGB variant of the backend."""
     content = read(path)
     return load_bsdf(BsdfFamily.from_json(content["bsdf"]), content["values"])

@@ -34,11 +34,7 @@ def tone_map(linear: Array) -> Array:
 
 
 def require_image_path(path: Path) -> None:
-    """Check, before a picture is made, that `write_image` can write it.
-
-    Raises:
-        UsageError: the suffix is neither `.exr` nor `.png`, or the file cannot be written.
-    """
+    """Check, before a picture is made, that `write_image` can write it."""
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: pictures are written as .exr (linear) or .png (tone-mapped); name one so")
     disk.require_writable(path)
@@ -58,11 +54,7 @@ def write_image(path: Path, linear: Array) -> None:
 
 
 def write_display(path: Path, values: Array) -> None:
-    """Write display values in [0, 1], (H, W, 3) or with their opacity (H, W, 4), as PNG.
-
-    Raises:
-        UsageError: the file cannot be written.
-    """
+    """Write display values in [0, 1], (H, W, 3) or with their opacity (H, W, 4), as PNG."""
     _write(path, np.round(values * 255.0).astype(np.uint8))
 
 
@@ -83,10 +75,7 @@ def read_image(path: Path) -> Array:
 
 
 def read_display(path: Path) -> Array:
-    """A picture as display values in [0, 1], shape (H, W, 3): as it is stored, or tone-mapped where it is linear.
-
-    Raises: as `read_image`.
-    """
+    """A picture as display values in [0, 1], shape (H, W, 3): as it is stored, or tone-mapped where it is linear."""
     picture = read_picture(path)
     linear = _finite(picture)
     return encode_srgb(linear) if picture.is_encoded else tone_map(linear)

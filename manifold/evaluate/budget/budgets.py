@@ -190,10 +190,6 @@ def budget_scene(
         settings: how the scene is analysed.
         output: folder for the chosen files and a scene that uses them; made if missing.
         picture: also draw both renders, and what every representation costs.
-    Raises:
-        UsageError: see `SceneDocument`, `scene_survey.survey` and `search`; or bands are mixed, the output lies in a
-            library, or would replace a file of the scene.
-        FileFormatError: the scene or a measured file is damaged.
     """
     document = SceneDocument.read(scene)
     if picture is not None:

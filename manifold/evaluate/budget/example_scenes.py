@@ -73,11 +73,7 @@ _LAMP = """  <shape type="rectangle">
 
 
 def write(name: str, folder: Path) -> Path:
-    """Write one of `EXAMPLES` as `NAME.xml` with its measured file beside it; the path of the scene.
-
-    Raises:
-        UsageError: there is no such example, or the folder cannot be written.
-    """
+    """Write one of `EXAMPLES` as `NAME.xml` with its measured file beside it; the path of the scene."""
     example = EXAMPLES[name]
     material = next(m for m in corpus.isotropic_materials() if m.name == example.material)
     scene = folder / f"{name}.xml"

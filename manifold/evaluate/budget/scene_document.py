@@ -75,13 +75,7 @@ class SceneDocument:
 
     @classmethod
     def read(cls, scene: Path | Mapping[str, Any]) -> SceneDocument:
-        """A scene from an XML file, a JSON file, or a dictionary of plain values; names of files are made absolute.
-
-        Raises:
-            UsageError: there is no such file, no sensor, no measured material, or one with other properties than the
-                plugin's; or Mitsuba refuses the scene.
-            FileFormatError: JSON that is no scene or holds null, or a plugin that may not be loaded.
-        """
+        """A scene from an XML file, a JSON file, or a dictionary of plain values; names of files are made absolute."""
         mi = backend.mitsuba("rgb", Backend("scalar"))
         config = mi.parser.ParserConfig(mi.variant())
         folder, origin = (scene.parent, str(scene)) if isinstance(scene, Path) else (Path(), "the scene")
@@ -103,11 +97,7 @@ class SceneDocument:
 
     @property
     def film_size(self) -> tuple[int, int]:
-        """Width and height in pixels of the first sensor's film.
-
-        Raises:
-            UsageError: it has no pixels, or too many.
-        """
+        """Width and height in pixels of the first sensor's film."""
         film: dict[str, Any] = next(
             (node.props for node in self._state.nodes if node.type.name == "Film"), {}
         )
@@ -120,11 +110,7 @@ class SceneDocument:
         return width, height
 
     def load(self, mi: Any, bsdfs: Mapping[str, Mapping[str, Any]], film: Mapping[str, Any]) -> Any:
-        """The scene in the variant that is set, with BSDFs by key in place of its materials, and another film.
-
-        Raises:
-            UsageError: Mitsuba refuses the scene.
-        """
+        """The scene in the variant that is set, with BSDFs by key in place of its materials, and another film."""
         config = mi.parser.ParserConfig(mi.variant())
 
         def instantiate() -> Any:

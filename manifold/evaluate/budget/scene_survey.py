@@ -140,8 +140,6 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
         files: the measured file of each of its materials, by key.
         is_rgb: whether these are linear sRGB.
         size: pixels of the longer side of the analysed picture.
-    Raises:
-        UsageError: Mitsuba refuses the scene, or no pixel shows a material by light that it could see.
     """
     mi = backend.mitsuba("rgb" if is_rgb else "spectral", Backend("scalar"))
     width, height = document.film_size

@@ -105,8 +105,6 @@ def search(
         verify: renders a choice; called once for each.
         milliseconds: time of a candidate; needed where the tolerance limits it.
         others: bytes of materials that stay as they are; they count where the tolerance limits bytes.
-    Raises:
-        UsageError: nothing within the limits keeps the tolerance; the message says what comes closest.
     """
     alone: dict[str, dict[str, Difference]] = {key: {} for key in candidates}
 

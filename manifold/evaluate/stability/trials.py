@@ -190,11 +190,7 @@ class Stability:
 
 
 def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]:
-    """The modes named, in the order of the catalogue; all where none is.
-
-    Raises:
-        UsageError: a name is unknown.
-    """
+    """The modes named, in the order of the catalogue; all where none is."""
     known = Registry("failure mode", ((mode.key, mode) for mode in modes))
     wanted = [known[name] for name in only]
     return tuple(mode for mode in modes if not only or mode in wanted)
@@ -240,9 +236,6 @@ def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialRe
     """Run a method at a severity and classify it by its errors and its messages.
 
     An exception that is not one of this package's errors counts as silently wrong.
-
-    Raises:
-        RendererError: the method cannot run on this machine.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -89,11 +89,7 @@ class FixedLatent:
     def of(
         cls, model: Manifold, place: Place, colour: ColourChoice = NEAREST, tolerance: float = 0.0
     ) -> FixedLatent:
-        """The latent of a place, in a colour that is chosen there.
-
-        Raises:
-            UsageError: a colour is chosen on a map of whole materials.
-        """
+        """The latent of a place, in a colour that is chosen there."""
         return cls(model, place.latent, choose_colour(model, place, colour).colours, tolerance)
 
     def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:
@@ -101,8 +97,6 @@ class FixedLatent:
 
         Args:
             latent, colours: float32, shape (Q,) and (B,).
-        Raises:
-            LatentError: the latent does not have Q finite coordinates.
         """
         known = (self.latent, *self.model.X)
         exact = next((x for x in known if np.array_equal(np.float32(x), latent)), latent)
@@ -116,9 +110,6 @@ class FixedLatent:
         Args:
             before: one of the same model, whose tables serve again where they hold all materials that are needed.
             has_slopes: whether slopes of the weights are asked for.
-        Raises:
-            UsageError: materials are to be left out of a map without a Gram matrix of whole materials.
-            ShapeError: the colours are not B finite values.
         """
         model, x, colours = self.model, self.latent, self.colours
         combination = model.combination(x, colours)
@@ -171,11 +162,7 @@ def _slopes(model: Manifold, x: Array, colours: Array | None) -> list[Array]:
 
 
 def varying_mixture(model: Manifold) -> Mixture:
-    """All materials, for latents that are known only where a surface is hit.
-
-    Raises:
-        UsageError: the map has landmarks.
-    """
+    """All materials, for latents that are known only where a surface is hit."""
     n = len(model.names)
     if model.space.landmarks is not None:
         raise UsageError(
@@ -208,8 +195,6 @@ def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indice
         weights: v, shape (N,).
         S: Gram matrix of the mapped materials, shape (N, N); unused if the tolerance is 0.
         tolerance: largest error, as a share of the norm of the mapped values; 0 keeps all.
-    Raises:
-        UsageError: the tolerance is not from 0 to below 1.
     """
     if not 0.0 <= tolerance < 1.0:
         raise UsageError(f"tolerance is {tolerance:g}, expected a share from 0 to below 1, such as 0.01")

@@ -84,8 +84,6 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
     Args:
         files: N materials of the same bands.
         bands: indices of those to keep; all by default.
-    Raises:
-        UsageError: they are too many.
     """
     kept = list(range(files[0].bands.count)) if bands is None else list(bands)
     n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))

@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import median_filter
 
+from manifold.brdf.measured import EvaluableBRDF
 from manifold.records import Array, Mask
 from manifold.surface.lamp_pictures import SurfacePictures
-from manifold.surface.response import SLOPE_STD, THIRD_STD, Response
+from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 
 _SPARKLE = 1.8  # times its surroundings, or what the smooth surface explains
 _SURROUNDINGS_PX = 9
@@ -31,6 +32,7 @@ class Surface:
         slope_std: standard deviations of both components, shape (2,); that of the prior where no lamp tells.
         third: third factor of the response, shape (H, W); see `response`.
         glints: pictures in which a point is brighter than a smooth relief explains, shape (J, H, W).
+        gain: of the response to slope; see `response`.
         pictures: what it was made from.
     """
 
@@ -41,6 +43,7 @@ class Surface:
     slope_std: Array
     third: Array
     glints: Mask
+    gain: float
     pictures: SurfacePictures
 
     def lit(self, lamp: Array, mean: Array) -> Array:
@@ -50,7 +53,7 @@ class Surface:
             lamp: unit vector towards it, shape (3,); NaN for diffuse light.
             mean: linear sRGB that the picture has in the mean, shape (3,).
         """
-        factors = Response.of(lamp[None], mean[None]).factors[0]
+        factors = Response.of(lamp[None], mean[None], self.gain).factors[0]
         bright = self.albedo * np.exp(self._state @ factors)[..., None]
         return np.asarray(bright / bright.mean(axis=(0, 1)) * mean)
 
@@ -69,16 +72,19 @@ class Surface:
         return _slopes_of(self.height)
 
 
-def estimate_surface(pictures: SurfacePictures) -> Surface:
+def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = None) -> Surface:
     """The surface that explains pictures best: Gaussian priors, robust to glints and cast shadows.
 
     Args:
         pictures: three or more under lamps.
+        brdf: of the mean, whose lobe says how steep slopes are; if None, they are as steep as those of a Lambertian
+            under lamps at 30 degrees.
     """
-    response = Response.of_pictures(pictures)
+    gain = 1.0 if brdf is None else gain_of(brdf, pictures)
+    response = Response.of_pictures(pictures, gain)
     values = pictures.values
     logs = np.log(values / values.mean(axis=(1, 2), keepdims=True))
-    prior = 1.0 / np.array([SLOPE_STD, SLOPE_STD, THIRD_STD]) ** 2
+    prior = 1.0 / np.array([SLOPE_STD / gain, SLOPE_STD / gain, THIRD_STD]) ** 2
     trusted = np.ones(values.shape[:3])
     for _ in range(_ROUNDS):
         state, albedo, covariance = _fitted(logs, response, trusted, prior)
@@ -93,7 +99,8 @@ def estimate_surface(pictures: SurfacePictures) -> Surface:
     colour = (values[is_diffuse] if is_diffuse.any() else values).mean(axis=(0, 1, 2)) / scale
     return Surface(
         pictures.name, np.minimum(colour, 1.0), made / made.mean(axis=(0, 1)), state[..., :2],
-        np.sqrt(np.diagonal(covariance)[:2]), state[..., 2], _glints(values, residual, pictures), pictures,
+        np.sqrt(np.diagonal(covariance)[:2]), state[..., 2], _glints(values, residual, pictures), gain,
+        pictures,
     )  # fmt: skip
 
 

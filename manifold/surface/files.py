@@ -78,6 +78,7 @@ class SurfaceFiles:
             "mean_srgb_linear": surface.mean.tolist(),
             "albedo_std": surface.albedo.std(axis=(0, 1)).tolist(),
             "slope_std": surface.relief.std(axis=(0, 1)).tolist(),
+            "gain": surface.gain,
             "slope_uncertainty": surface.slope_std.tolist(),
             "height_std_px": float(surface.height.std()),
             "sparkle": self.sparkle.to_json(),
@@ -115,7 +116,7 @@ def make_surface(
     start = time.perf_counter()
     if unknown := [name for name in targets if name not in TEXTURED]:
         raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(TEXTURED)}")
-    stages = Stages({"reading": 1, "slopes and colours": 2, "completing": 4, "textures": 2, "exports": 10})
+    stages = Stages({"reading": 1, "completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
     stages.begin("reading")
     readings: Readings | None = None
     if pictures:
@@ -125,19 +126,20 @@ def make_surface(
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file, expected a folder for the surface's files")
     folder.mkdir(parents=True, exist_ok=True)
-    stages.begin("slopes and colours")
-    surface = estimate_surface(taken)
-    sparkle = sparkle_of(surface)
     stages.begin("completing")
     stem = "surface" if readings is None else file_name(readings).removesuffix(".bsdf")
     paths = {}
-    completed = None
+    completed, brdf = None, None
     if readings is not None:
         paths["mean"] = folder / f"{stem}.bsdf"
         completed = complete(library, readings, paths["mean"])
+        brdf = MeasuredBRDF(read_bsdf(paths["mean"]))
+    stages.begin("slopes and colours")
+    surface = estimate_surface(taken, brdf)
+    sparkle = sparkle_of(surface)
     stages.begin("textures")
     textures = tile(surface, size)
-    paths |= _write_textures(folder, stem, surface, textures, completed)
+    paths |= _write_textures(folder, stem, surface, textures, brdf)
     stages.begin("exports")
     exports = {} if completed is None else _exports(paths, folder, stem, textures, targets)
     notes = _notes(taken, surface, sparkle, completed)
@@ -152,9 +154,10 @@ def make_surface(
 
 
 def _write_textures(
-    folder: Path, stem: str, surface: Surface, textures: Textures, completed: Completed | None
+    folder: Path, stem: str, surface: Surface, textures: Textures, brdf: MeasuredBRDF | None
 ) -> dict[str, Path]:
     """Write what renderers read; paths by what they are."""
+    mean = folder / f"{stem}.bsdf"
     paths = {
         "albedo": folder / f"{stem}_albedo.png",
         "normal": folder / f"{stem}_normal.png",
@@ -165,19 +168,18 @@ def _write_textures(
     write_display(paths["normal"], 0.5 + 0.5 * textures.normal)
     write_image(paths["height"], np.repeat(textures.height[..., None], 3, axis=-1))
     changes = textures.albedo
-    if completed is not None:
-        file = read_bsdf(completed.path)
+    if brdf is not None:
         wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
-        changes = spectral_changes(textures.albedo, MeasuredBRDF(file).eval(wi, wo)[0], file.bands)
+        changes = spectral_changes(textures.albedo, brdf.eval(wi, wo)[0], brdf.bands)
         paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
-        named = {"normal": paths["normal"], "changes": paths["changes"], "mean": completed.path}
+        named = {"normal": paths["normal"], "changes": paths["changes"], "mean": mean}
         disk.write_text(
             paths["mitsuba"], _MITSUBA.format(**{k: escape(path.name) for k, path in named.items()})
         )
     write_image(paths["changes"], changes)
-    if completed is not None and backend.is_available() and backend.choose().kind != "scalar":
+    if brdf is not None and backend.is_available() and backend.choose().kind != "scalar":
         paths["picture"] = folder / f"{stem}.png"
-        write_image(paths["picture"], preview.strip(completed.path, textures.normal, changes))
+        write_image(paths["picture"], preview.strip(mean, textures.normal, changes))
     return paths
 
 

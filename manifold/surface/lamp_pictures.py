@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from manifold.colour.pictures import read_picture
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats.readings import Readings
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, Mask
 
 DIFFUSE = "d"
 """What a picture in diffuse light is called after its anchor: `15d`."""
@@ -42,6 +42,7 @@ class SurfacePictures:
         name: of the sample.
         values: linear sRGB, shape (J, H, W, 3), above 0; channels registered to each other.
         lamps: unit vectors towards the lamps, shape (J, 3); NaN for diffuse light.
+        camera: unit vector towards the camera, shape (3,).
         labels: J names of the pictures, as their source has them.
         means: mean linear sRGB that readings give for each picture, a white diffuser being 1, shape (J, 3); NaN where
             there is no reading.
@@ -51,21 +52,22 @@ class SurfacePictures:
     name: str
     values: Array
     lamps: Array
+    camera: Array
     labels: tuple[str, ...]
     means: Array
     notes: tuple[str, ...] = ()
 
     @property
-    def is_diffuse(self) -> Array:
+    def is_diffuse(self) -> Mask:
         """Pictures in diffuse light, shape (J,)."""
         return np.isnan(self.lamps[:, 0])
 
     def without(self, picture: int) -> SurfacePictures:
         """All pictures but one."""
         kept = [j for j in range(len(self.labels)) if j != picture]
-        return SurfacePictures(
-            self.name, self.values[kept], self.lamps[kept], tuple(self.labels[j] for j in kept),
-            self.means[kept], self.notes,
+        return replace(
+            self, values=self.values[kept], lamps=self.lamps[kept], labels=tuple(self.labels[j] for j in kept),
+            means=self.means[kept],
         )  # fmt: skip
 
     @property
@@ -97,11 +99,13 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
         )
     values = _stack(path, [(c, _decoded(path, c, images[c])) for c in captions])
     angles = np.array([found[c][1] for c in captions])  # type: ignore[index]
-    lamps = _in_plane(angles)
+    lamps = in_plane(angles)
     camera = -np.deg2rad(found[captions[0]][0])  # type: ignore[index]
     means = np.array([_mean_of_reading(readings, camera, angle) for angle in np.deg2rad(angles)])
     values, registered = _registered(values)
-    pictures = SurfacePictures(readings.name, values, lamps, tuple(captions), means, registered)
+    pictures = SurfacePictures(
+        readings.name, values, lamps, in_plane(np.rad2deg(camera)), tuple(captions), means, registered
+    )
     _require_belonging(path, pictures)
     return pictures, readings
 
@@ -134,8 +138,9 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
     read = [(path.name, np.asarray(read_picture(path).values, dtype=np.float64)) for path in pictures]
     values = np.maximum(_stack(lamps, read), _HALF_CODE)
     return SurfacePictures(
-        pictures[0].parent.resolve().name, values, directions / norms, tuple(path.name for path in pictures),
-        np.full((len(rows), 3), np.nan), ("no readings: colours are relative to the brightest mean",),
+        pictures[0].parent.resolve().name, values, directions / norms, np.array([0.0, 0.0, 1.0]),
+        tuple(path.name for path in pictures), np.full((len(rows), 3), np.nan),
+        ("no readings: colours are relative to the brightest mean",),
     )  # fmt: skip
 
 
@@ -148,8 +153,8 @@ def _geometry(caption: str) -> tuple[float, float] | None:
     return anchor, np.nan if found[2] is None else anchor - float(found[2])
 
 
-def _in_plane(angles_deg: Array) -> Array:
-    """Lamps in the instrument's plane, which is vertical in its pictures; positive angles towards larger rows."""
+def in_plane(angles_deg: Array | float) -> Array:
+    """Directions in the instrument's plane, which is vertical in its pictures; positive angles towards larger rows."""
     angles = np.deg2rad(angles_deg)
     return np.stack([0.0 * angles, -np.sin(angles), np.cos(angles)], axis=-1)
 

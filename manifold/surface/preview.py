@@ -12,8 +12,9 @@ from manifold.records import Array
 from manifold.render import backend, scenes
 from manifold.render.render import RenderSettings, render_scene, rgb_film
 from manifold.surface import bsdf
+from manifold.surface.lamp_pictures import in_plane
 
-_LAMPS_DEG = (60.0, 20.0, -50.0)  # from the normal, in the plane of the instrument's lamps
+_LAMPS_DEG = np.array([60.0, 20.0, -50.0])  # from the normal, in the plane of the instrument's lamps
 _SIZE, _SAMPLES = 320, 32
 
 
@@ -31,7 +32,8 @@ def strip(mean: Path, normal: Array, changes: Array) -> Array:
     bsdf.register()
     settings = RenderSettings(size=_SIZE, samples=_SAMPLES)
     material = material_of(mi, mean, normal, changes)
-    planes = [mi.load_dict(plane_under_lamp(mi, material, np.deg2rad(angle))) for angle in _LAMPS_DEG]
+    plane = {"type": "rectangle", "material": material}
+    planes = [mi.load_dict(under_lamp(mi, plane, lamp)) for lamp in in_plane(_LAMPS_DEG)]
     ball = material_of(mi, mean, normal, changes, repeats=(2.0, 1.0))
     shown = mi.load_dict(scenes.material_ball(mi, ball, rgb_film(_SIZE)))
     return np.concatenate([render_scene(mi, scene, settings) for scene in (*planes, shown)], axis=1)
@@ -61,21 +63,32 @@ def material_of(
     }
 
 
-def plane_under_lamp(mi: Any, material: Mapping[str, Any], angle_rad: float) -> dict[str, Any]:
-    """A square of side 2 seen from above, under one distant lamp; a white diffuser facing it has radiance 1."""
-    down = [0.0, float(np.sin(angle_rad)), -float(np.cos(angle_rad))]
+def under_lamp(
+    mi: Any, shape: Any, lamp: Array, camera: Array | None = None, film: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """A flat shape about the plane z = 0 under a distant lamp; a white diffuser in that plane has radiance 1.
+
+    Args:
+        mi: Mitsuba.
+        shape: as a dictionary or an object; x runs from -1 to 1.
+        lamp: unit vector towards it; NaN for diffuse light.
+        camera: unit vector towards it; straight above if None. Its pictures show the plane without foreshortening.
+        film: a dictionary; a square one if None.
+    """
+    camera = np.array([0.0, 0.0, 1.0]) if camera is None else camera
+    view = mi.ScalarTransform4f().look_at((4.0 * camera).tolist(), [0, 0, 0], [0, 1, 0])
+    light = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
+    if np.all(np.isfinite(lamp)):
+        irradiance = {"type": "rgb", "value": float(np.pi / lamp[2])}
+        light = {"type": "directional", "direction": (-lamp).tolist(), "irradiance": irradiance}
     return {
         "type": "scene",
-        "integrator": {"type": "direct"},
+        "integrator": {"type": "path", "max_depth": 4},
         "sensor": {
             "type": "orthographic",
-            "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
-            "film": rgb_film(_SIZE),
+            "to_world": view @ mi.ScalarTransform4f().scale([1.0, float(camera[2]), 1.0]),
+            "film": rgb_film(_SIZE) if film is None else dict(film),
         },
-        "lamp": {
-            "type": "directional",
-            "direction": down,
-            "irradiance": {"type": "rgb", "value": float(np.pi / np.cos(angle_rad))},
-        },
-        "plane": {"type": "rectangle", "material": dict(material)},
+        "lamp": light,
+        "shape": shape,
     }

@@ -5,7 +5,8 @@
 with `a` the albedo of a point in each channel, `slope` the components of its normal along x and y, and `u` a third
 factor, which stands for occlusion and gloss. A Lambertian would have s = tan of the lamp's angle: real surfaces answer
 less to lamps from the mirror's side, and more to grazing ones opposite, where relief casts shadows. Learned by
-`benchmarks/bench_surface.py --learn` from workbooks of mineral paints, seen from 15 degrees.
+`benchmarks/bench_surface.py --learn` from workbooks of mineral paints, seen from 15 degrees. Pictures alone do not tell
+how steep slopes are: glossier paints answer more. `gain` takes that from the BRDF of the mean.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manifold.brdf.measured import EvaluableBRDF
+from manifold.colour.conversion import to_srgb
 from manifold.records import Array
 from manifold.surface.lamp_pictures import SurfacePictures
 
@@ -24,6 +27,9 @@ _NOISE = np.array([0.177, 0.129, 0.095, 0.111, 0.105, 0.138])  # of ln N, standa
 _SLOPE_DIFFUSE, _THIRD_DIFFUSE, _NOISE_DIFFUSE = -0.126, -0.495, 0.081
 _CODE_NOISE = 0.012  # standard deviation of linear values: 8 bits, and the camera
 _REFERENCE_NOISE = 0.08  # of ln N, of the noise above in a bright channel
+_NODES = 15  # of quadrature, along each component of slope
+_DARK = 1e-3  # least linear value of a facet
+_GAINS = (0.5, 4.0)  # range of gains, which keeps slopes of a mirror-like completion finite
 
 SLOPE_STD = 0.13
 """Standard deviation of slopes of the paints, the prior of each component."""
@@ -45,13 +51,14 @@ class Response:
     weights: Array
 
     @classmethod
-    def of(cls, lamps: Array, means: Array) -> Response:
+    def of(cls, lamps: Array, means: Array, gain: float = 1.0) -> Response:
         """The responses under lamps.
 
         Args:
             lamps: unit vectors, shape (J, 3); NaN for diffuse light. Those in the plane of y and z have the measured
                 response of their side, those in other planes the mean of both sides.
             means: linear sRGB of the pictures, shape (J, 3): dark channels are noisier.
+            gain: factor of the response to slope.
         """
         is_diffuse = np.isnan(lamps[:, 0])
         x, y, z = np.where(is_diffuse[:, None], [0.0, 0.0, 1.0], lamps).T
@@ -73,11 +80,47 @@ class Response:
         along_y = np.divide(y, across, out=-np.ones_like(y), where=across > 0.0)
         factors = np.stack([slope * along_x, slope * along_y, third], axis=-1)
         factors[is_diffuse, 1] = -_SLOPE_DIFFUSE
+        factors[:, :2] *= gain
         relative = _CODE_NOISE / means
         weights = (_REFERENCE_NOISE / noise[:, None]) ** 2 / (_REFERENCE_NOISE**2 + relative**2)
         return cls(factors, weights)
 
     @classmethod
-    def of_pictures(cls, pictures: SurfacePictures) -> Response:
+    def of_pictures(cls, pictures: SurfacePictures, gain: float = 1.0) -> Response:
         """The responses of all pictures."""
-        return cls.of(pictures.lamps, pictures.values.mean(axis=(1, 2)))
+        return cls.of(pictures.lamps, pictures.values.mean(axis=(1, 2)), gain)
+
+
+def gain_of(brdf: EvaluableBRDF, pictures: SurfacePictures) -> float:
+    """How much more a BRDF answers to slope than the table does, by least squares over the lamps.
+
+    Its own response is the mean of d ln N / d slope over slopes of the paints (Stein's lemma, Gaussian quadrature).
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+    slope = SLOPE_STD * np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1)
+    weights = np.outer(weights, weights) / np.sum(weights) ** 2
+    lamps = pictures.lamps[~pictures.is_diffuse]
+    logs = [
+        np.log(np.maximum(shaded(brdf, slope, lamp, pictures.camera), _DARK)).mean(axis=-1) for lamp in lamps
+    ]
+    own = np.einsum("ab,jab,abk->jk", weights, logs, slope) / SLOPE_STD**2
+    table = Response.of(lamps, np.ones((len(lamps), 3))).factors[:, :2]
+    return float(np.clip(np.sum(own * table) / np.sum(table**2), *_GAINS))
+
+
+def shaded(brdf: EvaluableBRDF, slope: Array, lamp: Array, camera: Array) -> Array:
+    """Facets as a camera sees them under a lamp, linear sRGB, shape (..., 3); 1 is a white diffuser that lies flat.
+
+    Args:
+        brdf: of the facets; isotropic.
+        slope: x and y components of their normals over the z component, shape (..., 2).
+        lamp, camera: unit vectors, shape (3,).
+    """
+    normal = np.concatenate([slope, np.ones((*slope.shape[:-1], 1))], axis=-1).reshape(-1, 3)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    tangent = np.stack([normal[:, 2], 0.0 * normal[:, 0], -normal[:, 0]], axis=-1)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
+    to_lamp, to_camera = frame @ lamp, frame @ camera
+    radiance = np.pi * to_srgb(brdf.eval(to_camera, to_lamp), brdf.bands)
+    return np.asarray(radiance * np.maximum(to_lamp[:, 2:], 0.0) / lamp[2]).reshape(*slope.shape[:-1], 3)

@@ -1,4 +1,4 @@
-"""Synthetic twins of surfaces and of the workbooks that show them."""
+"""Synthetic twins of surfaces and of the workbooks that show them, by the table of responses or rendered."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from scipy.ndimage import gaussian_filter
 
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
-from manifold.surface.lamp_pictures import SurfacePictures, _in_plane
+from manifold.render import backend
+from manifold.render.render import RenderSettings, render_scene, rgb_film
+from manifold.surface import preview
+from manifold.surface.lamp_pictures import SurfacePictures, in_plane
 from manifold.surface.response import Response
 
 ANGLES_DEG = np.array([60.0, 45.0, 30.0, 0.0, -30.0, -65.0, np.nan])
 CAPTIONS = ("15as-45", "15as-30", "15as-15", "15as15", "15as45", "15as80", "15d")
 SIZE = (220, 260)
+CAMERA = in_plane(-15.0)
+BORDER = 4  # pixels
 
 
 def rough(rng, size=SIZE, pixels=2.0):
@@ -35,13 +40,13 @@ def truth(rng, size=SIZE):
 
 def photographed(rng, slope, *, noise=0.01):
     """Pictures of a surface that answers as the table says."""
-    lamps = _in_plane(ANGLES_DEG)
+    lamps = in_plane(ANGLES_DEG)
     colour = np.array([0.5, 0.3, 0.2])
     albedo = np.exp(0.15 * rough(rng, slope.shape[:2]))[..., None] * np.array([1.0, 1.0, 1.0])
     factors = Response.of(lamps, np.broadcast_to(colour, (7, 3))).factors
     bright = colour * albedo * np.exp(np.einsum("jk,hwk->jhw", factors[:, :2], slope))[..., None]
     values = bright * np.exp(noise * rng.standard_normal(bright.shape))
-    return SurfacePictures("twin", values, lamps, CAPTIONS, values.mean(axis=(1, 2))), albedo
+    return SurfacePictures("twin", values, lamps, CAMERA, CAPTIONS, values.mean(axis=(1, 2))), albedo
 
 
 def workbook(path, rng, *, shift_px=0, factor=None):
@@ -64,3 +69,83 @@ def workbook(path, rng, *, shift_px=0, factor=None):
         images[caption] = stream.getvalue()
     ma_t12.write(path, replace(readings, texture={"values": [{"Name": "twin"}], "images": images}))
     return slope
+
+
+def rendered(rng, bsdf, height, reflectance, *, flakes=None, samples=16, noise=0.005):
+    """Pictures of a relief, as Mitsuba renders them in the instrument's geometry: with shadows and interreflections.
+
+    Args:
+        rng: of the noise.
+        bsdf: makes Mitsuba's dictionary of a texture of reflectance.
+        height: in pixels, shape (S, S).
+        reflectance: linear sRGB, shape (S, S, 3).
+        flakes: slopes (S, S, 2) and a mask (S, S) of facets of GGX alpha `flakes[2]`; None for none.
+        samples: light paths per pixel.
+        noise: standard deviation of ln N, of the camera.
+    Returns:
+        SurfacePictures without their border, which the sky lights from below.
+    """
+    mi = backend.mitsuba("rgb")
+    size = len(height)
+
+    def bitmap(values, filter_type="bilinear"):
+        picture = mi.Bitmap(np.ascontiguousarray(values, dtype=np.float32))
+        return {
+            "type": "bitmap",
+            "bitmap": picture,
+            "raw": True,
+            "filter_type": filter_type,
+            "wrap_mode": "clamp",
+        }
+
+    material = bsdf(bitmap(reflectance))
+    if flakes is not None:
+        slope, mask, alpha = flakes
+        normal = np.concatenate([slope, np.ones((size, size, 1))], axis=-1)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        facet = {
+            "type": "roughplastic",
+            "distribution": "ggx",
+            "alpha": alpha,
+            "diffuse_reflectance": bitmap(reflectance),
+        }
+        material = {
+            "type": "blendbsdf", "weight": bitmap(mask[..., None], "nearest"), "base": material,
+            "flakes": {"type": "normalmap", "normalmap": bitmap(0.5 + 0.5 * normal, "nearest"), "facet": facet},
+        }  # fmt: skip
+    relief = _mesh(mi, height, material)
+    lamps = in_plane(ANGLES_DEG)
+    settings = RenderSettings(size=size, samples=samples)
+    scenes = [mi.load_dict(preview.under_lamp(mi, relief, lamp, CAMERA, rgb_film(size))) for lamp in lamps]
+    values = np.stack([render_scene(mi, scene, settings) for scene in scenes])[
+        :, BORDER:-BORDER, BORDER:-BORDER
+    ]
+    values = np.maximum(values * np.exp(noise * rng.standard_normal(values.shape)), 0.002)
+    means = np.where(np.isnan(lamps[:, :1]), np.nan, values.mean(axis=(1, 2)))
+    return SurfacePictures("rendered", values, lamps, CAMERA, CAPTIONS, means)
+
+
+def _mesh(mi, height, material):
+    """A relief over [-1, 1] squared, a vertex a pixel."""
+    size = len(height)
+    rows, columns = np.mgrid[:size, :size]
+    at = (np.stack([columns, rows], axis=-1) + 0.5) / size
+    vertices = np.stack([2.0 * at[..., 0] - 1.0, 1.0 - 2.0 * at[..., 1], 2.0 * height / size], axis=-1)
+    down, right = np.gradient(height)
+    first = (rows * size + columns)[:-1, :-1].ravel()
+    lower = np.stack([first, first + size, first + size + 1], axis=-1)
+    upper = np.stack([first, first + size + 1, first + 1], axis=-1)
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(material)
+    mesh = mi.Mesh("relief", size**2, 2 * len(first), properties, True, True)
+    parameters = mi.traverse(mesh)
+    normals = np.stack([-right, down, np.ones_like(height)], axis=-1)
+    for key, values in {
+        "vertex_positions": vertices.astype(np.float32),
+        "vertex_normals": (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32),
+        "vertex_texcoords": at.astype(np.float32),
+        "faces": np.concatenate([lower, upper]).astype(np.uint32),
+    }.items():
+        parameters[key] = values.ravel()
+    parameters.update()
+    return mesh

@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from surface_twins import CAPTIONS, SIZE, photographed, rough, truth, workbook
+from surface_twins import BORDER, CAPTIONS, SIZE, photographed, rendered, rough, truth, workbook
 
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.records import Bands
+from manifold.render import backend
+from manifold.render.bsdf_parameters import principled
+from manifold.render.fitted_brdf import FittedBRDF
 from manifold.surface.estimate import estimate_surface, integrated
 from manifold.surface.lamp_pictures import SurfacePictures, read_folder, read_workbook
 from manifold.surface.response import Response
@@ -43,7 +47,11 @@ def test_lamps_around_a_sample_show_both_slopes(rng):
     lamps = np.stack([0.6 * np.cos(azimuth), 0.6 * np.sin(azimuth), np.full(8, 0.8)], axis=-1)
     factors = Response.of(lamps, np.full((8, 3), 0.5)).factors
     values = 0.5 * np.exp(np.einsum("jk,hwk->jhw", factors[:, :2], slope))[..., None] * np.ones(3)
-    found = estimate_surface(SurfacePictures("all round", values, lamps, ("",) * 8, np.full((8, 3), np.nan)))
+    found = estimate_surface(
+        SurfacePictures(
+            "all round", values, lamps, np.array([0.0, 0.0, 1.0]), ("",) * 8, np.full((8, 3), np.nan)
+        )
+    )
     for axis in range(2):
         assert np.corrcoef(found.slope[..., axis].ravel(), slope[..., axis].ravel())[0, 1] > 0.99
 
@@ -60,6 +68,39 @@ def test_a_lamp_that_was_left_out_is_predicted_better_than_by_the_mean_of_the_ot
     others = pictures.without(left_out).values
     mean = (others / others.mean(axis=(1, 2), keepdims=True)).mean(axis=0) * pictures.means[left_out]
     assert np.sqrt(np.mean((made - true) ** 2)) < 0.4 * np.sqrt(np.mean((mean - true) ** 2))
+
+
+@pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
+@pytest.mark.parametrize("roughness", [0.8, 0.45])
+def test_slopes_of_a_rendered_relief_are_as_steep_as_they_were_whatever_its_gloss(roughness, rng):
+    height, slope = (0.8 * each for each in truth(rng, (128, 128)))
+    colour = np.array([0.5, 0.3, 0.2])
+    reflectance = colour * np.exp(0.15 * rough(rng, height.shape))[..., None]
+    pictures = rendered(
+        rng,
+        lambda texture: {"type": "principled", "base_color": texture, "roughness": roughness},
+        height,
+        reflectance,
+    )
+    brdf = FittedBRDF.of(
+        principled(("base_color", "roughness")),
+        {"base_color": colour, "roughness": roughness},
+        Bands(None),
+        {},
+    )
+    inner = slice(BORDER, -BORDER)
+    slope, albedo = (
+        slope[inner, inner],
+        reflectance[inner, inner] / reflectance[inner, inner].mean(axis=(0, 1)),
+    )
+    found = estimate_surface(pictures, brdf)
+    along = slope[..., 1].ravel()
+    assert np.corrcoef(found.slope[..., 1].ravel(), along)[0, 1] > 0.95
+    assert 0.75 < np.polyfit(along, found.slope[..., 1].ravel(), 1)[0] < 1.1  # pixels blur, the prior shrinks
+    assert np.corrcoef(found.relief[..., 0].ravel(), slope[..., 0].ravel())[0, 1] > 0.75
+    assert np.std(np.log(found.albedo / albedo)) < 0.06  # of 0.15
+    if roughness < 0.5:  # a Lambertian's response takes gloss for steepness
+        assert np.polyfit(along, estimate_surface(pictures).slope[..., 1].ravel(), 1)[0] > 1.3
 
 
 def test_heights_are_those_that_the_slopes_came_from(rng):

@@ -21,6 +21,7 @@ from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.images import read_display, write_display
 from manifold.surface import preview
+from manifold.surface.lamp_pictures import in_plane
 from manifold.surface.spectra import spectral_changes, weights_at
 
 
@@ -78,6 +79,12 @@ def textured(tmp_path):
         )
 
     return of
+
+
+def _lit_from_below(mi, material):
+    """The scene of a plane of a material, its lamp at 40 degrees on the side of negative y."""
+    plane = {"type": "rectangle", "material": material}
+    return mi.load_dict(preview.under_lamp(mi, plane, in_plane(40.0)))
 
 
 def test_spectra_of_points_have_the_colours_that_were_seen_and_that_of_the_mean_in_the_mean(rng):
@@ -172,7 +179,7 @@ def test_mitsuba_shows_the_mean_under_flat_normals_and_colours_where_the_texture
     changes = np.ones((8, 8, 3))
     changes[:4, :, 0] = 2.0  # upper rows redder
     material = preview.material_of(mi, mean, flat, changes)
-    scene = mi.load_dict(preview.plane_under_lamp(mi, material, np.deg2rad(40.0)))
+    scene = _lit_from_below(mi, material)
     picture = np.array(mi.render(scene, spp=16))
     rows = picture.shape[0]
     upper, lower = picture[rows // 8 : 3 * rows // 8], picture[5 * rows // 8 : 7 * rows // 8]  # texels blend
@@ -195,6 +202,6 @@ def test_mitsuba_lights_slopes_that_lean_towards_the_lamp(mean):
     normal[:4, :, 1], normal[4:, :, 1] = 0.2, -0.2  # upper rows lean up, lower rows down
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     material = preview.material_of(mi, mean, normal, np.ones((8, 8, 3)))
-    rows = np.array(mi.render(mi.load_dict(preview.plane_under_lamp(mi, material, np.deg2rad(40.0))), spp=16))
+    rows = np.array(mi.render(_lit_from_below(mi, material), spp=16))
     third = rows.shape[0] // 3
     assert rows[-third:].mean() > 1.15 * rows[:third].mean()  # the lamp stands below, at negative y

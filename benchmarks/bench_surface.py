@@ -1,27 +1,51 @@
-"""Pictures of a surface predicted from the others: `bench_surface.py FOLDER` of workbooks with `Texture Images`.
+"""How good surfaces are: `bench_surface.py FOLDER LIBRARY`, a folder of workbooks with `Texture Images`.
 
-Each picture under a lamp is left out, the surface estimated from the others, and lit by the lamp that was left out; its
-mean colour comes from the reading at that geometry, scaled as the other pictures are. Beside it one colour, the mean of
-the other pictures, and albedo with a Lambertian's slope. Relative RMS, CIEDE2000 per pixel (median of a picture; median
-and 90th percentile over pictures) and structural similarity. `--learn` fits the table of `manifold.surface.response`.
+Left out: each picture under a lamp is left out, the surface estimated from the others, and lit by the lamp that was
+left out; its mean colour comes from the reading at that geometry, scaled as the other pictures are. Beside it one
+colour, the mean of the other pictures, and albedo with a Lambertian's slope. Relative RMS, CIEDE2000 per pixel (median
+of a picture; median and 90th percentile over pictures) and structural similarity.
+
+Rendered: the completed BRDF on the slopes, times the albedo, under the instrument's lamps: its mean beside the twelve
+readings, each pixel beside the real picture, and the sparkle of its flakes beside that of the pictures.
+
+Known: reliefs of known BRDF, slopes, colours and flakes are rendered by Mitsuba in the instrument's geometry, with
+shadows and interreflections, and recovered (`tests/surface/surface_twins.py`); and how much one pixel's roughness is
+determined by its pictures.
+
+`--learn` fits the table of `manifold.surface.response`.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from manifold.colour.conversion import srgb_to_xyz
+from manifold.brdf.measured import EvaluableBRDF, MeasuredBRDF
+from manifold.colour.conversion import file_to_srgb, srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000
-from manifold.records import Array
-from manifold.surface.estimate import estimate_surface
-from manifold.surface.lamp_pictures import SurfacePictures, read_workbook
+from manifold.estimate.completions import complete_readings
+from manifold.io_rgl import read_bsdf
+from manifold.records import Array, Bands
+from manifold.render.bsdf_parameters import principled
+from manifold.render.fitted_brdf import FittedBRDF
+from manifold.surface.estimate import Surface, estimate_surface
+from manifold.surface.lamp_pictures import SurfacePictures, in_plane, read_workbook
+from manifold.surface.response import Response, shaded
+from manifold.surface.sparkle import Flakes, sparkle_of
+from manifold.surface.tiling import tile
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "surface"))
+import surface_twins as twins
 
 D65 = np.array([0.9505, 1.0, 1.0891])
 
@@ -67,8 +91,12 @@ METHODS: dict[str, Callable[[SurfacePictures, Array, Array], Array]] = {
 def errors(made: Array, true: Array) -> tuple[float, float, float]:
     """Relative RMS, median CIEDE2000 and structural similarity of two pictures in linear sRGB."""
     rms = float(np.sqrt(np.mean((made - true) ** 2) / np.mean(true**2)))
-    colours = [srgb_to_xyz(np.clip(picture, 0.0, None)) for picture in (made, true)]
-    return rms, float(np.median(delta_e_2000(*colours, D65))), similarity(made, true)
+    return rms, float(np.median(ciede2000(made, true))), similarity(made, true)
+
+
+def ciede2000(made: Array, true: Array) -> Array:
+    """Differences of colours in linear sRGB, shape (...)."""
+    return delta_e_2000(*(srgb_to_xyz(np.clip(colours, 0.0, None)) for colours in (made, true)), D65)
 
 
 def similarity(made: Array, true: Array) -> float:
@@ -95,6 +123,156 @@ def left_out(folder: Path) -> Iterator[tuple[str, str, str, tuple[float, float, 
             for name, method in METHODS.items():
                 made = method(others, pictures.lamps[j], mean)
                 yield path.stem, pictures.labels[j], name, errors(made, pictures.values[j])
+
+
+def rendered(folder: Path, library: Path) -> dict[str, Any]:
+    """Rendered surfaces beside readings and pictures, by workbook."""
+    found = {}
+    for path in sorted(folder.glob("*.xlsx")):
+        pictures, readings = read_workbook(path)
+        with tempfile.TemporaryDirectory() as made:
+            complete_readings(readings, library, Path(made, "mean.bsdf"))
+            brdf = MeasuredBRDF(file_to_srgb(read_bsdf(Path(made, "mean.bsdf"))))
+        surface = estimate_surface(pictures, brdf)
+        every = slice(None, None, 3)
+        slope, albedo = surface.relief[every, every], surface.albedo[every, every]
+        bands = Bands.from_array(readings.wavelengths_nm)
+        means = []
+        for wi, wo, values in zip(readings.wi, readings.wo, readings.values, strict=True):
+            # The plane of the readings is that of x, the pictures' that of y.
+            lamp, camera = (np.array([0.0, -w[0], w[2]]) for w in (wo, wi))
+            mean = (shaded(brdf, slope, lamp, camera) * albedo).mean(axis=(0, 1))
+            means.append(float(ciede2000(mean, np.pi * to_srgb(values, bands))))
+        pixels = []
+        for j in np.flatnonzero(~pictures.is_diffuse):
+            made = shaded(brdf, slope, pictures.lamps[j], pictures.camera) * albedo
+            real = pictures.values[j, every, every] / np.nanmedian(pictures.factors, axis=0)
+            pixels.append(
+                float(np.median(ciede2000(made * real.mean(axis=(0, 1)) / made.mean(axis=(0, 1)), real)))
+            )
+        found[path.stem] = {
+            "gain": surface.gain, "mean": means, "pixels": pixels, **_sparkle_again(surface, brdf, pictures),
+        }  # fmt: skip
+        print(path.stem, json.dumps(found[path.stem]), flush=True)
+    means = np.array([row["mean"] for row in found.values()])
+    return {
+        "mean": [float(np.median(means)), float(np.percentile(means, 90))],
+        "mean_max": float(means.max()),
+        "within_1": float(np.mean(means <= 1.0)),
+        "pixels": float(np.median([row["pixels"] for row in found.values()])),
+        "workbooks": found,
+    }
+
+
+def _sparkle_again(surface: Surface, brdf: EvaluableBRDF, pictures: SurfacePictures) -> dict[str, Any]:
+    """Glints of the pictures, and of the tiled texture with its flakes under the same lamps, counted alike."""
+    counted = sparkle_of(surface)
+    if counted.flakes is None or counted.density < 1.0:
+        return {"glints": counted.density, "glints_rendered": None}
+    size = 384
+    textures, flakes = tile(surface, size), counted.flakes.drawn(size, np.random.default_rng(1))
+    tilted = flakes.normal[..., :2] / flakes.normal[..., 2:]
+    values = []
+    for lamp, real in zip(pictures.lamps, pictures.values, strict=True):
+        if np.isnan(lamp[0]):
+            values.append(surface.mean * textures.albedo)
+            continue
+        made = shaded(brdf, textures.slope, lamp, pictures.camera) * textures.albedo
+        half = (lamp + pictures.camera) / np.linalg.norm(lamp + pictures.camera)
+        away = np.sum((tilted - half[:2] / half[2]) ** 2, axis=-1) / counted.flakes.roughness**2
+        peak = counted.flakes.reflectance / (4.0 * counted.flakes.roughness**2 * lamp[2] * pictures.camera[2])
+        made = made * real.mean(axis=(0, 1)) / np.nanmedian(pictures.factors, axis=0) / made.mean(axis=(0, 1))
+        values.append(made + (flakes.mask * peak / (1.0 + away) ** 2)[..., None])
+    again = sparkle_of(estimate_surface(replace(pictures, values=np.stack(values)), brdf))
+    return {
+        "glints": counted.density, "glints_rendered": again.density, "brightness": counted.brightness,
+        "brightness_rendered": again.brightness, "seen_once": counted.seen_once, "seen_once_rendered": again.seen_once,
+    }  # fmt: skip
+
+
+def known(size: int = 192) -> dict[str, Any]:
+    """Reliefs that were rendered, and what is recovered of them."""
+    colour = np.array([0.5, 0.3, 0.2])
+    found: dict[str, Any] = {"relief": [], "flakes": []}
+    for roughness in (0.8, 0.6, 0.4):
+        for steepness in (0.07, 0.13):
+            rng = np.random.default_rng(7)
+            height, slope = (steepness / 0.1 * each for each in twins.truth(rng, (size, size)))
+            reflectance = np.clip(colour * _textured(rng, size), 0.0, 0.95)
+            pictures = twins.rendered(rng, _principled(roughness), height, reflectance)
+            surface = estimate_surface(pictures, _fitted(colour, roughness))
+            inner = slice(twins.BORDER, -twins.BORDER)
+            slope, reflectance = slope[inner, inner], reflectance[inner, inner]
+            row = {"roughness": roughness, "slope_std": steepness, "gain": surface.gain}
+            for axis, name, values in ((1, "along", surface.slope), (0, "across", surface.relief)):
+                row[f"{name}_correlation"] = float(
+                    np.corrcoef(values[..., axis].flat, slope[..., axis].flat)[0, 1]
+                )
+                row[f"{name}_steepness"] = float(
+                    np.polyfit(slope[..., axis].ravel(), values[..., axis].ravel(), 1)[0]
+                )
+            flat = estimate_surface(pictures).slope[..., 1]
+            row["along_steepness_without_lobe"] = float(np.polyfit(slope[..., 1].ravel(), flat.ravel(), 1)[0])
+            made, true = (each / each.mean(axis=(0, 1)) * colour for each in (surface.albedo, reflectance))
+            row["albedo_ciede2000"] = float(np.median(ciede2000(made, true)))
+            row["albedo_ciede2000_of_mean"] = float(
+                np.median(ciede2000(np.broadcast_to(colour, true.shape), true))
+            )
+            found["relief"].append(row)
+            print(json.dumps(row), flush=True)
+    dark = 0.5 * colour
+    for flakes in (
+        Flakes(100, 2, 0.3, 0.15, 0.04), Flakes(100, 2, 0.3, 0.1, 0.04), Flakes(300, 2, 0.3, 0.1, 0.02),
+        Flakes(50, 2, 0.2, 0.15, 0.04), Flakes(200, 4, 0.25, 0.1, 0.03), Flakes(100, 3, 0.5, 0.15, 0.08),
+    ):  # fmt: skip
+        rng = np.random.default_rng(5)
+        height = 0.6 * twins.truth(rng, (320, 320))[0]
+        reflectance = dark * _textured(rng, 320)
+        drawn = flakes.drawn(320, rng)
+        pictures = twins.rendered(rng, _principled(0.7), height, reflectance, flakes=drawn)
+        again = sparkle_of(estimate_surface(pictures, _fitted(dark, 0.7))).flakes
+        row = {"known": vars(flakes), "recovered": None if again is None else vars(again)}
+        found["flakes"].append(row)
+        print(json.dumps(row), flush=True)
+    found["roughness"] = _roughness_std()
+    print(json.dumps(found["roughness"]))
+    return found
+
+
+def _textured(rng: np.random.Generator, size: int) -> Array:
+    shades, hues = (twins.rough(rng, (size, size))[..., None] for _ in range(2))
+    return np.exp(0.15 * shades + 0.08 * hues * np.array([1.0, 0.0, -1.0]))
+
+
+def _principled(roughness: float) -> Callable[[Any], dict[str, Any]]:
+    return lambda texture: {"type": "principled", "base_color": texture, "roughness": roughness}
+
+
+def _fitted(colour: Array, roughness: float) -> FittedBRDF:
+    family = principled(("base_color", "roughness"))
+    return FittedBRDF.of(family, {"base_color": colour.tolist(), "roughness": roughness}, Bands(None), {})
+
+
+def _roughness_std() -> dict[str, float]:
+    """Standard deviation to which one pixel's roughness is known from its pictures, by roughness.
+
+    From the Fisher information of six pictures whose noise is that of the table, beside unknown albedo and slope.
+    """
+    lamps, colour = in_plane(twins.ANGLES_DEG[:6]), np.array([0.5, 0.3, 0.2])
+    found = {}
+    for roughness in (0.4, 0.6, 0.8):
+        step = 0.05
+        logs = [
+            np.log([shaded(_fitted(colour, roughness + sign * step), np.zeros((1, 2)), lamp, twins.CAMERA)[0].mean()
+                    for lamp in lamps])
+            for sign in (-1.0, 1.0)
+        ]  # fmt: skip
+        response = Response.of(lamps, np.full((6, 3), 0.3))
+        jacobian = np.stack([np.ones(6), response.factors[:, 1], (logs[1] - logs[0]) / (2.0 * step)], axis=-1)
+        # Weights are relative to a bright channel's noise of 0.08; three channels agree.
+        information = jacobian.T @ (response.weights.mean(axis=1)[:, None] * jacobian)
+        found[f"{roughness:g}"] = float(np.sqrt(np.linalg.inv(information)[2, 2]))
+    return found
 
 
 def learn(folder: Path) -> None:
@@ -149,14 +327,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
+    parser.add_argument("library", type=Path, nargs="?", help="of measured materials, to complete readings")
     parser.add_argument("--learn", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     if options.learn:
         learn(options.folder)
         return
+    summary: dict[str, Any] = {"known": known()}
+    if options.library:
+        summary["rendered"] = rendered(options.folder, options.library)
     rows = list(left_out(options.folder))
-    summary = {}
     print(f"{'':34}{'rel. RMS':>9}{'CIEDE2000':>16}{'SSIM':>7}   by picture")
     for name in METHODS:
         own = [(label, error) for _, label, method, error in rows if method == name]

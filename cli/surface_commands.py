@@ -74,7 +74,7 @@ def surface(
             targets=target or TARGETS,
         )
     found, sparkle = made.surface, made.sparkle
-    spread = "" if sparkle.spread_deg is None else f", flakes tilted by {sparkle.spread_deg:.0f} degrees"
+    flakes = sparkle.flakes
     results.rows(
         f"Surface {made.folder}",
         {
@@ -84,7 +84,15 @@ def surface(
                 *found.relief.std(axis=(0, 1))
             ),
             "heights": f"{found.height.std():.2f} pixels (standard deviation)",
-            "sparkle": f"{sparkle.density:.1f} glints per 10,000 pixels and lamp{spread}",
+            "sparkle": f"{sparkle.density:.1f} glints per 10,000 pixels and lamp",
+            **(
+                {}
+                if flakes is None
+                else {
+                    "flakes": f"{flakes.density:.0f} per 10,000 pixels, slopes {flakes.slope_std:.2f}, reflectance "
+                    f"{flakes.reflectance:.3f}, roughness {flakes.roughness:.2f} (GGX alpha)"
+                }
+            ),
             "files": [path.name for path in made.paths.values()],
             **{f"{target}, ball CIEDE2000": f"{ball:.2f}" for target, ball in made.exports.items()},
             "time": f"{made.seconds:.1f} s",

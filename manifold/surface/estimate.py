@@ -13,7 +13,9 @@ from manifold.records import Array, Mask
 from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 
-_SPARKLE = 1.8  # times its surroundings, or what the smooth surface explains
+SPARKLE = 1.8
+"""A glint is so many times as bright as its surroundings."""
+
 _SURROUNDINGS_PX = 9
 _MIDDLE_COSINE = np.cos(np.deg2rad(50.0))  # lamps farther from the normal make relief sparkle, too
 _ROUNDS = 3  # in which what no smooth relief explains is left out
@@ -56,6 +58,11 @@ class Surface:
         factors = Response.of(lamp[None], mean[None], self.gain).factors[0]
         bright = self.albedo * np.exp(self._state @ factors)[..., None]
         return np.asarray(bright / bright.mean(axis=(0, 1)) * mean)
+
+    @property
+    def is_middle(self) -> Mask:
+        """Pictures in which glints are sought, those under lamps near the normal, shape (J,)."""
+        return _is_middle(self.pictures)
 
     @property
     def _state(self) -> Array:
@@ -131,11 +138,14 @@ def _fitted(logs: Array, response: Response, trusted: Array, prior: Array) -> tu
 
 def _glints(values: Array, residual: Array, pictures: SurfacePictures) -> Mask:
     """Points under lamps near the normal that are much brighter than their surroundings and than the fit."""
-    grey = values.mean(axis=-1)
-    around = np.stack([median_filter(picture, _SURROUNDINGS_PX, mode="nearest") for picture in grey])
-    is_middle = np.nan_to_num(pictures.lamps[:, 2]) > _MIDDLE_COSINE
-    bright = (grey > _SPARKLE * around) & (residual > np.log(_SPARKLE) / 2.0)
-    return np.asarray(bright & is_middle[:, None, None])
+    glints = residual > np.log(SPARKLE) / 2.0
+    for found, picture, is_middle in zip(glints, values.mean(axis=-1), _is_middle(pictures), strict=True):
+        found &= is_middle and picture > SPARKLE * median_filter(picture, _SURROUNDINGS_PX, mode="nearest")
+    return np.asarray(glints)
+
+
+def _is_middle(pictures: SurfacePictures) -> Mask:
+    return np.asarray(np.nan_to_num(pictures.lamps[:, 2]) > _MIDDLE_COSINE)
 
 
 def integrated(slope: Array, slope_std: Array) -> Array:

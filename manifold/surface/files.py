@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -27,7 +28,7 @@ from manifold.render.images import write_display, write_image
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, estimate_surface
 from manifold.surface.lamp_pictures import SurfacePictures, read_folder, read_workbook
-from manifold.surface.sparkle import Sparkle, sparkle_of
+from manifold.surface.sparkle import DrawnFlakes, Sparkle, sparkle_of
 from manifold.surface.spectra import spectral_changes
 from manifold.surface.tiling import Textures, tile
 
@@ -139,7 +140,10 @@ def make_surface(
     sparkle = sparkle_of(surface)
     stages.begin("textures")
     textures = tile(surface, size)
-    paths |= _write_textures(folder, stem, surface, textures, brdf)
+    flakes = None
+    if sparkle.flakes is not None and sparkle.density > _VISIBLE_SPARKLE:
+        flakes = sparkle.flakes.drawn(size, np.random.default_rng(1))
+    paths |= _write_textures(folder, stem, surface, textures, brdf, flakes)
     stages.begin("exports")
     exports = {} if completed is None else _exports(paths, folder, stem, textures, targets)
     notes = _notes(taken, surface, sparkle, completed)
@@ -154,8 +158,9 @@ def make_surface(
 
 
 def _write_textures(
-    folder: Path, stem: str, surface: Surface, textures: Textures, brdf: MeasuredBRDF | None
-) -> dict[str, Path]:
+    folder: Path, stem: str, surface: Surface, textures: Textures, brdf: MeasuredBRDF | None,
+    flakes: DrawnFlakes | None,
+) -> dict[str, Path]:  # fmt: skip
     """Write what renderers read; paths by what they are."""
     mean = folder / f"{stem}.bsdf"
     paths = {
@@ -167,40 +172,57 @@ def _write_textures(
     write_display(paths["albedo"], encode_srgb(np.clip(surface.mean * textures.albedo, 0.0, 1.0)))
     write_display(paths["normal"], 0.5 + 0.5 * textures.normal)
     write_image(paths["height"], np.repeat(textures.height[..., None], 3, axis=-1))
+    if flakes is not None:
+        paths |= {
+            "flakes": folder / f"{stem}_flakes.png",
+            "flake_weights": folder / f"{stem}_flake_weights.png",
+        }
+        write_display(paths["flakes"], 0.5 + 0.5 * flakes.normal)
+        write_display(paths["flake_weights"], np.repeat(flakes.share * flakes.mask[..., None], 3, axis=-1))
     changes = textures.albedo
     if brdf is not None:
         wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
         changes = spectral_changes(textures.albedo, brdf.eval(wi, wo)[0], brdf.bands)
         paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
-        named = {"normal": paths["normal"], "changes": paths["changes"], "mean": mean}
-        disk.write_text(
-            paths["mitsuba"], _MITSUBA.format(**{k: escape(path.name) for k, path in named.items()})
-        )
+        disk.write_text(paths["mitsuba"], _mitsuba_document(paths | {"mean": mean}, flakes))
     write_image(paths["changes"], changes)
     if brdf is not None and backend.is_available() and backend.choose().kind != "scalar":
         paths["picture"] = folder / f"{stem}.png"
-        write_image(paths["picture"], preview.strip(mean, textures.normal, changes))
+        write_image(paths["picture"], preview.strip(mean, textures.normal, changes, flakes))
     return paths
 
 
 _MITSUBA = """<!-- A surface of manifold: call manifold.surface.bsdf.register() before mi.load_file.
      On shapes whose v runs upwards, such as rectangles, scale v by -1. -->
-<bsdf version="3.0.0" type="normalmap">
-    <texture name="normalmap" type="bitmap">
-        <string name="filename" value="{normal}"/>
-        <boolean name="raw" value="true"/>
-    </texture>
-    <bsdf type="surface">
-        <texture name="changes" type="bitmap">
-            <string name="filename" value="{changes}"/>
-            <boolean name="raw" value="true"/>
-        </texture>
-        <bsdf name="nested" type="measured">
-            <string name="filename" value="{mean}"/>
-        </bsdf>
-    </bsdf>
-</bsdf>
 """
+
+
+def _mitsuba_document(paths: Mapping[str, Path], flakes: DrawnFlakes | None) -> str:
+    """The material in Mitsuba's XML, whose textures lie beside it."""
+    surface = (
+        f'<bsdf type="normalmap">{_texture("normalmap", paths["normal"])}<bsdf type="surface">'
+        f'{_texture("changes", paths["changes"])}<bsdf name="nested" type="measured">'
+        f'<string name="filename" value="{escape(paths["mean"].name)}"/></bsdf></bsdf></bsdf>'
+    )
+    if flakes is not None:
+        mirror = flakes.flakes.reflectance / flakes.share
+        surface = (
+            f'<bsdf type="blendbsdf">{_texture("weight", paths["flake_weights"], "nearest")}{surface}'
+            f'<bsdf type="normalmap">{_texture("normalmap", paths["flakes"], "nearest")}<bsdf type="roughconductor">'
+            '<string name="material" value="none"/><string name="distribution" value="ggx"/>'
+            f'<float name="alpha" value="{flakes.flakes.roughness:.4f}"/>'
+            f'<spectrum name="specular_reflectance" value="{mirror:.4f}"/></bsdf></bsdf></bsdf>'
+        )
+    document = ElementTree.fromstring(surface.replace("<bsdf", '<bsdf version="3.0.0"', 1))
+    ElementTree.indent(document, "    ")
+    return _MITSUBA + ElementTree.tostring(document, encoding="unicode") + "\n"
+
+
+def _texture(name: str, path: Path, filter_type: str = "bilinear") -> str:
+    return (
+        f'<texture name="{name}" type="bitmap"><string name="filename" value="{escape(path.name)}"/>'
+        f'<boolean name="raw" value="true"/><string name="filter_type" value="{filter_type}"/></texture>'
+    )
 
 
 def _exports(
@@ -239,6 +261,6 @@ def _notes(
     if sparkle.density > _VISIBLE_SPARKLE:
         notes += (
             f"{sparkle.density:.1f} glints per 10,000 pixels and lamp, of which {100 * sparkle.seen_once:.0f} % appear "
-            "under one lamp alone: they are counted, no texture has them",
+            "under one lamp alone",
         )
     return notes if completed is None else (*notes, *completed.diagnostics)

@@ -1,4 +1,4 @@
-"""Sparkle: points that light up under one lamp and not under the next, as flakes in a paint do."""
+"""Sparkle: points that light up under one lamp and not under the next, and flakes that would show it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,78 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import label, maximum_filter, uniform_filter
+from scipy.optimize import brentq
 
-from manifold.records import Array
-from manifold.surface.estimate import Surface
+from manifold.records import Array, Indices, Mask
+from manifold.surface.estimate import SPARKLE, Surface
 
 _PER = 1e4  # pixels that densities are counted by
 _LARGEST_GLINT_PX = 40.0  # area; what is larger is relief, or dust
-_WIDEST_DEG = 60.0
+_MOST_SPREAD = 0.7  # of slopes: lamps within 50 degrees tell no more
+_ALPHAS = (0.03, 0.5)  # range of GGX alpha of a flake
+_REFLECTANCES = (0.001, 0.9)
+_ROOTS = (0.51, 0.95)  # range of q / (1 + q)
+_LEAST_SEEN = 0.02  # of the square of the radius, in alphas, in which flakes glint
+_MOST_COVERED = 0.3  # share of the pixels
+_DRAWS = 40_000  # flakes, by which shares are computed
+
+
+@dataclass(frozen=True)
+class Flakes:
+    """Facets whose slopes are normally distributed, and which show the glints that were counted.
+
+    Attributes:
+        density: per 10,000 pixels, whichever lamp they light up under.
+        size_px: area in pixels.
+        slope_std: standard deviation of each component of their slopes, at most 0.7.
+        roughness: GGX alpha of the reflection of one.
+        reflectance: at normal incidence.
+    """
+
+    density: float
+    size_px: float
+    slope_std: float
+    roughness: float
+    reflectance: float
+
+    def drawn(self, size: int, rng: np.random.Generator) -> DrawnFlakes:
+        """Random flakes on a square that repeats, `size` pixels a side."""
+        count = rng.poisson(self.density * size**2 / _PER)
+        centre = size * rng.random((count, 2))
+        slopes = self.slope_std * rng.standard_normal((count, 2))
+        radius = np.sqrt(self.size_px / np.pi)
+        reach = int(np.ceil(radius))
+        normal, mask = np.zeros((size, size, 3)), np.zeros((size, size), dtype=bool)
+        normal[..., 2] = 1.0
+        first = np.floor(centre).astype(int)
+        for step in np.ndindex(2 * reach + 1, 2 * reach + 1):
+            at = first + np.array(step) - reach
+            covered = np.sum((at + 0.5 - centre) ** 2, axis=-1) <= radius**2
+            covered |= np.all(at == first, axis=-1)  # one pixel at least
+            rows, columns = (at[covered] % size).T
+            normal[rows, columns, :2] = slopes[covered]
+            mask[rows, columns] = True
+        return DrawnFlakes(self, normal / np.linalg.norm(normal, axis=-1, keepdims=True), mask)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnFlakes:
+    """Flakes as textures that repeat.
+
+    Attributes:
+        flakes: what they are.
+        normal: of the flakes, upwards between them, shape (S, S, 3).
+        mask: where flakes are, shape (S, S).
+    """
+
+    flakes: Flakes
+    normal: Array
+    mask: Mask
+
+    @property
+    def share(self) -> float:
+        """Of a flake's pixel that reflects as a mirror of four times less than all; the rest is as its surroundings."""
+        return min(4.0 * self.flakes.reflectance, 1.0)
 
 
 @dataclass(frozen=True)
@@ -23,66 +88,100 @@ class Sparkle:
         density: glints, in the mean over lamps within 50 degrees of the normal.
         size_px: their area in pixels, median; 0 where there are none.
         brightness: their brightest pixel over the surroundings, median; 1 where there are none.
-        seen_once: share of them that no other lamp shows.
-        spread_deg: standard deviation of the tilt of flakes that would give densities as seen, at most 60; None where
-            fewer than three lamps show any.
+        seen_once: share of them that no other lamp shows, but for chance.
+        flakes: which would show them; None where fewer than three lamps show any.
     """
 
     density: float
     size_px: float
     brightness: float
     seen_once: float
-    spread_deg: float | None
+    flakes: Flakes | None
 
-    def to_json(self) -> dict[str, float | None]:
+    def to_json(self) -> dict[str, object]:
         """Plain values."""
-        return dict(vars(self))
+        return vars(self) | {"flakes": None if self.flakes is None else vars(self.flakes)}
 
 
 def sparkle_of(surface: Surface) -> Sparkle:
     """Count the glints of a surface, lamp by lamp."""
     pictures = surface.pictures
-    lamps = [j for j in range(len(pictures.labels)) if surface.glints[j].any()]
-    looked_at = int(np.sum(np.nan_to_num(pictures.lamps[:, 2]) > np.cos(np.deg2rad(50.0))))
-    sizes, brightness, once, counts = [], [], [], {}
-    near = {j: maximum_filter(surface.glints[j], 3) for j in lamps}
-    for j in lamps:
+    middle = np.flatnonzero(surface.is_middle)
+    sizes, brightness, once, counts = [], [], [], np.zeros(len(middle))
+    near = {j: maximum_filter(surface.glints[j], 3) for j in middle}
+    for k, j in enumerate(middle):
         labels, count = label(surface.glints[j], structure=np.ones((3, 3)))
-        area = np.bincount(labels.ravel())[1:]
+        area = np.bincount(labels.ravel(), minlength=count + 1)[1:]
         kept = np.flatnonzero(area <= _LARGEST_GLINT_PX) + 1
-        counts[j] = len(kept)
+        counts[k] = len(kept)
         grey = pictures.values[j].mean(axis=-1)
         relative = grey / uniform_filter(grey, 15, mode="nearest")
         peaks = np.zeros(count + 1)
         np.maximum.at(peaks, labels.ravel(), relative.ravel())
+        others = np.any([near[i] for i in middle if i != j] or [np.zeros_like(near[j])], axis=0)
         elsewhere = np.zeros(count + 1)
-        np.maximum.at(
-            elsewhere, labels.ravel(),
-            np.any([near[k] for k in lamps if k != j] or [np.zeros_like(near[j])], axis=0).ravel(),
-        )  # fmt: skip
+        np.maximum.at(elsewhere, labels.ravel(), others.ravel())
         sizes += area[kept - 1].tolist()
         brightness += peaks[kept].tolist()
-        once += (elsewhere[kept] == 0.0).tolist()
-    total = sum(counts.values())
-    pixels = surface.third.size
-    return Sparkle(
-        density=_PER * total / pixels / max(looked_at, 1),
-        size_px=float(np.median(sizes)) if total else 0.0,
-        brightness=float(np.median(brightness)) if total else 1.0,
-        seen_once=float(np.mean(once)) if total else 0.0,
-        spread_deg=_spread(pictures.lamps, counts),
+        once += ((elsewhere[kept] == 0.0) / (1.0 - others.mean())).tolist()
+    if not sizes:
+        return Sparkle(0.0, 0.0, 1.0, 0.0, None)
+    size_px, excess = float(np.median(sizes)), float(np.median(brightness)) - 1.0
+    seen_once, density = min(float(np.mean(once)), 1.0), _PER * counts / surface.third.size
+    flakes = (
+        _flakes(surface, middle, density, size_px, excess, seen_once) if np.sum(counts > 0) >= 3 else None
+    )
+    return Sparkle(float(density.mean()), size_px, 1.0 + excess, seen_once, flakes)
+
+
+def _flakes(
+    surface: Surface, middle: Indices, density: Array, size_px: float, excess: float, seen_once: float
+) -> Flakes:
+    """Flakes whose glints have the counted densities, brightness, and share that one lamp alone shows.
+
+    A flake of slope m adds P (1 + |m - h|^2 / alpha^2)^-2 to the brightness of its surroundings, h being the slope of
+    the half vector: GGX. It is counted where that is above the threshold t of glints: within `alpha sqrt(q - 1)` of h,
+    with q^2 = P / t; the median of those that are has the excess 4 t q^2 / (1 + q)^2.
+    """
+    pictures, threshold = surface.pictures, SPARKLE - 1.0
+    halves = pictures.lamps[middle] + pictures.camera
+    halves = halves[:, :2] / halves[:, 2:]
+    root = np.sqrt(np.clip(excess / (4.0 * threshold), *_ROOTS))
+    q = root / (1.0 - root)
+    # A facet that faces the half vector is F / (4 alpha^2 cos cos) bright, a white diffuser 1, its surroundings N.
+    cosines = pictures.lamps[middle, 2] * pictures.camera[2]
+    bright = cosines * pictures.values[middle].mean(axis=(1, 2, 3))
+    typical = float(np.average(bright, weights=density))
+    seen_at = np.sqrt(
+        np.maximum(q * np.sqrt(typical / bright) - 1.0, _LEAST_SEEN)
+    )  # radius over alpha, of each lamp
+    spread = _spread(halves, density / seen_at**2)
+    apart = np.linalg.norm(
+        spread * np.random.default_rng(0).standard_normal((_DRAWS, 1, 2)) - halves, axis=-1
     )
 
+    def too_many_seen_once(alpha: float) -> float:
+        seen = apart < alpha * seen_at
+        return float(np.sum(np.sum(seen, axis=-1) == 1) / max(np.sum(seen), 1) - seen_once)
 
-def _spread(lamps: Array, counts: dict[int, int]) -> float | None:
-    """Standard deviation of a normal distribution of tilts, from how the counts fall with the half vector's angle."""
-    seen = [j for j, count in counts.items() if count > 0]
-    if len(seen) < 3:
-        return None
-    camera = np.array([0.0, np.sin(np.deg2rad(15.0)), np.cos(np.deg2rad(15.0))])
-    half = lamps[seen] + camera
-    tilt = np.arccos(half[:, 2] / np.linalg.norm(half, axis=-1))
-    logs = np.log([counts[j] for j in seen])
-    weights = np.sqrt([counts[j] for j in seen])
-    slope = np.polyfit(tilt**2, logs, 1, w=weights)[0]
-    return float(min(np.rad2deg(np.sqrt(-0.5 / slope)) if slope < 0.0 else _WIDEST_DEG, _WIDEST_DEG))
+    low, high = _ALPHAS
+    if too_many_seen_once(low) <= 0.0:
+        alpha = low
+    elif too_many_seen_once(high) >= 0.0:
+        alpha = high
+    else:
+        alpha = float(brentq(too_many_seen_once, low, high, xtol=1e-3))
+    expected = np.exp(-0.5 * np.sum(halves**2, axis=-1) / spread**2) * seen_at**2 / (2.0 * spread**2)
+    shown = float(np.sum(density) / np.sum(expected))  # density of flakes times alpha squared
+    alpha = max(alpha, np.sqrt(shown * size_px / (_PER * _MOST_COVERED)))
+    white = float(np.nanmedian(pictures.factors)) if np.isfinite(pictures.means).any() else 1.0
+    reflectance = 4.0 * alpha**2 * threshold * q**2 * typical / white
+    return Flakes(shown / alpha**2, size_px, spread, alpha, float(np.clip(reflectance, *_REFLECTANCES)))
+
+
+def _spread(halves: Array, density: Array) -> float:
+    """Standard deviation of normally distributed slopes, from how densities fall with the half vectors' slopes."""
+    seen = density > 0.0
+    steepness = np.sum(halves[seen] ** 2, axis=-1)
+    fall = np.polyfit(steepness, np.log(density[seen]), 1, w=np.sqrt(density[seen]))[0]
+    return float(min(np.sqrt(-0.5 / fall), _MOST_SPREAD)) if fall < 0.0 else _MOST_SPREAD

@@ -79,7 +79,7 @@ def rendered(rng, bsdf, height, reflectance, *, flakes=None, samples=16, noise=0
         bsdf: makes Mitsuba's dictionary of a texture of reflectance.
         height: in pixels, shape (S, S).
         reflectance: linear sRGB, shape (S, S, 3).
-        flakes: slopes (S, S, 2) and a mask (S, S) of facets of GGX alpha `flakes[2]`; None for none.
+        flakes: as drawn; None for none.
         samples: light paths per pixel.
         noise: standard deviation of ln N, of the camera.
     Returns:
@@ -88,35 +88,19 @@ def rendered(rng, bsdf, height, reflectance, *, flakes=None, samples=16, noise=0
     mi = backend.mitsuba("rgb")
     size = len(height)
 
-    def bitmap(values, filter_type="bilinear"):
-        picture = mi.Bitmap(np.ascontiguousarray(values, dtype=np.float32))
-        return {
-            "type": "bitmap",
-            "bitmap": picture,
-            "raw": True,
-            "filter_type": filter_type,
-            "wrap_mode": "clamp",
-        }
-
-    material = bsdf(bitmap(reflectance))
+    texture = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(reflectance.astype(np.float32)),
+        "raw": True,
+        "wrap_mode": "clamp",
+    }
+    material = bsdf(texture)
     if flakes is not None:
-        slope, mask, alpha = flakes
-        normal = np.concatenate([slope, np.ones((size, size, 1))], axis=-1)
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        facet = {
-            "type": "roughplastic",
-            "distribution": "ggx",
-            "alpha": alpha,
-            "diffuse_reflectance": bitmap(reflectance),
-        }
-        material = {
-            "type": "blendbsdf", "weight": bitmap(mask[..., None], "nearest"), "base": material,
-            "flakes": {"type": "normalmap", "normalmap": bitmap(0.5 + 0.5 * normal, "nearest"), "facet": facet},
-        }  # fmt: skip
+        material = preview.with_flakes(mi, material, flakes, (1.0, 1.0))
     relief = _mesh(mi, height, material)
     lamps = in_plane(ANGLES_DEG)
     settings = RenderSettings(size=size, samples=samples)
-    scenes = [mi.load_dict(preview.under_lamp(mi, relief, lamp, CAMERA, rgb_film(size))) for lamp in lamps]
+    scenes = [mi.load_dict(preview.under_lamp(mi, relief, lamp, CAMERA, rgb_film(size), 3)) for lamp in lamps]
     values = np.stack([render_scene(mi, scene, settings) for scene in scenes])[
         :, BORDER:-BORDER, BORDER:-BORDER
     ]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import label
 from surface_twins import BORDER, CAPTIONS, SIZE, photographed, rendered, rough, truth, workbook
 
 from manifold.errors import FileFormatError, UsageError
@@ -19,7 +20,7 @@ from manifold.render.fitted_brdf import FittedBRDF
 from manifold.surface.estimate import estimate_surface, integrated
 from manifold.surface.lamp_pictures import SurfacePictures, read_folder, read_workbook
 from manifold.surface.response import Response
-from manifold.surface.sparkle import sparkle_of
+from manifold.surface.sparkle import Flakes, sparkle_of
 from manifold.surface.tiling import blend, dust_in, tile, uncropped
 
 
@@ -125,7 +126,36 @@ def test_glints_are_counted_under_the_lamps_that_show_them(rng):
     assert 3.0 <= sparkle.size_px <= 5.0
     assert 2.0 < sparkle.brightness < 3.5
     clean = sparkle_of(estimate_surface(pictures))
-    assert (clean.density, clean.spread_deg) == (0.0, None)
+    assert (clean.density, clean.flakes) == (0.0, None)
+
+
+def test_flakes_are_drawn_as_many_as_large_and_as_tilted_as_they_are(rng):
+    drawn = Flakes(density=40.0, size_px=9.0, slope_std=0.3, roughness=0.1, reflectance=0.04).drawn(512, rng)
+    _, count = label(drawn.mask, structure=np.ones((3, 3)))
+    assert 0.8 < count / (40.0 * 512**2 / 1e4) < 1.05  # some touch
+    assert 0.85 < drawn.mask.mean() / (40.0 * 9.0 / 1e4) < 1.05
+    slope = drawn.normal[..., 0] / drawn.normal[..., 2]
+    assert 0.27 < slope[drawn.mask].std() < 0.33
+    np.testing.assert_array_equal(
+        drawn.normal[~drawn.mask], np.broadcast_to([0.0, 0.0, 1.0], (np.sum(~drawn.mask), 3))
+    )
+
+
+@pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
+def test_flakes_of_a_rendered_relief_are_found_again(rng):
+    known = Flakes(density=200.0, size_px=3.0, slope_std=0.3, roughness=0.1, reflectance=0.04)
+    height = 0.5 * truth(rng, (256, 256))[0]
+    reflectance = np.array([0.25, 0.2, 0.15]) * np.exp(0.1 * rough(rng, height.shape))[..., None]
+    pictures = rendered(
+        rng, lambda texture: {"type": "principled", "base_color": texture, "roughness": 0.7}, height, reflectance,
+        flakes=known.drawn(256, rng),
+    )  # fmt: skip
+    found = sparkle_of(estimate_surface(pictures)).flakes
+    # Some 80 glints a lamp, and pixels that blur: factors, not per cent.
+    assert 0.5 < found.density / known.density < 2.0
+    assert 0.6 < found.slope_std / known.slope_std < 1.6
+    assert 0.5 < found.roughness / known.roughness < 1.5
+    assert 0.5 < found.reflectance / known.reflectance < 2.0
 
 
 def test_a_texture_continues_across_its_edges_and_keeps_the_distribution(rng):

@@ -33,7 +33,7 @@ from scipy.ndimage import gaussian_filter
 from manifold.brdf.measured import EvaluableBRDF, MeasuredBRDF
 from manifold.colour.conversion import file_to_srgb, srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000
-from manifold.estimate.completions import complete_readings
+from manifold.estimate.completions import complete
 from manifold.io_rgl import read_bsdf
 from manifold.records import Array, Bands
 from manifold.render.bsdf_parameters import principled
@@ -131,7 +131,7 @@ def rendered(folder: Path, library: Path) -> dict[str, Any]:
     for path in sorted(folder.glob("*.xlsx")):
         pictures, readings = read_workbook(path)
         with tempfile.TemporaryDirectory() as made:
-            complete_readings(readings, library, Path(made, "mean.bsdf"))
+            complete(library, readings, Path(made, "mean.bsdf"))
             brdf = MeasuredBRDF(file_to_srgb(read_bsdf(Path(made, "mean.bsdf"))))
         surface = estimate_surface(pictures, brdf)
         every = slice(None, None, 3)

@@ -8,10 +8,13 @@ from typing import Annotated
 import typer
 
 from manifold import progress
+from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
+from .batch_options import make_many
 from .outputs import or_default
+from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 
 @app.command(
@@ -20,23 +23,25 @@ from .outputs import or_default
     epilog="Example: manifold surface sample.xlsx -o sample_surface",
 )
 def surface(
-    source: Annotated[
-        Path,
+    sources: Annotated[
+        list[Path],
         typer.Argument(
-            help="A workbook of an MA-T12 with pictures; or, with --picture, a text of lamps' directions, x y z each.",
-            metavar="WORKBOOK",
+            help="Workbooks of an MA-T12 with pictures, or folders of them; with --lamp, pictures or a folder of them.",
+            metavar="WORKBOOK...",
         ),
     ],
     output: Annotated[
-        Path | None, options.output_option("The folder to write. [default: the sample's name, _surface]")
+        Path | None,
+        options.output_option("The folder to write. [default: the sample's name, _surface; or surfaces]"),
     ] = None,
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     sample: options.SampleOption = None,
-    picture: Annotated[
-        list[Path] | None,
+    lamp: Annotated[
+        Path | None,
         typer.Option(
-            "--picture",
-            help="Instead of a workbook's: one a lamp, in order; may be repeated.",
+            "--lamp",
+            help="Instead of workbooks, photographs of a flat sample from above: a text of their lamps, a line each in "
+            "the order of the pictures' names: right, up, towards the camera, and intensity where it differs.",
             metavar="FILE",
         ),
     ] = None,
@@ -51,28 +56,42 @@ def surface(
             metavar="NAME",
         ),
     ] = None,
+    processes: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Make a textured material of the pictures that an instrument takes beside its readings.
 
     The readings are completed to the BRDF of the mean; pictures under lamps of known direction show how colour and
     slope differ from it, point by point. Writes textures without seams, and glTF, MaterialX, USD and Blender materials
-    with them.
+    with them. Surfaces of several samples go into one folder, with a table and a sheet.
     """
+    from manifold.estimate import inputs
     from manifold.surface.files import TARGETS, make_surface
+    from manifold.surface.lamp_pictures import files_in, read_folder, read_workbook
 
     results = terminal.Results(json)
-    folder = or_default(output, f"{source.stem}_surface")
+    targets = target or TARGETS
+    if lamp is not None:
+        if sample is not None:
+            raise UsageError("--sample goes with a workbook; leave it out")
+        pictures, readings = read_folder(files_in(sources), lamp), None
+    else:
+        samples = [] if sample is not None else inputs.find_samples(sources)
+        if len(samples) > 1 or any(source.is_dir() for source in sources):
+            from manifold import many
+
+            if output is not None:
+                inputs.require_apart(sources, output)
+            command = many.surfaces(library, size=size, targets=targets)
+            make_many(results, command, samples, output, workers_of(processes, scheduler))
+            return
+        if len(sources) > 1:
+            raise UsageError(f"found --sample {sample} of {len(sources)} files, expected one workbook")
+        pictures, readings = read_workbook(sources[0], sample)
+    folder = or_default(output, f"{sources[0].stem}_surface")
     with progress.shown("Making the surface"):
-        made = make_surface(
-            source,
-            library,
-            folder,
-            sample=sample,
-            pictures=picture or (),
-            size=size,
-            targets=target or TARGETS,
-        )
+        made = make_surface(library, pictures, readings, folder, size=size, targets=targets)
     found, sparkle = made.surface, made.sparkle
     flakes = sparkle.flakes
     results.rows(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,8 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.pictures import renders as pictures
 from manifold.render import images
 from manifold.render.render import RenderSettings, require_d65
+from manifold.surface.files import make_surface
+from manifold.surface.lamp_pictures import read_workbook
 
 Columns = dict[str, Callable[[Content], Any]]
 
@@ -129,6 +131,31 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
     make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
     return Command("completions", make, how, columns=columns, under="expected CIEDE2000", has_balls=True)
+
+
+def surfaces(library: Path, *, size: int, targets: Sequence[str]) -> Command[Sample]:
+    """Make surfaces of the samples that `inputs.find_samples` finds, of workbooks with pictures; see `make_surface`."""
+    columns: Columns = {
+        **APPEARANCE,
+        "slope": lambda content: content["slope_std"][1],
+        "glints": lambda content: content["sparkle"]["density"],
+    }
+    how = {"library": Library(library).content_hash, "size": size, "targets": list(targets)}
+    make = partial(_make_surface, library=library, size=size, targets=targets)
+    return Command("surfaces", make, how, ".json", columns=columns, under="glints", has_balls=True)
+
+
+def _make_surface(sample: Sample, path: Path, *, library: Path, size: int, targets: Sequence[str]) -> Content:
+    pictures, readings = read_workbook(*sample.parts[0])
+    made = make_surface(library, pictures, readings, path.parent, name=path.stem, size=size, targets=targets)
+    seen = appearance(made.paths["mean"])
+    if "picture" in made.paths:  # in place of the mean's ball: a plane, and the ball
+        strip = images.read_display(made.paths["picture"])
+        side = len(strip)
+        images.write_display(
+            ball_path(path), np.concatenate([strip[:, side : 2 * side], strip[:, -side:]], axis=1)
+        )
+    return made.to_json() | seen
 
 
 def _complete_colour(

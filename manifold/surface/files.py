@@ -1,4 +1,4 @@
-"""The work behind `manifold surface`: a workbook with pictures in, textures and materials of engines out."""
+"""The work behind `manifold surface`: pictures and readings of a sample in, textures and materials of engines out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from manifold.render import backend
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, estimate_surface
-from manifold.surface.lamp_pictures import SurfacePictures, read_folder, read_workbook
+from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.sparkle import DrawnFlakes, Sparkle, sparkle_of
 from manifold.surface.spectra import spectral_changes
 from manifold.surface.tiling import Textures, tile
@@ -91,44 +91,37 @@ class SurfaceFiles:
 
 
 def make_surface(
-    source: Path,
     library: Path,
+    pictures: SurfacePictures,
+    readings: Readings | None,
     folder: Path,
     *,
-    sample: str | None = None,
-    pictures: Sequence[Path] = (),
+    name: str | None = None,
     size: int = 1024,
     targets: Sequence[str] = TARGETS,
 ) -> SurfaceFiles:
     """The surface of a sample, as textures and as materials of engines.
 
     Args:
-        source: a workbook with pictures; or, with `pictures`, a text of their lamps' directions.
         library: of measured materials, by which the readings are completed.
+        pictures: of the sample.
+        readings: of it; None where there are none, and then no BRDF of the mean.
         folder: to write into; made if missing.
-        sample: which of a workbook with several.
-        pictures: files of pictures in the order of the lamps, where there is no workbook.
+        name: with which those of files begin; that of the sample if None.
         size: of textures, in pixels.
         targets: of exports, of `TEXTURED`; none are written without readings.
     Raises:
-        FileFormatError: the source cannot be read, or pictures and readings do not belong together.
         UsageError: the folder cannot be written.
     """
     start = time.perf_counter()
     if unknown := [name for name in targets if name not in TEXTURED]:
         raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(TEXTURED)}")
-    stages = Stages({"reading": 1, "completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
-    stages.begin("reading")
-    readings: Readings | None = None
-    if pictures:
-        taken = read_folder(pictures, source)
-    else:
-        taken, readings = read_workbook(source, sample)
+    stages = Stages({"completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file, expected a folder for the surface's files")
     folder.mkdir(parents=True, exist_ok=True)
     stages.begin("completing")
-    stem = "surface" if readings is None else file_name(readings).removesuffix(".bsdf")
+    stem = name or ("surface" if readings is None else file_name(readings).removesuffix(".bsdf"))
     paths = {}
     completed, brdf = None, None
     if readings is not None:
@@ -136,7 +129,7 @@ def make_surface(
         completed = complete(library, readings, paths["mean"])
         brdf = MeasuredBRDF(read_bsdf(paths["mean"]))
     stages.begin("slopes and colours")
-    surface = estimate_surface(taken, brdf)
+    surface = estimate_surface(pictures, brdf)
     sparkle = sparkle_of(surface)
     stages.begin("textures")
     textures = tile(surface, size)
@@ -146,7 +139,7 @@ def make_surface(
     paths |= _write_textures(folder, stem, surface, textures, brdf, flakes)
     stages.begin("exports")
     exports = {} if completed is None else _exports(paths, folder, stem, textures, targets)
-    notes = _notes(taken, surface, sparkle, completed)
+    notes = _notes(pictures, surface, sparkle, completed)
     made = SurfaceFiles(
         folder, surface, sparkle, textures, completed, MappingProxyType(exports), MappingProxyType(paths), notes,
         time.perf_counter() - start,
@@ -184,7 +177,7 @@ def _write_textures(
         wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
         changes = spectral_changes(textures.albedo, brdf.eval(wi, wo)[0], brdf.bands)
         paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
-        disk.write_text(paths["mitsuba"], _mitsuba_document(paths | {"mean": mean}, flakes))
+        disk.write_text(paths["mitsuba"], mitsuba_document(paths | {"mean": mean}, flakes))
     write_image(paths["changes"], changes)
     if brdf is not None and backend.is_available() and backend.choose().kind != "scalar":
         paths["picture"] = folder / f"{stem}.png"
@@ -197,7 +190,7 @@ _MITSUBA = """<!-- A surface of manifold: call manifold.surface.bsdf.register() 
 """
 
 
-def _mitsuba_document(paths: Mapping[str, Path], flakes: DrawnFlakes | None) -> str:
+def mitsuba_document(paths: Mapping[str, Path], flakes: DrawnFlakes | None) -> str:
     """The material in Mitsuba's XML, whose textures lie beside it."""
     surface = (
         f'<bsdf type="normalmap">{_texture("normalmap", paths["normal"])}<bsdf type="surface">'

@@ -12,9 +12,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, shift
 
 from manifold.colour.conversion import to_srgb
-from manifold.colour.pictures import read_picture
+from manifold.colour.pictures import SUFFIXES, read_picture
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
+from manifold.estimate.lamps import read_lamps
 from manifold.formats.readings import Readings
 from manifold.records import Array, Bands, Mask
 
@@ -111,37 +112,46 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
 
 
 def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
-    """Pictures of a flat sample seen from above, under lamps of a table: one `x y z` a line, z towards the camera.
+    """Pictures of a flat sample seen from above.
 
     Args:
-        pictures: one file a lamp, in the order of the table.
-        lamps: text of direction vectors; x points right in the pictures, y up.
+        pictures: one file a lamp, in the order of the lamps.
+        lamps: text of directions as of `estimate.lamps.read_lamps`; x points right in the pictures, y up, z towards the
+            camera.
     Raises:
-        UsageError: the table has another number of lines.
-        FileFormatError: a line is no direction above the surface, or the sizes of the pictures differ.
+        UsageError: there is another number of lamps, or one does not stand above the sample.
+        FileFormatError: a line is no direction, or the sizes of the pictures differ.
     """
-    rows = [line.split() for line in lamps.read_text(encoding="utf-8").splitlines() if line.strip()]
-    if len(rows) != len(pictures):
+    found = read_lamps(lamps)
+    if len(found) != len(pictures) or len(found) < _LEAST_LAMPS:
         raise UsageError(
-            f"{lamps}: found {len(rows)} lamps for {len(pictures)} pictures, expected one a picture"
+            f"{lamps}: found {len(found)} lamps for {len(pictures)} pictures, expected one a picture, of "
+            f"{_LEAST_LAMPS} or more"
         )
-    try:
-        directions = np.array([[float(v) for v in row] for row in rows])
-        norms = np.linalg.norm(directions, axis=-1, keepdims=True)
-        is_valid = directions.shape[1:] == (3,) and np.all(directions[:, 2] > 0.0) and np.all(norms < np.inf)
-    except ValueError:
-        is_valid = False
-    if not is_valid or len(rows) < _LEAST_LAMPS:
-        raise FileFormatError(
-            f"{lamps}: expected {_LEAST_LAMPS} or more lines `x y z`, directions towards lamps with z above 0"
-        )
-    read = [(path.name, np.asarray(read_picture(path).values, dtype=np.float64)) for path in pictures]
+    directions = np.array([lamp.direction for lamp in found])
+    if np.any(directions[:, 2] <= 0.0):
+        raise UsageError(f"{lamps}: a lamp does not stand above the sample, expected z above 0")
+    read = [
+        (path.name, np.asarray(read_picture(path).values, dtype=np.float64) / lamp.colour)
+        for path, lamp in zip(pictures, found, strict=True)
+    ]
     values = np.maximum(_stack(lamps, read), _HALF_CODE)
     return SurfacePictures(
-        pictures[0].parent.resolve().name, values, directions / norms, np.array([0.0, 0.0, 1.0]),
-        tuple(path.name for path in pictures), np.full((len(rows), 3), np.nan),
+        pictures[0].parent.resolve().name, values, directions, np.array([0.0, 0.0, 1.0]),
+        tuple(path.name for path in pictures), np.full((len(found), 3), np.nan),
         ("no readings: colours are relative to the brightest mean",),
     )  # fmt: skip
+
+
+def files_in(sources: Sequence[Path]) -> list[Path]:
+    """Files, and those of folders that are pictures by their names, in the order of these."""
+    found = []
+    for source in sources:
+        if source.is_dir():
+            found += sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES)
+        else:
+            found.append(source)
+    return found
 
 
 def _geometry(caption: str) -> tuple[float, float] | None:

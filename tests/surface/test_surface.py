@@ -10,6 +10,7 @@ from PIL import Image
 from scipy.ndimage import label
 from surface_twins import BORDER, CAPTIONS, SIZE, photographed, rendered, rough, truth, workbook
 
+from manifold.colour.pictures import read_picture
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
@@ -18,7 +19,7 @@ from manifold.render import backend
 from manifold.render.bsdf_parameters import principled
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.surface.estimate import estimate_surface, integrated
-from manifold.surface.lamp_pictures import SurfacePictures, read_folder, read_workbook
+from manifold.surface.lamp_pictures import SurfacePictures, files_in, read_folder, read_workbook
 from manifold.surface.response import Response
 from manifold.surface.sparkle import Flakes, sparkle_of
 from manifold.surface.tiling import blend, dust_in, tile, uncropped
@@ -228,13 +229,17 @@ def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
         files.append(tmp_path / f"{k}.png")
         Image.fromarray(rng.integers(60, 200, (40, 50, 3), dtype=np.uint8)).save(files[-1])
     lamps = tmp_path / "lamps.txt"
-    lamps.write_text("1 0 1\n0 1 1\n-1 0 1\n")
-    pictures = read_folder(files, lamps)
+    lamps.write_text("1 0 1 1\n0 1 1 2\n-1 0 1 1\n")
+    assert files_in([tmp_path]) == files
+    pictures = read_folder(files_in([tmp_path]), lamps)
     np.testing.assert_allclose(pictures.lamps[1], [0.0, np.sqrt(0.5), np.sqrt(0.5)])
     assert pictures.values.shape == (3, 40, 50, 3)
+    np.testing.assert_allclose(
+        pictures.values[1], read_picture(files[1]).values / 2.0, rtol=1e-6
+    )  # twice as bright
     lamps.write_text("1 0 1\n0 1 1\n")
     with pytest.raises(UsageError, match="found 2 lamps for 3 pictures"):
         read_folder(files, lamps)
     lamps.write_text("1 0 1\n0 1 1\n0 0 -1\n")
-    with pytest.raises(FileFormatError, match="z above 0"):
+    with pytest.raises(UsageError, match="z above 0"):
         read_folder(files, lamps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 
 import numpy as np
@@ -15,13 +16,17 @@ from manifold.cli.main import app
 from manifold.colour.conversion import decode_srgb, file_to_srgb, to_srgb
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.document import Export, TextureFiles
+from manifold.formats import ma_t12
+from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import Errors
 from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.images import read_display, write_display
 from manifold.surface import preview
+from manifold.surface.files import mitsuba_document
 from manifold.surface.lamp_pictures import in_plane
+from manifold.surface.sparkle import Flakes
 from manifold.surface.spectra import spectral_changes, weights_at
 
 
@@ -159,13 +164,45 @@ def test_the_command_prints_and_writes_numbers(printed):
     np.testing.assert_allclose(base, base.mean(), rtol=0.05)  # of a grey twin
 
 
-@pytest.mark.skipif(not backend.is_available(), reason="needs Mitsuba")
-def test_mitsuba_loads_the_surface_s_document(printed):
+@pytest.mark.skipif(not backend.choose().is_llvm, reason="the plugin needs an LLVM variant")
+def test_mitsuba_loads_the_surface_s_document_with_its_flakes(printed):
     mi = backend.mitsuba("spectral")
-    if "scalar" in mi.variant():
-        pytest.skip("the plugin needs an LLVM variant")
     preview.bsdf.register()
-    assert "SurfaceBSDF" in str(mi.load_file(str(printed[1] / "twin_mitsuba.xml")))
+    folder = printed[1]
+    assert "SurfaceBSDF" in str(mi.load_file(str(folder / "twin_mitsuba.xml")))
+    flakes = Flakes(50.0, 2.0, 0.3, 0.1, 0.04).drawn(192, np.random.default_rng(0))
+    for name, values in (
+        ("flakes", 0.5 + 0.5 * flakes.normal),
+        ("weights", np.repeat(flakes.mask[..., None], 3, -1)),
+    ):
+        write_display(folder / f"{name}.png", values)
+    named = ("normal", "changes", "mean", "flakes", "weights")
+    files = ("twin_normal.png", "twin_changes.exr", "twin.bsdf", "flakes.png", "weights.png")
+    paths = {name: folder / file for name, file in zip(named, files, strict=True)}
+    paths["flake_weights"] = paths.pop("weights")
+    (folder / "with_flakes.xml").write_text(mitsuba_document(paths, flakes))
+    loaded = str(mi.load_file(str(folder / "with_flakes.xml")))
+    assert all(word in loaded for word in ("SurfaceBSDF", "RoughConductor", "BlendBSDF"))
+
+
+def test_surfaces_of_a_folder_go_into_one_with_a_table_and_a_sheet(tmp_path, library):
+    (tmp_path / "books").mkdir()
+    workbook(tmp_path / "books" / "twin.xlsx", np.random.default_rng(3))
+    nm = np.arange(400.0, 701.0, 10.0)
+    bare = Readings("bare", "MA-T12", *geometry_ma_t12(), nm, np.full((12, 31), 0.1))
+    ma_t12.write(tmp_path / "books" / "bare.xlsx", bare)
+    words = ["surface", str(tmp_path / "books"), "-L", str(library), "-o", str(tmp_path / "made"), "-j", "1"]
+    words += ["--size", "192", "--target", "gltf"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1, result.output
+    assert "1 surfaces in" in result.output
+    rows = {row["name"]: row for row in csv.DictReader((tmp_path / "made" / "surfaces.csv").open())}
+    assert float(rows["twin"]["slope"]) > 0.02
+    assert "found 0 pictures" in rows["bare"]["failed"]
+    made = tmp_path / "made"
+    assert (made / "twin_normal.png").is_file()
+    assert (made / "surfaces.png").is_file() == backend.is_available()
+    assert "1 of them kept" in CliRunner().invoke(app, words).output
 
 
 @pytest.mark.skipif(not backend.is_available(), reason="needs Mitsuba")

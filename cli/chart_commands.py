@@ -141,8 +141,8 @@ def _chart_readings(
     results: terminal.Results, library: Path, only: Sequence[str], output: Path | None
 ) -> None:
     from manifold.estimate.atoms import LibraryAtoms
-    from manifold.evaluate import reading_figure
-    from manifold.evaluate.reading_curve import measure_curves
+    from manifold.evaluate import chart_figure
+    from manifold.evaluate.readings import measure_curves
     from manifold.library.store import Library
     from manifold.plots import figures
 
@@ -164,4 +164,4 @@ def _chart_readings(
     )  # fmt: skip
     results.document({"curves": [curve.to_json() for curve in curves]})
     if output is not None:
-        figures.save(reading_figure.readings_chart(curves), output)
+        figures.save(chart_figure.readings_chart(curves), output)

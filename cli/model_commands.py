@@ -127,7 +127,7 @@ def embed(
 
     It runs in this process, on all cores; with --scheduler, as one task of one worker.
     """
-    from manifold.evaluate import pipeline
+    from manifold.evaluate.selection import PAYS, embed
     from manifold.model.manifold import Settings
 
     results = terminal.Results(json)
@@ -148,14 +148,12 @@ def embed(
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
     with workers_of(None, scheduler, 1) as workers:
-        fitted, candidates = pipeline.embed(
+        fitted, candidates = embed(
             library, output, Settings(kind=kind, **chosen), without=without or (),
             auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=workers,
         )  # fmt: skip
     settings = fitted.settings
     if candidates:
-        from manifold.evaluate.selection import PAYS
-
         results.text(
             "Held-out errors, median / 90th percentile; the first, a mean, makes the choice;\n"
             f"more dimensions have to lower it by {PAYS:.0%}:\n"
@@ -169,7 +167,7 @@ def embed(
                     f"{c.seconds:.1f}", "*" * c.is_chosen,
                 )
                 for c in candidates
-                for median, p90 in [(c.errors.median, c.errors.p90)]
+                for median, p90 in [(c.median, c.p90)]
             ],
         )  # fmt: skip
     results.rows(

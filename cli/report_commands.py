@@ -58,13 +58,13 @@ def report(
 
     --workers and --scheduler share out the models that are fitted without each material.
     """
-    from manifold.evaluate import pipeline
+    from manifold.evaluate.report import make_report
     from manifold.evaluate.report_text import format_report
 
     results = terminal.Results(json)
     with progress.shown("Evaluating"), workers_of(processes, scheduler, 1) as workers:
-        made = pipeline.report(
-            model, library=library, grid=grid, compare=compare, all_bands=all_bands, principled=principled,
+        made = make_report(
+            model, grid, library=library, compare=compare, all_bands=all_bands, principled=principled,
             picture=picture, workers=workers,
         )  # fmt: skip
     results.text(format_report(made))

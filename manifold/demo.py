@@ -15,12 +15,13 @@ from manifold.analytic import corpus
 from manifold.errors import LibraryError
 from manifold.estimate.predictions import predict
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
-from manifold.evaluate import chart_figure, pipeline
+from manifold.evaluate import chart_figure
 from manifold.evaluate.budget import budgets, example_scenes
 from manifold.evaluate.budget.budgets import BudgetSettings
 from manifold.evaluate.chart import make_chart
 from manifold.evaluate.report import Report, make_report
 from manifold.evaluate.report_text import format_report, lead
+from manifold.evaluate.selection import embed
 from manifold.evaluate.stability import stability_figure
 from manifold.evaluate.stability.catalogue import MODES
 from manifold.evaluate.stability.trials import run_modes, select_modes
@@ -230,7 +231,7 @@ def run(folder: Path) -> DemoResult:
         imported = import_files(library, [files])
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
-    fitted = pipeline.embed(library, model, Settings())[0]
+    fitted = embed(library, model, Settings())[0]
     with progress.shown("Predicting a material between two"):
         path = folder / "predicted_spec.bsdf"
         predicted = predict(fitted, _BETWEEN, path)

@@ -1,8 +1,8 @@
 from .chart import Chart, make_chart
-from .pipeline import embed
-from .reading_curve import Curve, measure_curves
+from .readings import Curve, measure_curves
 from .report import Report, make_report
 from .report_text import format_report
+from .selection import embed
 
 __all__ = [
     "Chart",

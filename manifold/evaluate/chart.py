@@ -15,12 +15,12 @@ import numpy as np
 
 from manifold import progress, work
 from manifold.errors import ManifoldError, UsageError
-from manifold.evaluate import chart_fits, stopwatch
+from manifold.evaluate import seen_fits, stopwatch
 from manifold.evaluate.cross_validation import Method
-from manifold.evaluate.held_out import FOLDS, HeldOut
+from manifold.evaluate.held_out import FOLDS, ChartRow, HeldOut
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.results import KeptResults
-from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
+from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
 from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.names import counted
@@ -201,7 +201,7 @@ class _Measuring:
     def _row(self, method: Method | str) -> ChartRow:
         if isinstance(method, Method):
             return self._held.measure(method)
-        return chart_fits.measure(method, self._files, self._how.fitted, self._held)
+        return seen_fits.measure(method, self._files, self._how.fitted, self._held)
 
 
 def _measure_there(keys: Sequence[str], *, library: Path, names: tuple[str, ...], how: _How) -> _Measured:
@@ -217,7 +217,7 @@ def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
 def _known_settings(n_bands: int) -> Registry[Method | str]:
     """All settings, by key: held-out ones, and the names of fits."""
     known = Registry[Method | str]("setting", ((s.key, s) for s in chart_methods(n_bands)))
-    known.update({f"fit_{method}": method for method in chart_fits.METHODS})
+    known.update({f"fit_{method}": method for method in seen_fits.METHODS})
     return known
 
 

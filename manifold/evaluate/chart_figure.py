@@ -1,10 +1,11 @@
-"""The chart of speed against accuracy: three errors against three costs, with named Pareto fronts."""
+"""Charts of errors: against three costs, with named Pareto fronts; against the number of readings."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,9 +16,10 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
 
 from manifold.evaluate.chart import COSTS, ERRORS, Chart, conclusion, cost_of
-from manifold.evaluate.chart_fits import FAMILY
+from manifold.evaluate.held_out import ChartRow
 from manifold.evaluate.methods import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
-from manifold.evaluate.stopwatch import ChartRow
+from manifold.evaluate.readings import Curve
+from manifold.evaluate.seen_fits import FAMILY
 from manifold.plots.figures import new_figure, place_names
 from manifold.records import Array
 
@@ -207,3 +209,44 @@ def _title(group: Sequence[ChartRow]) -> str:
     if not first.is_held_out:
         return "fit: " + ", ".join(row.title.split(", ")[-1] for row in group)
     return first.title + (f" (+{len(group) - 1})" if len(group) > 1 else "")
+
+
+# -- against the number of readings -------------------------------------------------------------------------
+
+_CROWDED = (10, 16)  # counts whose labels would touch their neighbours'
+_READING_LABELS = {"ball": "ball, mean CIEDE2000", "cube_root": "cube-root error", "linear": "linear error"}
+# Okabe & Ito, and markers that tell them apart without colour.
+_READING_STYLES = (
+    ("#000000", "o"),
+    ("#d55e00", "s"),
+    ("#e69f00", "D"),
+    ("#0072b2", "^"),
+    ("#009e73", "v"),
+    ("#cc79a7", "*"),
+    ("#56b4e9", "P"),
+)
+
+
+def readings_chart(curves: Sequence[Curve]) -> Figure:
+    """Three panels: medians as lines, 90th percentiles dotted; one colour per method."""
+    figure = new_figure(12.0, 4.4)
+    panels = figure.subplots(1, 3)
+    for axes, (kind, label) in zip(panels, _READING_LABELS.items(), strict=True):
+        for curve, (colour, marker) in zip(curves, cycle(_READING_STYLES), strict=False):
+            counts, *both = zip(*curve.summary, strict=True)
+            median, high = ([getattr(errors, kind) for errors in each] for each in both)
+            line, size = ("-", 5.0) if len(counts) > 1 else ("", 9.0)
+            axes.plot(counts, median, line, color=colour, marker=marker, markersize=size, label=curve.title)
+            axes.plot(counts, high, ":", color=colour, marker=marker, markersize=0.5 * size, linewidth=1.0)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xticks(curves[0].counts, ["" if n in _CROWDED else str(n) for n in curves[0].counts])
+        axes.minorticks_off()
+        axes.set_xlabel("readings")
+        axes.set_title(label, fontsize=11)
+        axes.grid(alpha=0.3)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9, frameon=False,
+        title="lines: median of left-out materials; dotted: 90th percentile", title_fontsize=9,
+    )  # fmt: skip
+    return figure

@@ -6,7 +6,7 @@ import itertools
 import operator
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,8 @@ from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import BallErrors
-from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_pairs
+from manifold.evaluate.results import Result
+from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
 from manifold.evaluate.tabulated import MAX_BANDS, Data
 from manifold.metrics import Errors
@@ -36,6 +37,30 @@ _STREAMED_BYTES = 1 << 26  # far more than caches hold
 _AT_ONCE = 8  # predictions evaluated together
 
 _Fitted = tuple[list[Combination], RelativeTime, tuple[str, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChartRow(Result):
+    """One setting; errors are in some of the bands, which stand for all.
+
+    Attributes: those of `Result`, and
+        family: as in `Method`.
+        fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
+            it was not measured.
+        predict: time to predict a whole material, at all direction pairs at which it is stored.
+        bytes: of what predictions read: files, and the numbers of all materials.
+        warnings: what fits warned of, once per fold.
+    """
+
+    family: str
+    fit: RelativeTime | None
+    predict: RelativeTime
+    bytes: int
+    warnings: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return super().to_json() | {"fit": self.fit and asdict(self.fit), "predict": asdict(self.predict)}
 
 
 class HeldOut:

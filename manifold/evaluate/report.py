@@ -5,19 +5,25 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import __version__, progress
+from manifold import __version__, progress, work
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
-from manifold.errors import UsageError
-from manifold.evaluate import refits
-from manifold.evaluate.cross_validation import Encoded, Method, encode_all, wall_clock
+from manifold.errors import ManifoldError, UsageError
+from manifold.evaluate.cross_validation import (
+    Encoded,
+    Method,
+    cross_validate,
+    encode_all,
+    leave_out,
+    wall_clock,
+)
 from manifold.evaluate.errors import (
     BallErrors,
     PredictionErrors,
@@ -26,11 +32,12 @@ from manifold.evaluate.errors import (
     plausibility_results,
     standardised_error,
 )
-from manifold.evaluate.methods import baseline_methods, gplvm_methods
+from manifold.evaluate.latent_models import SAMPLE_BANDS
+from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
-from manifold.evaluate.results import finite
+from manifold.evaluate.results import Result, finite
 from manifold.evaluate.seen_fits import seen_principled
-from manifold.evaluate.tabulated import Data, block_pairs
+from manifold.evaluate.tabulated import MAX_BANDS, Data, block_pairs
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
 from manifold.metrics import Errors
@@ -38,24 +45,24 @@ from manifold.model import fitting
 from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
+from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, Indices
+from manifold.plots import figures, map_figure
+from manifold.records import Array, Indices, evenly_spaced
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
 _BYTES_PER_NUMBER = 8
 
 
-@dataclass(frozen=True)
-class MethodResult:
-    """Results of one method over all materials.
+@dataclass(frozen=True, kw_only=True)
+class MethodResult(Result):
+    """What a report says of one method.
 
-    Attributes:
-        key, title, is_held_out: as in `Method`.
+    Attributes: those of `Result`, and
         numbers: that describe one material.
         bytes: of all measured values that predictions need, and of the numbers of all materials.
         fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
         predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
-        errors: of every material, each (N,).
         negative_share, clipped_share: of predicted values, below zero; or before the method cut them to 0.
         reciprocity_error, max_albedo: worst over materials, in the tabulated bands; see `plausibility`.
         standardised_error: z per material, None where the method gives no variance; see
@@ -63,35 +70,17 @@ class MethodResult:
         rms_standardised_error: root mean square of z; about 1 where the method's variance is right.
     """
 
-    key: str
-    title: str
-    is_held_out: bool
     numbers: int
     bytes: int
     fit_seconds: float
     encode_seconds: float
     predict_seconds: float
-    errors: Errors[Array]
     negative_share: float
     clipped_share: float
     reciprocity_error: float
     max_albedo: float
     standardised_error: tuple[float, ...] | None
     rms_standardised_error: float | None
-
-    @cached_property
-    def median(self) -> Errors[float]:
-        """Over materials."""
-        return self.errors.median
-
-    @cached_property
-    def p90(self) -> Errors[float]:
-        """90th percentile over materials."""
-        return self.errors.p90
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,7 +91,7 @@ class Report:
         names: materials, in the order of all per-material tuples.
         latents: shape (N, Q) as nested tuples.
         is_synthetic: per material, whether its file says so.
-        bands: the spectral axis in words.
+        bands, n_bands: the spectral axis in words; how many there are.
         n_error_bands: in how many bands errors were measured; colours always use all.
         grid: name of the grid of direction pairs.
         n_pairs: its size, pairs below the horizon included.
@@ -118,6 +107,7 @@ class Report:
     latents: tuple[tuple[float, ...], ...]
     is_synthetic: tuple[bool, ...]
     bands: str
+    n_bands: int
     n_error_bands: int
     grid: str
     n_pairs: int
@@ -140,33 +130,46 @@ class Report:
 
 
 def make_report(
-    model: Manifold,
+    model: Manifold | Path,
     grid_name: str = "default",
     *,
+    library: Path | None = None,
     compare: bool = False,
     all_bands: bool = False,
     principled: bool = False,
+    picture: Path | None = None,
     workers: Executor | None = None,
-    file: Path | None = None,
 ) -> Report:
     """Evaluate a model and other methods on a grid of direction pairs.
 
     Weights are found on the default grid, whichever the errors are measured on.
 
     Args:
-        model: a fitted manifold.
+        model: a fitted manifold, or its file.
         grid_name: `default`, or `hikichi` for the 1,458,000 pairs of Hikichi & Iwasaki.
+        library: of the file, if it was moved.
         compare: also run what takes long: models of other settings, and large ones that are fitted once per
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
         principled: also fit Mitsuba's principled to the evaluated materials, for comparison.
-        workers: see `work.run`; they fit models without each material.
-        file: of the model, from which workers read it.
+        picture: file of the map of its latents; None for none.
+        workers: see `work.run`; they fit models without each material, and read them from the file.
     Raises:
-        UsageError: the grid is unknown.
+        UsageError: the grid is unknown, there are fewer than three materials, or not all are laid out.
         LibraryError: a material cannot be read.
         ManifoldError: a worker was lost.
     """
+    if picture is not None:
+        figures.require_writable(picture)
+    file = model if isinstance(model, Path) else None
+    model = Manifold.load(model, library) if isinstance(model, Path) else model
+    if len(model.names) < 3:
+        found = counted(len(model.names), "material")
+        raise UsageError(
+            f"{file or 'the model'}: found {found}, expected at least 3 to leave one out; import more"
+        )
+    if picture is not None:  # first: an interruption then costs little
+        figures.save(map_figure.latent_map(model), picture)
     if model.space.landmarks is not None:
         raise UsageError(
             f"a report on a map of {model.space.materials_in_words}, expected all to be laid out: its methods leave "
@@ -179,12 +182,11 @@ def make_report(
     chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
     chosen += [*(others if compare else []), *([seen_principled()] if principled else [])]
     materials, load = wall_clock(lambda: model.materials.with_negative_values())
-    data, tabulate = wall_clock(lambda: refits.tabulate(model, materials))
+    data, tabulate = wall_clock(lambda: tabulate_materials(model, materials))
     refitted: dict[str, Encoded] = {}
     if file is not None and workers is not None:
         long = [m for m in chosen if m.refits and m.fits_model]
-        library = model.library.path
-        refitted = refits.refit_there(workers, long, len(model.names), file, library)
+        refitted = _refit_there(workers, long, len(model.names), file, model.library.path)
     encoded, encode = wall_clock(lambda: _encode(data, chosen, refitted))
     bands = np.arange(model.bands.count) if all_bands else data.bands
     reuse = grid_name == "default" and not all_bands
@@ -209,6 +211,7 @@ def make_report(
         latents=tuple(tuple(float(v) for v in row) for row in model.X),
         is_synthetic=tuple(model.library.attributes(name).is_synthetic for name in model.names),
         bands=str(model.bands),
+        n_bands=model.bands.count,
         n_error_bands=len(bands),
         grid=grid_name,
         n_pairs=grid.n_pairs,
@@ -296,3 +299,69 @@ def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]
         return {"standardised_error": None, "rms_standardised_error": None}
     z = np.array([standardised_error(data, i, c) for i, c in enumerate(encoded.combinations)])
     return {"standardised_error": tuple(z.tolist()), "rms_standardised_error": float(np.sqrt(np.mean(z**2)))}
+
+
+_PARTS = 8  # tasks of a method
+
+
+class _Refits(NamedTuple):
+    """The key of a method, and the first and last of the materials that are left out, one after the other."""
+
+    method: str
+    first: int
+    last: int
+
+
+def tabulate_materials(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Data:
+    """The data of all methods, in about 20 bands, among them the samples of blends."""
+    count = model.bands.count
+    bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
+    return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands)
+
+
+def _refit_there(
+    workers: Executor, methods: Sequence[Method], n_materials: int, model: Path, library: Path | None,
+) -> dict[str, Encoded]:  # fmt: skip
+    """Predictions of every material by methods that are fitted without it, by their keys.
+
+    Args:
+        workers: see `work.run`; they read the materials, and fit.
+        methods: those of a model and standard ones.
+        n_materials: of the model.
+        model: its file.
+        library: if it was moved.
+    """
+    size = -(-n_materials // _PARTS)
+    starts = range(0, n_materials, size)
+    tasks = [_Refits(method.key, first, first + size) for method in methods for first in starts]
+    parts: dict[_Refits, Encoded] = {}
+    for k, encoded, failure in work.run(partial(_refit, model=model, library=library), tasks, workers):
+        if encoded is None:
+            raise ManifoldError(failure)
+        parts[tasks[k]] = encoded
+        progress.report(len(parts), len(tasks), tasks[k].method)
+    of_method = {m.key: [parts[task] for task in tasks if task.method == m.key] for m in methods}
+    return {key: _joined(encoded) for key, encoded in of_method.items()}
+
+
+def _refit(task: _Refits, *, model: Path, library: Path | None) -> Encoded:
+    data, methods = _refitting(model, library)
+    splits = leave_out(data.n_materials)[task.first : task.last]
+    with warnings.catch_warnings():  # of fits to compare with, whose maps nobody uses
+        warnings.simplefilter("ignore", IsolatedLatentsWarning)
+        return cross_validate(data, methods[task.method].fit, splits)
+
+
+@lru_cache(maxsize=1)
+def _refitting(model: Path, library: Path | None) -> tuple[Data, dict[str, Method]]:
+    loaded = Manifold.load(model, library)
+    methods = {method.key: method for method in [*standard_methods(), *model_methods(loaded)]}
+    return tabulate_materials(loaded, loaded.materials.with_negative_values()), methods
+
+
+def _joined(parts: Sequence[Encoded]) -> Encoded:
+    return Encoded(
+        tuple(c for part in parts for c in part.combinations),
+        tuple(t for part in parts for t in part.fit_times),
+        tuple(t for part in parts for t in part.encode_times),
+    )

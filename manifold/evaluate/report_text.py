@@ -178,10 +178,10 @@ def _calibrated(rms: float) -> str:
 
 def _heading(report: Report) -> list[str]:
     """What was evaluated."""
-    synthetic, total = sum(report.is_synthetic), 3 if report.bands == "RGB" else int(report.bands.split()[0])
+    synthetic = sum(report.is_synthetic)
     some = f" ({synthetic} of them synthetic)" if synthetic else ""
     kind = " (synthetic corpus)" if synthetic == len(report.names) else some
-    in_bands = "" if report.n_error_bands == total else f", in {report.n_error_bands} bands"
+    in_bands = "" if report.n_error_bands == report.n_bands else f", in {report.n_error_bands} bands"
     s = report.settings
     dimensions = counted(s["latent_dim"], "dimension")
     return [

@@ -1,16 +1,48 @@
-"""Results of experiments: stored in the library until an experiment is finished, and as plain values."""
+"""Results of methods: their errors, stored in the library until all are measured, and as plain values."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from manifold import __version__
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.records import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A method that was measured on materials.
+
+    Attributes:
+        key, title, is_held_out: as in `Method`.
+        errors: of every material, each (N,).
+    """
+
+    key: str
+    title: str
+    is_held_out: bool = True
+    errors: Errors[Array]
+
+    @cached_property
+    def median(self) -> Errors[float]:
+        """Over materials."""
+        return self.errors.median
+
+    @cached_property
+    def p90(self) -> Errors[float]:
+        """90th percentile over materials."""
+        return self.errors.p90
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; errors also as medians and 90th percentiles."""
+        return {field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each
 
 
 class KeptResults:

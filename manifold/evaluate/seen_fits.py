@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from manifold.brdf.measured import EvaluableBRDF
 from manifold.evaluate.cross_validation import Encode, Method
+from manifold.evaluate.held_out import ChartRow, HeldOut
+from manifold.evaluate.stopwatch import RelativeTime
 from manifold.evaluate.tabulated import Data
-from manifold.fit.principled import fit_bsdf
+from manifold.fit import principled
+from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.mapping import Identity
+from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values
-from manifold.records import Array, Indices
-from manifold.render import fit_json
+from manifold.pairs import Pairs
+from manifold.records import Array, BsdfFile, Indices, evenly_spaced
+from manifold.render import backend, fit_json
+from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.fitted_brdf import FittedBRDF
 
 
@@ -65,3 +73,55 @@ def seen_principled() -> Method:
         is_held_out=False,
         refits=False,
     )
+
+
+METHODS = ("gauss-newton", "adam", "swarm")
+"""Of `principled.METHODS`."""
+
+FAMILY = "fit of the seen material"
+_TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "fit, swarm"}
+_REPEATS = 3
+_BYTES_PER_NUMBER = 8
+
+_Predictor = Callable[[Pairs], Callable[[], Array]]
+"""From direction pairs to what predicts f in all bands there."""
+
+
+def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -> ChartRow:
+    """Fit evenly spaced materials by one of `METHODS`.
+
+    Predictions are evaluations at as many direction pairs as the material's file has.
+    """
+    measured, fits, numbers = [], [], []
+    for i in evenly_spaced(len(files), count).tolist():
+        with backend.one_thread():
+            result, seconds = held.watch.lap(partial(principled.fit_bsdf, files[i], method=method))
+            measured.append(_measured(i, files[i], partial(_evaluator, result), held))
+        fits.append(seconds)
+        numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
+    time = RelativeTime.of(np.array(fits) * len(files))
+    return _row(f"fit_{method}", _TITLES[method], measured, time, int(np.median(numbers)) * len(files))
+
+
+def _measured(i: int, file: BsdfFile, predictor: _Predictor, held: HeldOut) -> tuple[Errors[float], Array]:
+    """Errors of a prediction of material i, and times of repeated runs."""
+    on_grid, on_ball = predictor(held.pairs), predictor(held.balls.pairs)
+    errors = held.errors(i, *(evaluate()[:, held.data.bands] for evaluate in (on_grid, on_ball)))
+    return errors, file.luminance.size / len(held.pairs) * held.watch.laps(on_grid, _REPEATS)
+
+
+def _row(
+    key: str, title: str, measured: Sequence[tuple[Errors[float], Array]], fit: RelativeTime | None, numbers: int
+) -> ChartRow:  # fmt: skip
+    errors, times = zip(*measured, strict=True)
+    return ChartRow(
+        key=key, title=title, family=FAMILY, is_held_out=False, errors=Errors.of_several(errors), fit=fit,
+        predict=RelativeTime.of_several(times), bytes=numbers * _BYTES_PER_NUMBER,
+    )  # fmt: skip
+
+
+def _evaluator(result: FitResult, pairs: Pairs) -> Callable[[], Array]:
+    """The BRDF of a fit in the bands of its samples, f in 1/sr (P, B)."""
+    made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
+    p = made.layout.join(result.values | result.spectra)
+    return lambda: np.asarray(made.values(p)[0], dtype=np.float64) / pairs.wo[:, 2:]

@@ -1,4 +1,4 @@
-"""Choice of mapping and number of dimensions by held-out error.
+"""Embedding of a library, with mapping and number of dimensions chosen by held-out error where they are not given.
 
 The materials are dealt into folds. Every candidate is fitted without a fold, embeds its materials from their data,
 and is judged by what it decodes; up to twenty materials every fold holds one, which is leave-one-out.
@@ -6,25 +6,32 @@ and is judged by what it decodes; up to twenty materials every fold holds one, w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from manifold import progress
+from manifold import disk, progress, work
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import UsageError
+from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
 from manifold.evaluate.errors import BallErrors, measure_errors
 from manifold.evaluate.latent_models import fit_settings
+from manifold.evaluate.results import Result
 from manifold.evaluate.tabulated import Data
+from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
-from manifold.metrics import Errors
+from manifold.model.manifold import Manifold
+from manifold.model.materials import names_without
 from manifold.model.settings import Settings
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, evenly_spaced
+from manifold.records import evenly_spaced
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
 MAX_BANDS = 12  # evenly spaced, besides those that are samples
@@ -35,14 +42,13 @@ FOLDS = 5
 _TOLERANCE = 1e-4  # of the fits: finer ones move no error by more than it varies between folds
 
 
-@dataclass(frozen=True)
-class Candidate:
+@dataclass(frozen=True, kw_only=True)
+class Candidate(Result):
     """One setting and its held-out errors.
 
-    Attributes:
+    Attributes: those of `Result`, and
         mapping, latent_dim: the setting.
         error: geometric mean over materials of the linear error, which the choice is made by.
-        errors: of every material, each (N,).
         seconds: of fitting and encoding all folds.
         is_chosen: whether it won.
     """
@@ -50,13 +56,8 @@ class Candidate:
     mapping: str
     latent_dim: int
     error: float
-    errors: Errors[Array]
     seconds: float
     is_chosen: bool = False
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return vars(self) | self.errors.of_each
 
 
 def choose(
@@ -90,7 +91,7 @@ def choose(
         if (name, count) not in tried:
             with progress.listen(None):
                 tried[name, count] = trials.run(name, count)
-            progress.report(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
+            progress.report(len(tried), max(total, len(tried)), tried[name, count].title)
         return tried[name, count]
 
     start = min(settings.latent_dim, most)
@@ -126,4 +127,58 @@ class _Trials:
         (errors,) = measure_errors([found], self._data.bands, [self._data])
         of_each = self._balls.of(found) | errors.of_values()
         mean = float(np.exp(np.mean(np.log(np.maximum(of_each.linear, 1e-12)))))
-        return Candidate(name, latent_dim, mean, of_each, seconds)
+        return Candidate(
+            key=f"{name}_{latent_dim}", title=f"{name}, {latent_dim} dimensions", errors=of_each, mapping=name,
+            latent_dim=latent_dim, error=mean, seconds=seconds,
+        )  # fmt: skip
+
+
+def embed(
+    library: Path,
+    model: Path,
+    settings: Settings,
+    *,
+    without: Collection[str] = (),
+    auto_mapping: bool = False,
+    auto_latent_dim: bool = False,
+    workers: Executor | None = None,
+) -> tuple[Manifold, list[Candidate]]:
+    """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `choose`.
+
+    The whole is one task, whose progress workers do not tell.
+
+    Returns:
+        The manifold, and the settings that were tried, where any was to be chosen.
+    Raises:
+        ManifoldError: it failed where it ran, or the worker was lost.
+    """
+    if workers is not None:
+        task = partial(
+            _embed_there, library, settings=settings, without=tuple(without), auto_mapping=auto_mapping,
+            auto_latent_dim=auto_latent_dim,
+        )  # fmt: skip
+        with progress.shown("Embedding"):
+            ((_, tried, failure),) = work.run(task, [model], workers)
+        if tried is None:
+            raise ManifoldError(failure)
+        return Manifold.load(model, library), tried
+    disk.require_writable(model)
+    opened = Library(library)
+    names = names_without(opened, without)
+    candidates: list[Candidate] = []
+    if auto_mapping or auto_latent_dim:
+        with progress.shown("Reading materials"):
+            read = progress.each(names, str)
+            materials = [MeasuredBRDF(fill_unmeasured(opened.read(name))) for name in read]
+        with progress.shown("Leaving materials out"):
+            settings, candidates = choose(
+                materials, settings, mapping=auto_mapping, latent_dim=auto_latent_dim
+            )
+    with progress.shown("Embedding"):
+        fitted = Manifold.fit(opened, settings, names=names)
+    fitted.save(model)
+    return fitted, candidates
+
+
+def _embed_there(library: Path, model: Path, **how: Any) -> list[Candidate]:
+    return embed(library, model, **how)[1]

@@ -1,13 +1,12 @@
-"""Times of a chart, relative to a reference, and the rows that they are part of."""
+"""Times relative to those of a reference."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
-from functools import cached_property
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numba as nb
 import numpy as np
@@ -15,14 +14,13 @@ from threadpoolctl import threadpool_limits
 
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.metrics import Errors
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
 REFERENCE = "syn_satin_gold"
 REFERENCE_PAIRS = 8192
 
-Result = TypeVar("Result")
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -47,41 +45,6 @@ class RelativeTime:
         return cls(median, median * cls.of(apart).spread)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChartRow:
-    """One setting: its costs and errors.
-
-    Attributes:
-        key, title, family, is_held_out: as of a `Method`.
-        errors: of every material, in some of the bands, which stand for all; each (N,).
-        fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
-            it was not measured.
-        predict: time to predict a whole material, at all direction pairs at which it is stored.
-        bytes: of what predictions read: files, and the numbers of all materials.
-        warnings: what fits warned of, once per fold.
-    """
-
-    key: str
-    title: str
-    family: str
-    is_held_out: bool = True
-    errors: Errors[Array]
-    fit: RelativeTime | None
-    predict: RelativeTime
-    bytes: int
-    warnings: tuple[str, ...] = ()
-
-    @cached_property
-    def median(self) -> Errors[float]:
-        """Over materials."""
-        return self.errors.median
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        times = {name: time and asdict(time) for name, time in (("fit", self.fit), ("predict", self.predict))}
-        return {field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each | times
-
-
 class Stopwatch:
     """Processor times as ratios to that of a reference run just before, so that neither the machine nor others count.
 
@@ -97,7 +60,7 @@ class Stopwatch:
         self.lap(lambda: None)  # compiles
         self._runs.clear()
 
-    def lap(self, work: Callable[[], Result]) -> tuple[Result, float]:
+    def lap(self, work: Callable[[], Made]) -> tuple[Made, float]:
         """The result of some work, and its time relative to the reference."""
         start = time.process_time()
         self._brdf.eval_at(self._pairs)

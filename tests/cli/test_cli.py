@@ -231,7 +231,7 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
         pytest.fail("the work was done first")
 
     monkeypatch.setattr("manifold.evaluate.report.make_report", fail)
-    monkeypatch.setattr("manifold.evaluate.pipeline.Manifold.fit", fail)
+    monkeypatch.setattr("manifold.evaluate.selection.Manifold.fit", fail)
     status, out, err = run(*arguments, cwd=folder)
     assert (status, out) == (2, "")
     reasons = ("expected one of .png", "cannot write this file", "in the library", "ends in .bsdf")
@@ -477,7 +477,7 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
     def fail(*_, **__):
         raise RuntimeError("first line\nsecond line")
 
-    monkeypatch.setattr("manifold.evaluate.pipeline.report", fail)
+    monkeypatch.setattr("manifold.evaluate.report.make_report", fail)
     status, _, err = run("report", cwd=folder)
     assert status == 1
     assert "RuntimeError: first line second line; run again with --debug" in one_line(err)

@@ -20,11 +20,11 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.directions import from_spherical
 from manifold.estimate.predictions import predict
-from manifold.evaluate import pipeline
+from manifold.evaluate import embed, make_report
 from manifold.evaluate.budget import example_scenes
-from manifold.evaluate.chart_fits import METHODS
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.report_text import lead
+from manifold.evaluate.seen_fits import METHODS
 from manifold.evaluate.stability.catalogue import MODES
 from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
@@ -183,12 +183,12 @@ def test_the_main_job_runs_on_real_files(tmp_path, share):
     library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
     result = import_files(library, files)
     assert not result.failed
-    fitted = pipeline.embed(library, model, Settings())[0]
+    fitted = embed(library, model, Settings())[0]
     assert len(fitted.names) == len(result.imported)
     suffix = "rgb" if fitted.bands.is_rgb else "spec"
     made = predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")
     assert np.all(np.isfinite(read_bsdf(made.path).spectra))
-    report = pipeline.report(model, picture=tmp_path / "map.png")
+    report = make_report(model, picture=tmp_path / "map.png")
     assert not report.methods[0].errors.rmse.any()
     assert not any(report.is_synthetic)
     if share > 1:

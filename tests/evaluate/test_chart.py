@@ -16,11 +16,11 @@ from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.errors import UsageError
-from manifold.evaluate import chart_figure, chart_fits, held_out, methods, storage_forms
+from manifold.evaluate import chart_figure, held_out, methods, seen_fits, storage_forms
 from manifold.evaluate.chart import COSTS, ERRORS, Chart, conclusion, cost_of, fronts, make_chart
-from manifold.evaluate.held_out import HeldOut, without_small_weights
+from manifold.evaluate.held_out import ChartRow, HeldOut, without_small_weights
 from manifold.evaluate.methods import AS_PUBLISHED, PUBLISHED, chart_methods, fit_nearest
-from manifold.evaluate.stopwatch import ChartRow, RelativeTime, Stopwatch, some_pairs
+from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
@@ -270,7 +270,7 @@ def test_the_document_lists_every_key():
         r"`([^`]+)`", text.partition("**Keys** for `--only`:")[2].partition(". Libraries in RGB")[0]
     )
     own = [setting.key for setting in chart_methods(195)]
-    assert listed == [*own, *(f"fit_{method}" for method in chart_fits.METHODS)]
+    assert listed == [*own, *(f"fit_{method}" for method in seen_fits.METHODS)]
 
 
 # -- the picture -------------------------------------------------------------------------------------------

@@ -11,8 +11,8 @@ from helpers.readings import DIRECTIONS, readings
 from manifold import progress
 from manifold.errors import UsageError
 from manifold.estimate.expected import errors_of, leave_out
-from manifold.evaluate.reading_curve import Curve, measure_curves
-from manifold.evaluate.reading_figure import readings_chart
+from manifold.evaluate.chart_figure import readings_chart
+from manifold.evaluate.readings import Curve, measure_curves
 from manifold.library.store import Library
 from manifold.metrics import Errors
 
@@ -45,7 +45,7 @@ def test_interrupted_curves_are_continued_and_finished_ones_measured_again(atoms
         with progress.listen(listener):
             return measure_curves(atoms, (1, 6), only, Library.open(library))
 
-    monkeypatch.setattr("manifold.evaluate.reading_curve._errors_of", measure)
+    monkeypatch.setattr("manifold.evaluate.readings._errors_of", measure)
     everything = list(range(len(atoms.names)))
 
     with pytest.raises(KeyboardInterrupt):

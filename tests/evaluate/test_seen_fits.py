@@ -28,7 +28,9 @@ def test_principled_is_fitted_to_every_material(data):
     method = seen_fits.seen_principled()
     assert (method.numbers(3), method.is_held_out) == (9, False)
     (errors,) = measure_errors([encode_all(data, method).combinations], data.bands, [data])
-    assert errors.cube_root.max() < 0.3  # a seen material: felt and gloss are within principled's reach
+    assert (
+        errors.of_values().cube_root.max() < 0.3
+    )  # a seen material: felt and gloss are within principled's reach
 
 
 def test_a_prediction_that_is_a_brdf_meets_values_in_some_bands(materials, data):

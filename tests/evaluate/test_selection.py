@@ -57,7 +57,7 @@ def test_a_copy_in_the_library_makes_a_left_out_material_easy(materials):
 
 def test_candidates_have_three_errors_and_plain_json(materials):
     tried = choose(materials[:5], Settings(), mapping=False, latent_dim=False)[1][0]
-    median, p90 = tried.errors.median, tried.errors.p90
+    median, p90 = tried.median, tried.p90
     assert 0 < median.linear <= p90.linear
     assert 0 < median.ball <= p90.ball
     assert median.linear != median.cube_root

@@ -18,7 +18,7 @@ from manifold.convert.targets import Options
 from manifold.errors import ManifoldError
 from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
-from manifold.evaluate import pipeline
+from manifold.evaluate import embed, make_report
 from manifold.evaluate.chart import make_chart
 from manifold.evaluate.stability.catalogue import MODES
 from manifold.evaluate.stability.trials import run_modes, select_modes
@@ -86,7 +86,7 @@ def test_a_material_that_is_stored_again_is_the_same(tmp_path, monkeypatch):
 def test_an_embedding_is_the_same(tmp_path, workers):
     library, models = small_library(tmp_path), {}
     for name, someone in (("here", None), ("there", workers)):
-        model, _ = pipeline.embed(library, tmp_path / f"{name}.h5", Settings(), workers=someone)
+        model, _ = embed(library, tmp_path / f"{name}.h5", Settings(), workers=someone)
         models[name] = model
     here, there = models.values()
     # Where arrays lie in memory may decide the last bits of sums, which the search for places carries on.
@@ -99,7 +99,7 @@ def test_an_embedding_is_the_same(tmp_path, workers):
 def test_an_embedding_that_fails_there_says_why(tmp_path, workers):
     library = small_library(tmp_path)
     with pytest.raises(ManifoldError, match="no material 'missing'"):
-        pipeline.embed(library, tmp_path / "m.h5", Settings(), without=["missing"], workers=workers)
+        embed(library, tmp_path / "m.h5", Settings(), without=["missing"], workers=workers)
 
 
 def numbers_of(made):
@@ -117,8 +117,8 @@ def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
     monkeypatch.setitem(pairs.NAMED_GRIDS, "default", pairs.RusinkiewiczGrid(20, 11, 6))
     sent, submit = [], workers.submit
     monkeypatch.setattr(workers, "submit", lambda f, *args: (sent.append(args[-1]), submit(f, *args))[1])
-    pipeline.embed(small_library(tmp_path), tmp_path / "model.h5", Settings(kind="material"))
-    here, there = (pipeline.report(tmp_path / "model.h5", workers=who) for who in (None, workers))
+    embed(small_library(tmp_path), tmp_path / "model.h5", Settings(kind="material"))
+    here, there = (make_report(tmp_path / "model.h5", workers=who) for who in (None, workers))
     assert {task.method for task in sent} >= {"published", "gp_refitted"}
     assert numbers_of(there) == numbers_of(here)
 

@@ -1,24 +1,12 @@
 from . import corpus
-from .base import Lambert, Sheen
-from .diffuse import RoughDiffuse
+from .base import Lambert
 from .ggx import GGX
-from .ggx_mixture import GGXMixture
-from .layers import Immersed, Layered, MixedBRDF, Retroreflection
-from .microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
+from .microfacet import Plastic, RoughConductor
 
 __all__ = [
     "GGX",
-    "GGXMixture",
-    "Immersed",
     "Lambert",
-    "Layered",
-    "MixedBRDF",
     "Plastic",
-    "Retroreflection",
     "RoughConductor",
-    "RoughDielectric",
-    "RoughDiffuse",
-    "Sheen",
-    "ThinFilm",
     "corpus",
 ]

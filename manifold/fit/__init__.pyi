@@ -1,15 +1,5 @@
-from .adam_and_swarm import AdamOptions, SwarmOptions
-from .fit_samples import FitSamples
-from .gauss_newton import GaussNewton
-from .identifiability import ParameterIdentifiability
-from .principled import FitResult, fit_bsdf
+from .principled import FitResult
 
 __all__ = [
-    "AdamOptions",
     "FitResult",
-    "FitSamples",
-    "GaussNewton",
-    "ParameterIdentifiability",
-    "SwarmOptions",
-    "fit_bsdf",
 ]

@@ -1,8 +1,5 @@
-from .page import make_page
-from .page_data import Tables, tabulate
+from .widget import MapWidget
 
 __all__ = [
-    "Tables",
-    "make_page",
-    "tabulate",
+    "MapWidget",
 ]

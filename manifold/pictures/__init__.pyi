@@ -1,9 +1,6 @@
-from . import maps, slices
 from .renders import compare, render
 
 __all__ = [
     "compare",
-    "maps",
     "render",
-    "slices",
 ]

@@ -9,10 +9,11 @@ import pytest
 
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
-from manifold.colour import VISIBLE
+from manifold.colour.difference import VISIBLE
 from manifold.fit import fit_samples
-from manifold.fit.exports import TARGETS, Principled, blender, gltf, openpbr, standard_surface
+from manifold.fit.exports import TARGETS, blender, gltf, openpbr, standard_surface
 from manifold.fit.exports.direct import at_bounds, fit_target
+from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.fit.fit_metrics import ball_errors
 from manifold.records import Bands

@@ -11,7 +11,6 @@ from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
 from manifold.fit.exports import (
     TARGETS,
-    Principled,
     gltf,
     layers,
     lobes,
@@ -22,6 +21,7 @@ from manifold.fit.exports import (
     unreal,
 )
 from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.principled_values import Principled
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import diffuse, principled
 

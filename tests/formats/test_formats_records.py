@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from manifold.errors import ShapeError
-from manifold.formats import DenseTable, Readings, geometry_ma_t12
+from manifold.formats import Readings, geometry_ma_t12
+from manifold.formats.dense import DenseTable
 from manifold.formats.readings import aspecular_pair
 
 # Of MA-T12 sheets: the other leg's signed angle from the normal, positive on the mirror side.

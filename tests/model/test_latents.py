@@ -13,7 +13,8 @@ from manifold.directions import from_spherical
 from manifold.errors import LatentError, UsageError
 from manifold.estimate.predictions import locate, predict
 from manifold.info import inspect
-from manifold.library import Library, import_files
+from manifold.library.importing import import_files
+from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.places import parse_path

@@ -1,11 +1,5 @@
-from .document import Export
-from .principled_values import Principled
-from .targets import TARGETS, Target, target_of
+from .targets import TARGETS
 
 __all__ = [
     "TARGETS",
-    "Export",
-    "Principled",
-    "Target",
-    "target_of",
 ]

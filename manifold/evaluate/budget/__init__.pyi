@@ -1,8 +1,0 @@
-from .representations import Candidate
-from .search import Answer, Tolerance
-
-__all__ = [
-    "Answer",
-    "Candidate",
-    "Tolerance",
-]

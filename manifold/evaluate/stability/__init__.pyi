@@ -1,8 +1,0 @@
-from .catalogue import MODES
-from .trials import Stability, run_modes
-
-__all__ = [
-    "MODES",
-    "Stability",
-    "run_modes",
-]

@@ -1,5 +1,0 @@
-from .bsdf import register_always
-
-__all__ = [
-    "register_always",
-]

@@ -74,6 +74,12 @@ def inputs_of(
     return found
 
 
+def require_folder(output: Path | None, outputs: str, suffix: str = ".bsdf") -> None:
+    """Raise UsageError where an output that is to be a folder is named like a file, of a suffix or of any other."""
+    if output is not None and output.suffix.lower() in (*_FILES, suffix) and not output.is_dir():
+        raise UsageError(f"{output}: named like a file, expected a folder for {outputs}")
+
+
 def make_many(
     results: terminal.Results, command: Command[S], sources: Sequence[S], output: Path | None,
     workers: AbstractContextManager[Executor | None], *, outputs: str = "many files; name another",
@@ -92,8 +98,7 @@ def make_many(
     """
     from manifold.batch import batch, cell, notes_of
 
-    if output is not None and output.suffix.lower() in (*_FILES, command.suffix) and not output.is_dir():
-        raise UsageError(f"{output}: named like a file, expected a folder for {outputs}")
+    require_folder(output, outputs, command.suffix)
     folder = or_default(output, command.what)
     with workers as entered:
         made = batch(command, sources, folder, entered)

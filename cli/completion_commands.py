@@ -16,7 +16,7 @@ from manifold.names import first_few
 
 from . import options, photo_options, terminal
 from .application import app
-from .batch_options import make_many
+from .batch_options import make_many, require_folder
 from .outputs import checked, or_default
 from .worker_options import SchedulerOption, WorkersOption, workers_of
 
@@ -232,6 +232,7 @@ def complete(
                 )
             from manifold import many
 
+            require_folder(output, f"{found}, or a folder")
             inputs.require_apart(readings, output or Path("completions"))
             command = many.completions_of(
                 library, correction=correction, count=suggest, instrument=instrument, options=written, report=report,
@@ -312,44 +313,30 @@ def calibrate(
     """
     from manifold.estimate import instruments, reports
 
-    learned, samples = instruments.calibrate(pairs, output)
+    made = instruments.calibrate(pairs, output)
     results = terminal.Results(json)
-    results.rows(f"Colour correction {output}", {"samples": len(samples), "form": learned.form})
-    left_out = "reading by reading of the one sample" if len(samples) == 1 else "sample by sample"
+    form, count = made.correction.form, len(made.samples)
+    results.rows(f"Colour correction {output}", {"samples": count, "form": form})
+    left_out = "reading by reading of the one sample" if count == 1 else "sample by sample"
     results.text(f"\nLeave-one-out relative error, {left_out}:\n")
     results.table(
         ("form", "error", "chosen"),
         [
-            (form, "not measured" if error != error else f"{error:.4f}", "*" * (form == learned.form))
-            for form, error in {**learned.errors, "none: estimated spectra": learned.uncorrected}.items()
+            (each, "not measured" if error != error else f"{error:.4f}", "*" * (each == form))
+            for each, error in made.errors.items()
         ],
     )
-    colours = learned.colours if len(samples) > 1 else learned.colours.mean(axis=0, keepdims=True)
     results.text("\nCIEDE2000 (D65, 2 degrees) to the reference, left out, mean over readings:\n")
     results.table(
         ("sample", "uncorrected", "corrected"),
-        [
-            (name, *("unknown" if off != off else f"{off:.2f}" for off in row))
-            for name, row in zip(samples, colours, strict=False)
-        ],
+        [(name, *("unknown" if off != off else f"{off:.2f}" for off in row)) for name, row in made.colours],
     )
-    notes = instruments.calibration_notes(learned, samples)
     if report is not None:
-        reports.write_calibration(report, learned, samples, notes)
+        reports.write_calibration(report, made)
         results.text(f"Report: {report}\n")
-    for note in notes:
+    for note in made.notes:
         results.sentence(f"note: {note}")
-    results.document(
-        {
-            "path": str(output),
-            **learned.to_json(),
-            "ciede2000": {
-                name: [None if off != off else off for off in row.tolist()]
-                for name, row in zip(samples, colours, strict=False)
-            },
-            "notes": list(notes),
-        }
-    )
+    results.document(made.to_json())
 
 
 def _show_completed(

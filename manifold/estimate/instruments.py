@@ -7,9 +7,10 @@ goniometer. For these directions its values are interpolated in half and differe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
@@ -37,6 +38,76 @@ _TWO_SAMPLES = (
     0.2  # error of a correction; in the corpus always less for one sample, and more for 4 in 5 pairs of two
 )
 _SIMPLEX = 4  # points needed to interpolate in three coordinates
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedInstrument:
+    """A colour correction that was learned from samples, and written.
+
+    Attributes:
+        path: the written file.
+        correction: what was learned.
+        samples: names of the S samples.
+    """
+
+    path: Path
+    correction: ColourCorrection
+    samples: Sequence[str]
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Relative error, left out, by form; and without a correction. NaN where it could not be measured."""
+        return {**self.correction.errors, "none: estimated spectra": self.correction.uncorrected}
+
+    @property
+    def colours(self) -> list[tuple[str, list[float]]]:
+        """Of every sample CIEDE2000 (D65/2) to the reference, before and after the correction, left out; or NaN."""
+        colours = self.correction.colours
+        if len(self.samples) == 1:
+            colours = colours.mean(axis=0, keepdims=True)
+        return list(zip(self.samples, colours.tolist(), strict=False))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the correction is good for, in sentences."""
+        learned, samples = self.correction, self.samples
+        notes, n_samples = [], len(samples)
+        if n_samples > 1 and (worse := np.flatnonzero(learned.is_worse)).size:
+            shown = [
+                f"{samples[k]} (CIEDE2000 {learned.colours[k, 0]:.1f} before, {learned.colours[k, 1]:.1f} after)"
+                for k in worse[np.argsort(np.diff(learned.colours[worse])[:, 0])[::-1][:_SHOWN_WORSE]]
+            ]
+            notes.append(
+                f"{counted(len(worse), 'sample')} of {n_samples} become worse: {', '.join(shown)}"
+                + (" and others" if len(worse) > _SHOWN_WORSE else "")
+            )
+        error = learned.errors[learned.form]
+        if error >= learned.uncorrected:
+            notes.append(
+                f"spectra estimated without a correction have a smaller error, {learned.uncorrected:.4f}: do not "
+                "use it; do both files of each pair read one sample?"
+            )
+        if n_samples < _ENOUGH_SAMPLES:
+            few = (
+                "one sample determines the correction of its own colour only: in simulations the error for other "
+                "colours is one half"
+                if n_samples == 1
+                else f"{n_samples} samples determine a correction badly: in simulations the error for other colours "
+                "is a quarter, with six samples a sixth"
+            )
+            notes.append(f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours")
+        return tuple(notes)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; None for an error that could not be measured."""
+        return {
+            "path": str(self.path),
+            **self.correction.to_json(),
+            "ciede2000": {
+                name: [None if np.isnan(off) else off for off in row] for name, row in self.colours
+            },
+            "notes": list(self.notes),
+        }
 
 
 def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:
@@ -236,15 +307,13 @@ def _merged(
     return replace(merged, gloss={**merged.gloss, **gloss}), learned
 
 
-def calibrate(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, list[str]]:
+def calibrate(paths: Sequence[Path], output: Path) -> CalibratedInstrument:
     """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
 
     Args:
         paths: of every sample, or several of the same names, the reference's file, then the other's; or a folder of
             each instrument's, in which samples of the same names are used.
         output: a JSON file.
-    Returns:
-        The correction, and the names of the samples it was learned from.
     """
     disk.require_writable(output)
     is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)
@@ -264,7 +333,7 @@ def calibrate(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, li
     )
     learned = learn_across(pairs)
     write_correction(output, learned)
-    return learned, [reference.name for reference, _ in pairs]
+    return CalibratedInstrument(output, learned, [reference.name for reference, _ in pairs])
 
 
 def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Readings]]:
@@ -274,33 +343,3 @@ def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Read
     if not shared:
         raise UsageError(f"{reference} and {other}: no sample has the same name in both; name pairs of files")
     return [(read_sample(one)[0], read_sample(two)[0]) for one, two in shared]
-
-
-def calibration_notes(learned: ColourCorrection, samples: Sequence[str]) -> tuple[str, ...]:
-    """What a colour correction is good for, by its errors and the names of its samples, in sentences."""
-    notes, n_samples = [], len(samples)
-    if n_samples > 1 and (worse := np.flatnonzero(learned.is_worse)).size:
-        shown = [
-            f"{samples[k]} (CIEDE2000 {learned.colours[k, 0]:.1f} before, {learned.colours[k, 1]:.1f} after)"
-            for k in worse[np.argsort(np.diff(learned.colours[worse])[:, 0])[::-1][:_SHOWN_WORSE]]
-        ]
-        notes.append(
-            f"{counted(len(worse), 'sample')} of {n_samples} become worse: {', '.join(shown)}"
-            + (" and others" if len(worse) > _SHOWN_WORSE else "")
-        )
-    error = learned.errors[learned.form]
-    if error >= learned.uncorrected:
-        notes.append(
-            f"spectra estimated without a correction have a smaller error, {learned.uncorrected:.4f}: do not use it; "
-            "do both files of each pair read one sample?"
-        )
-    if n_samples < _ENOUGH_SAMPLES:
-        few = (
-            "one sample determines the correction of its own colour only: in simulations the error for other colours "
-            "is one half"
-            if n_samples == 1
-            else f"{n_samples} samples determine a correction badly: in simulations the error for other colours is a "
-            "quarter, with six samples a sixth"
-        )
-        notes.append(f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours")
-    return tuple(notes)

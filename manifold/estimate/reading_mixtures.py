@@ -39,6 +39,8 @@ _COLOUR = 0.7  # weight of the differences between bands against their mean
 class ReadingRoots:
     """Cube roots of a material and of atoms at P readings.
 
+    Errors of an `Observation` are independent; these are alike at nearby directions, by what all bands were read at.
+
     Attributes:
         atoms: of n atoms and, last, of the Lambertian, shape (n + 1, P).
         material: in B bands, NaN where not measured, shape (B, P).
@@ -79,6 +81,8 @@ class ReadingRoots:
 @dataclass(frozen=True, eq=False)
 class GlossReadings:
     """G readings of gloss beside those of a material: means over apertures around mirror directions.
+
+    They are of its luminance, which no band has alone: in cube roots no `Observation` of one band.
 
     Attributes:
         atoms: cube roots of these means of n atoms and, last, of the Lambertian, shape (n + 1, G).

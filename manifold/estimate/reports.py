@@ -25,10 +25,10 @@ from manifold.render.render import RenderSettings
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from manifold.colour.correction import ColourCorrection
     from manifold.estimate.coat import Coated
     from manifold.estimate.completion import Completion
     from manifold.estimate.completions import Completed
+    from manifold.estimate.instruments import CalibratedInstrument
 
 _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
 _COARSE_BALL = 96  # without Mitsuba
@@ -85,32 +85,27 @@ def write_coat(path: Path, made: Coated) -> None:
     html_page.write(path, made.sample.name, f"{made.path.name}, made of a colour and gloss.", sections)
 
 
-def write_calibration(
-    path: Path, learned: ColourCorrection, samples: Sequence[str], notes: Sequence[str]
-) -> None:
+def write_calibration(path: Path, made: CalibratedInstrument) -> None:
     """Write the report of a colour correction, learned from samples. Raises: UsageError."""
-    of_forms = {**learned.errors, "none: estimated spectra": learned.uncorrected}
-    colours = learned.colours if len(samples) > 1 else learned.colours.mean(axis=0, keepdims=True)
     sections = [
         Section(
             "Leave-one-out relative error",
             heads=("form", "error", "chosen"),
             table=[
-                (form, "" if error != error else f"{error:.4f}", "chosen" * (form == learned.form))
-                for form, error in of_forms.items()
+                (form, "" if error != error else f"{error:.4f}", "chosen" * (form == made.correction.form))
+                for form, error in made.errors.items()
             ],
         ),
         Section(
             "CIEDE2000 (D65/2) to the reference, left out, mean over readings",
             heads=("sample", "uncorrected", "corrected"),
             table=[
-                (name, *("" if off != off else f"{off:.2f}" for off in row))
-                for name, row in zip(samples, colours, strict=False)
+                (name, *("" if off != off else f"{off:.2f}" for off in row)) for name, row in made.colours
             ],
         ),
-        Section("Notes", notes=notes),
+        Section("Notes", notes=made.notes),
     ]
-    html_page.write(path, "Colour correction", f"Learned from {len(samples)} samples.", sections)
+    html_page.write(path, "Colour correction", f"Learned from {len(made.samples)} samples.", sections)
 
 
 def balls(brdf: BRDF) -> Section:

@@ -16,7 +16,7 @@ from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectanc
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.estimate import instruments
-from manifold.estimate.instruments import between_measurements, calibration_notes, correct_colours, merge
+from manifold.estimate.instruments import CalibratedInstrument, between_measurements, correct_colours, merge
 from manifold.formats import csv_table, registry
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.registry import read_readings
@@ -217,7 +217,7 @@ def test_a_sample_is_chosen_of_every_file_with_several(run, tmp_path):
         assert "2 samples (red, blue); name one by --sample" in " ".join(err.split())
 
 
-def test_a_correction_says_whether_it_is_better_than_none(rng):
+def test_a_correction_says_whether_it_is_better_than_none(rng, tmp_path):
     """A sensor that is not linear is worth correcting; readings of other samples teach nothing."""
     nm = np.arange(400.0, 701.0, 10.0)
     spectra = np.array([diffuse_reflectance(name, nm) for name in diffuse_reflectance_names()])
@@ -230,13 +230,13 @@ def test_a_correction_says_whether_it_is_better_than_none(rng):
     assert good.is_worse.mean() <= 0.25
     names = [f"sample {k}" for k in range(len(read))]
     worst = np.argmax(good.colours[:, 1] - good.colours[:, 0])
-    assert f"become worse: {names[worst]} (CIEDE2000" in calibration_notes(good, names)[0]
+    assert f"become worse: {names[worst]} (CIEDE2000" in CalibratedInstrument(tmp_path, good, names).notes[0]
     wrong = learn_correction(read, spectra[rng.permutation(len(spectra))], narrow, Bands(tuple(nm)))
     assert wrong.errors[wrong.form] > 5.0 * good.errors[good.form]
     estimated = replace(wrong, uncorrected=0.9 * wrong.errors[wrong.form])
     assert (
         "spectra estimated without a correction have a smaller error"
-        in calibration_notes(estimated, names)[1]
+        in CalibratedInstrument(tmp_path, estimated, names).notes[1]
     )
 
 

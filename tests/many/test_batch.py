@@ -221,7 +221,8 @@ def test_two_folders_calibrate_by_the_names_of_their_samples(tmp_path, rng):
                 for (i, o, p), row in zip(angles, values, strict=True)
             ]
             pairs[-1].write_text(f"name,theta_i,phi_i,theta_o,phi_o,{bands}\n" + "\n".join(rows) + "\n")
-    by_folders, names = calibrate([tmp_path / "reference", tmp_path / "other"], tmp_path / "a.json")
-    by_pairs, _ = calibrate(pairs, tmp_path / "b.json")
-    assert (sorted(names), by_folders.form) == (["blue", "red", "white"], by_pairs.form)
-    assert by_folders.uncorrected == pytest.approx(by_pairs.uncorrected)
+    by_folders = calibrate([tmp_path / "reference", tmp_path / "other"], tmp_path / "a.json")
+    by_pairs = calibrate(pairs, tmp_path / "b.json")
+    assert sorted(by_folders.samples) == ["blue", "red", "white"]
+    one, other = by_folders.correction, by_pairs.correction
+    assert (one.form, one.uncorrected) == (other.form, pytest.approx(other.uncorrected))

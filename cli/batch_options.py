@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -82,7 +83,7 @@ def require_folder(output: Path | None, outputs: str, suffix: str = ".bsdf") -> 
 
 def make_many(
     results: terminal.Results, command: Command[S], sources: Sequence[S], output: Path | None,
-    workers: AbstractContextManager[Executor | None], *, outputs: str = "many files; name another",
+    workers: AbstractContextManager[Executor | None] | None = None, *, outputs: str = "many files; name another",
     failed: Sequence[str] = (), then: Callable[[Batch[S]], object] | None = None,
 ) -> None:  # fmt: skip
     """Make the outputs of a command in a folder, and print a line of each.
@@ -91,7 +92,7 @@ def make_many(
         results: printed and written.
         command, sources: see `batch`.
         output: the folder that was named; by default that of the command.
-        workers: see `workers_of`.
+        workers: see `WorkerOptions.executor`; this process if None.
         outputs: what the folder is for, and what to do.
         failed: what is wrong with other sources.
         then: called with what was made, before it is printed.
@@ -100,7 +101,7 @@ def make_many(
 
     require_folder(output, outputs, command.suffix)
     folder = or_default(output, command.what)
-    with workers as entered:
+    with workers or nullcontext() as entered:
         made = batch(command, sources, folder, entered)
     if then is not None:
         then(made)

@@ -13,7 +13,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .worker_options import OneWorkerOption, SchedulerOption, workers_of
+from .worker_options import ONE, OneWorkerOptions
 
 if TYPE_CHECKING:
     from manifold.evaluate.chart import Chart
@@ -56,8 +56,7 @@ def chart(
             "completion, ridge, ridge_same, nearest, principled: less).",
         ),
     ] = False,
-    processes: OneWorkerOption = None,
-    scheduler: SchedulerOption = None,
+    workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
     """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
@@ -88,9 +87,9 @@ def chart(
     else:
         loaded = Manifold.load(model, library)
         opened, names = loaded.library, loaded.names
-    with progress.shown("Chart"), workers_of(processes, scheduler, 1) as workers:
+    with progress.shown("Chart"), workers.executor() as executor:
         files = [opened.read(name) for name in names]
-        made = make_chart(files, only or (), library=opened, workers=workers)
+        made = make_chart(files, only or (), library=opened, workers=executor)
     _write_chart(made, results, output)
 
 

@@ -18,7 +18,7 @@ from . import options, photo_options, terminal
 from .application import app
 from .batch_options import make_many, require_folder
 from .outputs import checked, or_default
-from .worker_options import SchedulerOption, WorkersOption, workers_of
+from .worker_options import PER_CORE, WorkerOptions
 
 if TYPE_CHECKING:
     from manifold.estimate.coat import Coated
@@ -124,8 +124,7 @@ def complete(
     physical: options.PhysicalOption = False,
     resolution: options.ResolutionOption = 32,
     incidences: options.IncidencesOption = 24,
-    processes: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
     """Complete readings of a material to a full BRDF, with a library of materials as prior.
@@ -204,7 +203,7 @@ def complete(
             colours = coat.read_colours(Path(lab), units, options.viewing_of(illuminant, observer))
             make_many(
                 results, many.coats(library, is_mixture=mixture, options=written), colours, output,
-                workers_of(processes, scheduler), outputs=f"{len(colours)} colours",
+                workers.executor(), outputs=f"{len(colours)} colours",
                 then=None if into is None else partial(many.import_outputs, library=into),
             )  # fmt: skip
             return
@@ -238,7 +237,7 @@ def complete(
                 library, correction=correction, count=suggest, instrument=instrument, options=written, report=report,
             )  # fmt: skip
             make_many(
-                results, command, samples, output, workers_of(processes, scheduler), outputs=f"{found}, or a folder",
+                results, command, samples, output, workers.executor(), outputs=f"{found}, or a folder",
                 then=None if into is None else partial(many.import_outputs, library=into),
             )  # fmt: skip
             return

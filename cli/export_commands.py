@@ -14,7 +14,6 @@ from . import options, terminal
 from .application import app
 from .batch_options import make_many
 from .outputs import or_default, written
-from .worker_options import workers_of
 
 if TYPE_CHECKING:
     from manifold.batch import Outcome
@@ -38,9 +37,7 @@ def export(
     latent: options.PlaceOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
-    like: options.LikeOption = None,
-    reflectance: options.ReflectanceOption = None,
-    srgb: options.SrgbOption = None,
+    colour: options.ColourOptions = options.OWN_COLOUR,
     output: Annotated[
         Path | None,
         options.output_option(
@@ -96,18 +93,14 @@ def export(
         )
     if pack is not None and source is None and latent is None:
         source = str(library or options.DEFAULT_LIBRARY)
-    material = options.one_material(
-        source, latent, model, library, like=like, reflectance=reflectance, srgb=srgb
-    )
+    material = options.one_material(source, latent, model, library, colour=colour)
     if isinstance(material, FileSource) and material.path.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         command = exporting.exports(
             TARGETS[target or "gltf"], is_mapped=mapped, with_pictures=picture, is_pack=pack is not None
         )
-        make_many(
-            results, command, exporting.export_sources(material.path), pack or output, workers_of(1, None)
-        )
+        make_many(results, command, exporting.export_sources(material.path), pack or output)
         return
     if pack is not None:
         raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")

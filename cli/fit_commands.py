@@ -14,7 +14,7 @@ from . import options, terminal
 from .application import app
 from .batch_options import inputs_of, make_many
 from .outputs import or_default
-from .worker_options import SchedulerOption, WorkersOption, workers_of
+from .worker_options import PER_CORE, WorkerOptions
 
 if TYPE_CHECKING:
     from manifold.batch import Outcome
@@ -36,9 +36,7 @@ def fit(
         "several, folders of .bsdf files, or libraries.", metavar="MATERIAL"),
     ] = None,
     latent: options.PlaceOption = None,
-    like: options.LikeOption = None,
-    reflectance: options.ReflectanceOption = None,
-    srgb: options.SrgbOption = None,
+    colour: options.ColourOptions = options.OWN_COLOUR,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     output: Annotated[
@@ -73,8 +71,7 @@ def fit(
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
     ] = 0.01,
-    processes: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    workers: WorkerOptions = PER_CORE,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw each fit beside its material, into NAME.fit.png.")
     ] = False,
@@ -94,7 +91,7 @@ def fit(
 
     materials = options.material_sources(
         sources or [], [] if latent is None else [latent], model, library,
-        like=like, reflectance=reflectance, srgb=srgb,
+        colour=colour,
     )  # fmt: skip
     if not materials:
         raise UsageError("found nothing to fit; name files, materials of the library, or places on the map")
@@ -115,7 +112,7 @@ def fit(
     several = None if sample else inputs_of(materials, output, samples=True)
     if several is not None:
         command = fits.fits(settings, with_pictures=picture)
-        make_many(results, command, several, output, workers_of(processes, scheduler))
+        make_many(results, command, several, output, workers.executor())
         return
     source = materials[0]
     if picture and isinstance(source, FileSource) and (known := registry.identify(source.path)) is not None:

@@ -13,7 +13,7 @@ from manifold.errors import UsageError
 from . import options, terminal
 from .application import app
 from .batch_options import inputs_of, is_many, make_many
-from .worker_options import SchedulerOption, WorkersOption, workers_of
+from .worker_options import PER_CORE, WorkerOptions
 
 
 @app.command(
@@ -71,8 +71,7 @@ def convert(
         bool, typer.Option("--merge", help="Several files are of one sample, whatever its names.")
     ] = False,
     report: options.ReportOption = None,
-    processes: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
     """Convert a BRDF or readings into another format, and report the conversion error.
@@ -100,7 +99,7 @@ def convert(
         command = many.conversions(
             to or "rgl", correction=correction, options=Options(resolution, incidences)
         )
-        make_many(results, command, found, output, workers_of(processes, scheduler))
+        make_many(results, command, found, output, workers.executor())
         return
     with progress.shown("Converting"), conversion.conversion_input(sources) as given:
         made = conversion.convert(

@@ -15,7 +15,7 @@ from manifold.errors import LibraryError, UsageError
 
 from . import options, terminal
 from .application import app
-from .worker_options import SchedulerOption, workers_of, workers_option
+from .worker_options import THREADS, ThreadOptions
 
 if TYPE_CHECKING:
     from manifold.brdf.measured import BRDF
@@ -159,8 +159,7 @@ def import_(
             metavar="DEG|auto",
         ),
     ] = None,
-    processes: Annotated[int | None, workers_option("threads of this process")] = None,
-    scheduler: SchedulerOption = None,
+    workers: ThreadOptions = THREADS,
     json: options.JsonOption = None,
 ) -> None:
     """Import .bsdf files or folders into a library, which is created if missing.
@@ -177,9 +176,9 @@ def import_(
     if compact and tolerance is None:
         tolerance = DEFAULT_TOLERANCE
     results = terminal.Results(json)
-    with progress.shown("Importing"), workers_of(processes, scheduler, 1) as workers:
+    with progress.shown("Importing"), workers.executor() as executor:
         result = import_files(
-            library, sources, replace=replace, tolerance=tolerance, rotation_rad=_rotation(rotation), workers=workers
+            library, sources, replace=replace, tolerance=tolerance, rotation_rad=_rotation(rotation), workers=executor
         )  # fmt: skip
     results.rows(
         f"Library {library}",

@@ -15,7 +15,7 @@ from . import options, photo_options, terminal
 from .application import app
 from .batch_options import PointsOption, inputs_of, make_many
 from .outputs import or_default, written
-from .worker_options import OneWorkerOption, SchedulerOption, WorkersOption, workers_of
+from .worker_options import ONE, PER_CORE, OneWorkerOptions, SchedulerOption, WorkerOptions
 
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
@@ -147,10 +147,10 @@ def embed(
         chosen["mapping"] = mapping
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
-    with workers_of(None, scheduler, 1) as workers:
+    with OneWorkerOptions(None, scheduler).executor() as executor:
         fitted, candidates = embed(
             library, output, Settings(kind=kind, **chosen), without=without or (),
-            auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=workers,
+            auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=executor,
         )  # fmt: skip
     settings = fitted.settings
     if candidates:
@@ -237,9 +237,7 @@ def predict(
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
-    like: options.LikeOption = None,
-    reflectance: options.ReflectanceOption = None,
-    srgb: options.SrgbOption = None,
+    colour: options.ColourOptions = options.OWN_COLOUR,
     gloss: Annotated[
         list[str] | None,
         typer.Option(
@@ -261,8 +259,7 @@ def predict(
     ] = None,
     resolution: options.ResolutionOption = 32,
     incidences: options.IncidencesOption = 8,
-    processes: OneWorkerOption = None,
-    scheduler: SchedulerOption = None,
+    workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
@@ -272,14 +269,10 @@ def predict(
     """
     from manifold.estimate import predictions
     from manifold.estimate.attributes import Attributes
-    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
-    colour, attributes = (
-        ColourChoice(like, reflectance, srgb),
-        Attributes.parse(gloss or (), lightness, chroma, hue),
-    )
+    attributes = Attributes.parse(gloss or (), lightness, chroma, hue)
     written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
     if None not in (place, latent):
         raise UsageError(
@@ -288,7 +281,7 @@ def predict(
         )
     latent = latent if place is None else place.strip()
     if points is not None:
-        if latent is not None or colour != NEAREST or attributes is not None:
+        if latent is not None or colour != options.OWN_COLOUR or attributes is not None:
             raise UsageError(
                 "found --from and a latent, colour or gloss; write these into columns of the table"
             )
@@ -297,7 +290,7 @@ def predict(
 
         rows, failed = read_points(points, model, library)
         command = many.predictions_of(model, library=library, options=written)
-        make_many(results, command, rows, output, workers_of(processes, scheduler, 1), failed=failed)
+        make_many(results, command, rows, output, workers.executor(), failed=failed)
         return
     if latent is None:
         raise UsageError(
@@ -310,7 +303,7 @@ def predict(
             latent if place is None else options.material_source(latent, model, library),
             or_default(output, "predicted.bsdf"),
             library=library,
-            colour=colour,
+            colour=colour.choice(),
             attributes=attributes,
             options=written,
         )
@@ -354,8 +347,7 @@ def locate(
         written("--picture", help="Of photographs: these beside their prediction, and differences."),
     ] = None,
     physical: options.PhysicalOption = False,
-    processes: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
     """Embed a measured or photographed material: find its latent on the fitted manifold.
@@ -388,7 +380,7 @@ def locate(
         from manifold import many
 
         command = many.locations(model, library=library, options=written)
-        make_many(results, command, several, output, workers_of(processes, scheduler))
+        make_many(results, command, several, output, workers.executor())
         return
     source = sources[0]
     with progress.shown("Reading materials"):
@@ -426,8 +418,7 @@ def reconstruct(
         ),
     ] = None,
     physical: options.PhysicalOption = False,
-    processes: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
@@ -448,7 +439,7 @@ def reconstruct(
         command = many.reconstructions_of(
             library, without=tuple(without or ()), numbers=numbers, options=written
         )
-        make_many(results, command, several, output, workers_of(processes, scheduler))
+        make_many(results, command, several, output, workers.executor())
         return
     source, target = sources[0], or_default(output, "reconstructed.bsdf")
     with progress.shown("Reading materials"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,18 +38,35 @@ JsonOption = Annotated[
 ]
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
 
-LikeOption = Annotated[
-    str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
-]
-ReflectanceOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
-    ),
-]
-SrgbOption = Annotated[
-    str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
-]
+
+@dataclass(frozen=True)
+class ColourOptions:
+    """The colour of a prediction: by default its own."""
+
+    like: Annotated[
+        str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
+    ] = None
+    reflectance: Annotated[
+        Path | None,
+        typer.Option(
+            help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
+        ),
+    ] = None
+    srgb: Annotated[
+        str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
+    ] = None
+
+    def choice(self, *, refused: str | None = None) -> ColourChoice:
+        """What they choose; where there is nothing to be coloured, `refused` says what they go with, and why."""
+        from manifold.model.colours import ColourChoice
+
+        if refused is not None and self != OWN_COLOUR:
+            raise UsageError(f"--like, --reflectance and --srgb go with {refused}")
+        return ColourChoice(self.like, self.reflectance, self.srgb)
+
+
+OWN_COLOUR = ColourOptions()
+"""None of these options."""
 PlaceOption = Annotated[
     str | None,
     typer.Option(
@@ -122,22 +139,6 @@ def viewing_of(illuminant: str | None, observer: int | None, usual: Viewing | No
     return Viewing(illuminant or usual.illuminant, observer or usual.observer_deg)
 
 
-def colour_choice(
-    like: str | None, reflectance: Path | None, srgb: str | None, *, refused: str | None = None
-) -> ColourChoice:
-    """The colour of `--like`, `--reflectance` or `--srgb`.
-
-    Args:
-        refused: where there is nothing to be coloured: the option that they go with, and why.
-    """
-    from manifold.model.colours import NEAREST, ColourChoice
-
-    colour = ColourChoice(like, reflectance, srgb)
-    if refused is not None and colour != NEAREST:
-        raise UsageError(f"--like, --reflectance and --srgb go with {refused}")
-    return colour
-
-
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
     """What an argument means that stands for a material."""
     from manifold.estimate.sources import parse_source
@@ -154,7 +155,7 @@ def several_materials(texts: Sequence[str], model: Path, library: Path | None) -
 
 def material_sources(
     texts: Sequence[str], latents: Sequence[str], model: Path, library: Path | None, *,
-    like: str | None, reflectance: Path | None, srgb: str | None,
+    colour: ColourOptions,
 ) -> list[MaterialSource]:  # fmt: skip
     """Arguments that stand for materials, then places of `--latent`, predictions in the colour of the options."""
     from manifold.estimate.sources import PlaceSource
@@ -163,13 +164,13 @@ def material_sources(
     found += [PlaceSource(model, latent.strip(), library) for latent in latents]
     are_measured = not any(isinstance(source, PlaceSource) for source in found)
     refused = "predictions; files and materials have their own colours" if are_measured else None
-    colour = colour_choice(like, reflectance, srgb, refused=refused)
-    return [replace(source, colour=colour) if isinstance(source, PlaceSource) else source for source in found]
+    choice = colour.choice(refused=refused)
+    return [replace(source, colour=choice) if isinstance(source, PlaceSource) else source for source in found]
 
 
 def one_material(
     text: str | None, latent: str | None, model: Path, library: Path | None, *,
-    like: str | None, reflectance: Path | None, srgb: str | None,
+    colour: ColourOptions,
 ) -> MaterialSource:  # fmt: skip
     """The one material of a command, see `material_sources`."""
     if (text is None) == (latent is None):
@@ -178,4 +179,4 @@ def one_material(
             f"found {found}, expected one material: a file, a name, or a place like -0.3,1.2 or FROM:TO:T"
         )
     texts, latents = ([given] if given is not None else [] for given in (text, latent))
-    return material_sources(texts, latents, model, library, like=like, reflectance=reflectance, srgb=srgb)[0]
+    return material_sources(texts, latents, model, library, colour=colour)[0]

@@ -31,9 +31,7 @@ def latent_map(
             help="Also show the prediction at this place, or where a material lies.", metavar=options.MATERIAL
         ),
     ] = None,
-    like: options.LikeOption = None,
-    reflectance: options.ReflectanceOption = None,
-    srgb: options.SrgbOption = None,
+    colour: options.ColourOptions = options.OWN_COLOUR,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     output: PictureOption = Path("map.png"),
@@ -47,7 +45,7 @@ def latent_map(
 
     results = terminal.Results(json)
     refused = "--mark; materials have their own colours" if mark is None else None
-    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
+    colour = colour.choice(refused=refused)
     with progress.shown("Rendering"):
         marked, left_out = maps.latent_map(
             model,
@@ -126,9 +124,7 @@ def slices(
         list[str] | None,
         typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y|NAME|FROM:TO:T"),
     ] = None,
-    like: options.LikeOption = None,
-    reflectance: options.ReflectanceOption = None,
-    srgb: options.SrgbOption = None,
+    colour: options.ColourOptions = options.OWN_COLOUR,
     kind: Annotated[
         SliceKind,
         typer.Option(
@@ -151,9 +147,7 @@ def slices(
     results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
-    materials = options.material_sources(
-        names or [], latent or [], model, library, like=like, reflectance=reflectance, srgb=srgb
-    )
+    materials = options.material_sources(names or [], latent or [], model, library, colour=colour)
     drawn = slices.sources(materials)
     slices.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]

@@ -14,7 +14,7 @@ from . import options, terminal
 from .application import app
 from .batch_options import PointsOption, inputs_of, make_many
 from .outputs import or_default
-from .worker_options import OneWorkerOption, SchedulerOption, workers_of
+from .worker_options import ONE, OneWorkerOptions
 
 if TYPE_CHECKING:
     from manifold.pictures.renders import Rendered
@@ -57,9 +57,7 @@ def render(
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
-    like: options.LikeOption = None,
-    reflectance: options.ReflectanceOption = None,
-    srgb: options.SrgbOption = None,
+    colour: options.ColourOptions = options.OWN_COLOUR,
     direct: Annotated[
         bool,
         typer.Option("--direct", help="Evaluate the measured materials while rendering; needs LLVM."),
@@ -75,8 +73,7 @@ def render(
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
-    processes: OneWorkerOption = None,
-    scheduler: SchedulerOption = None,
+    workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
     """Render a ball of a file, of a material of the library, or of a prediction, under an environment light.
@@ -91,20 +88,20 @@ def render(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if points is not None:
-        if materials or (latent, like, reflectance, srgb) != (None,) * 4:
+        if materials or latent is not None or colour != options.OWN_COLOUR:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
         from manifold import many
         from manifold.estimate.point_table import read_points
 
         rows, failed = read_points(points, model, library)
         command = many.renders(settings, model=model, library=library, direct=direct)
-        make_many(results, command, rows, output, workers_of(processes, scheduler, 1), failed=failed)
+        make_many(results, command, rows, output, workers.executor(), failed=failed)
         return
     from manifold.estimate.inputs import is_rendered
 
     sources = options.material_sources(
         materials or [], [] if latent is None else [latent], model, library,
-        like=like, reflectance=reflectance, srgb=srgb,
+        colour=colour,
     )  # fmt: skip
     if not sources or (materials and latent is not None):
         found = "nothing" if not sources else f"{', '.join(materials or ())} and --latent {latent}"
@@ -116,7 +113,7 @@ def render(
             raise UsageError("--direct goes with one place, or with --from")
         from manifold import many
 
-        make_many(results, many.renders(settings), several, output, workers_of(processes, scheduler, 1))
+        make_many(results, many.renders(settings), several, output, workers.executor())
         return
     with progress.shown("Rendering"):
         made = renders.render(sources[0], or_default(output, "render.png"), settings, direct=direct)

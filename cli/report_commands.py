@@ -13,7 +13,7 @@ from . import options, terminal
 from .application import app
 from .model_commands import show_prediction
 from .outputs import written
-from .worker_options import OneWorkerOption, SchedulerOption, workers_of
+from .worker_options import ONE, OneWorkerOptions
 
 Grid = Literal["default", "hikichi"]
 
@@ -51,8 +51,7 @@ def report(
         Path | None,
         written("--picture", help="Also draw the map of the latents.", metavar="FILE.png"),
     ] = None,
-    processes: OneWorkerOption = None,
-    scheduler: SchedulerOption = None,
+    workers: OneWorkerOptions = ONE,
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times.
 
@@ -62,10 +61,10 @@ def report(
     from manifold.evaluate.report_text import format_report
 
     results = terminal.Results(json)
-    with progress.shown("Evaluating"), workers_of(processes, scheduler, 1) as workers:
+    with progress.shown("Evaluating"), workers.executor() as executor:
         made = make_report(
             model, grid, library=library, compare=compare, all_bands=all_bands, principled=principled,
-            picture=picture, workers=workers,
+            picture=picture, workers=executor,
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made.to_json())

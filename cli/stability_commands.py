@@ -12,7 +12,7 @@ from manifold import progress
 from . import options, terminal
 from .application import app
 from .outputs import written
-from .worker_options import OneWorkerOption, SchedulerOption, workers_of
+from .worker_options import ONE, OneWorkerOptions
 
 
 @app.command(
@@ -28,8 +28,7 @@ def stability(
         Path | None,
         written("--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"),
     ] = None,
-    processes: OneWorkerOption = None,
-    scheduler: SchedulerOption = None,
+    workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
 ) -> None:
     """Run a catalogue of failure modes on synthetic plastics with known ground truth (takes minutes).
@@ -47,8 +46,8 @@ def stability(
     modes = select_modes(MODES, only or ())
     if picture is not None:
         figures.require_writable(picture)
-    with progress.shown("Failure modes"), workers_of(processes, scheduler, 1) as workers:
-        made = run_modes(modes, workers)
+    with progress.shown("Failure modes"), workers.executor() as executor:
+        made = run_modes(modes, executor)
     if picture is not None:
         figures.save(stability_figure.panels(made, modes), picture)
     results.sentence(conclusions.conclusion(made))

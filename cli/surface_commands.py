@@ -14,7 +14,7 @@ from . import options, terminal
 from .application import app
 from .batch_options import make_many
 from .outputs import or_default
-from .worker_options import SchedulerOption, WorkersOption, workers_of
+from .worker_options import PER_CORE, WorkerOptions
 
 
 @app.command(
@@ -56,8 +56,7 @@ def surface(
             metavar="NAME",
         ),
     ] = None,
-    processes: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
     """Make a textured material of the pictures that an instrument takes beside its readings.
@@ -84,7 +83,7 @@ def surface(
             if output is not None:
                 inputs.require_apart(sources, output)
             command = many.surfaces(library, size=size, targets=targets)
-            make_many(results, command, samples, output, workers_of(processes, scheduler))
+            make_many(results, command, samples, output, workers.executor())
             return
         if len(sources) > 1:
             raise UsageError(f"found --sample {sample} of {len(sources)} files, expected one workbook")

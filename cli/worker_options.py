@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
 
-def workers_option(by_default: str) -> Any:
+def _workers_option(by_default: str) -> Any:
     """The option `--workers`, to stand in an annotation."""
     return typer.Option(
         "--workers",
@@ -24,8 +25,6 @@ def workers_option(by_default: str) -> Any:
     )
 
 
-WorkersOption = Annotated[int | None, workers_option("one per core, for several materials")]
-OneWorkerOption = Annotated[int | None, workers_option("1")]
 SchedulerOption = Annotated[
     str | None,
     typer.Option(
@@ -36,16 +35,43 @@ SchedulerOption = Annotated[
 ]
 
 
-def workers_of(
-    count: int | None, scheduler: str | None, default: int | None = None
-) -> AbstractContextManager[Executor | None]:
-    """The workers of `--workers` or `--scheduler`, to enter; by default a process per core, or so many."""
-    from manifold import work
+@dataclass(frozen=True)
+class WorkerOptions:
+    """Who shares the work of a command: by default a process per core."""
 
-    if scheduler is None:
-        return work.processes(count or default)
-    if count is not None:
-        raise UsageError(f"found --workers {count} and --scheduler {scheduler}, expected one of them")
-    from manifold import cluster
+    workers: Annotated[int | None, _workers_option("one per core, for several materials")] = None
+    scheduler: SchedulerOption = None
+    default: ClassVar[int | None] = None
 
-    return cluster.workers(scheduler)
+    def executor(self) -> AbstractContextManager[Executor | None]:
+        """What `work.run` takes, to enter."""
+        from manifold import work
+
+        if self.scheduler is None:
+            return work.processes(self.workers or self.default)
+        if self.workers is not None:
+            raise UsageError(
+                f"found --workers {self.workers} and --scheduler {self.scheduler}, expected one of them"
+            )
+        from manifold import cluster
+
+        return cluster.workers(self.scheduler)
+
+
+@dataclass(frozen=True)
+class OneWorkerOptions(WorkerOptions):
+    """By default this process alone."""
+
+    workers: Annotated[int | None, _workers_option("1")] = None
+    default: ClassVar[int | None] = 1
+
+
+@dataclass(frozen=True)
+class ThreadOptions(OneWorkerOptions):
+    """By default threads of this process."""
+
+    workers: Annotated[int | None, _workers_option("threads of this process")] = None
+
+
+PER_CORE, ONE, THREADS = WorkerOptions(), OneWorkerOptions(), ThreadOptions()
+"""What is given where nothing is."""

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from manifold import cluster, work
-from manifold.cli.worker_options import workers_of
+from manifold.cli.worker_options import OneWorkerOptions, WorkerOptions
 from manifold.errors import ManifoldError, UsageError
 
 distributed = pytest.importorskip("distributed")
@@ -183,9 +183,9 @@ def test_without_dask_one_line_says_what_to_install(monkeypatch):
 
 def test_workers_and_a_scheduler_are_one_too_many():
     with pytest.raises(UsageError, match=r"--workers 2 and --scheduler here, expected one of them"):
-        workers_of(2, "here")
-    for count, default, expected in ((3, 1, 3), (None, 3, 3), (1, None, None), (None, 1, None)):
-        with workers_of(count, None, default) as workers:
+        WorkerOptions(2, "here").executor()
+    for options, expected in ((WorkerOptions(3), 3), (WorkerOptions(1), None), (OneWorkerOptions(), None)):
+        with options.executor() as workers:
             assert getattr(workers, "_max_workers", None) == expected
 
 

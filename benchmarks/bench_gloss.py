@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.analytic.ggx import GGX
-from manifold.analytic.ggx_mixture import GGXMixture
+from manifold.analytic.ggx import GGX, GGXMixture
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import panel

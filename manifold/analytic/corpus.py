@@ -11,8 +11,7 @@ import numpy as np
 from manifold import progress
 from manifold.analytic.base import Sheen
 from manifold.analytic.diffuse import RoughDiffuse
-from manifold.analytic.ggx import GGX
-from manifold.analytic.ggx_mixture import GGXMixture
+from manifold.analytic.ggx import GGX, GGXMixture
 from manifold.analytic.layers import Immersed, Layered, MixedBRDF, Retroreflection
 from manifold.analytic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
 from manifold.brdf import goniometer

@@ -15,6 +15,7 @@ from math import comb
 
 import numpy as np
 
+from manifold.analytic.ggx import GGX, normal_distribution
 from manifold.records import Array, Indices
 
 ROUGHNESSES = tuple((0.004 * 2.0 ** np.arange(8)).tolist())  # 14 of them, by factors of 1.5, gain nothing
@@ -68,9 +69,13 @@ class Lobes:
         f = np.full((len(chosen), len(wi)), 1.0 / np.pi)
         if np.any(shape >= 0):
             fresnel = bernstein(cos_theta_d(wi, wo), self.degree)
+            cosine = cos_theta_h(wi, wo)
+        masking: dict[float, Array] = {}
         for k in np.unique(shape[shape >= 0]):
-            rows = shape == k
-            f[rows] = microfacet_lobe(wi, wo, *self.shapes[k]) * fresnel[power[rows]]
+            rows, (alpha, tail) = shape == k, self.shapes[k]
+            if alpha not in masking:
+                masking[alpha] = _masking(wi, wo, alpha)
+            f[rows] = normal_distribution(cosine, alpha, tail) * masking[alpha] * fresnel[power[rows]]
         first = len(self) - len(self._soft)
         if np.any(chosen >= first):
             b = [bernstein(np.clip(w[:, 2], 0.0, 1.0), self.soft_degree) for w in (wi, wo)]
@@ -84,35 +89,29 @@ class Lobes:
         return np.cbrt(self.values(wi, wo))
 
 
-def normal_distribution(cos_theta_h: Array, alpha: float, tail: float) -> Array:
-    """Density of microfacet normals in 1/sr; the integral of `D cos(theta_h)` over the hemisphere is 1.
-
-    `D ~ (1 - (1 - alpha^2) cos^2(theta_h))^-tail`.
-
-    Source: Burley 2012, "Physically-Based Shading at Disney", generalised Trowbridge-Reitz.
-    """
-    a2 = alpha * alpha
-    norm = (tail - 1.0) * (1.0 - a2) / (np.pi * (a2 ** (1.0 - tail) - 1.0))
-    return norm / (1.0 - (1.0 - a2) * cos_theta_h**2) ** tail
-
-
 def microfacet_lobe(wi: Array, wo: Array, alpha: float, tail: float = 2.0) -> Array:
-    """`D G / (4 cos(theta_i) cos(theta_o))` of a perfect reflector in 1/sr, shape (P,).
+    """`D G / (4 cos(theta_i) cos(theta_o))` of a perfect reflector in 1/sr, shape (P,); below the horizon anything.
 
-    Masking is that of GGX, height-correlated, whatever the tail.
+    Masking is that of GGX, whatever the tail.
 
     Args:
         wi, wo: unit vectors (P, 3).
         alpha: roughness.
         tail: see `normal_distribution`.
-    Source: Heitz 2014, "Understanding the Masking-Shadowing Function", eq. 99.
     """
-    a2 = alpha * alpha
-    ci, co = np.maximum(wi[:, 2], 0.0), np.maximum(wo[:, 2], 0.0)
-    si, so = np.sqrt(a2 + (1.0 - a2) * ci * ci), np.sqrt(a2 + (1.0 - a2) * co * co)
+    return normal_distribution(cos_theta_h(wi, wo), alpha, tail) * _masking(wi, wo, alpha)
+
+
+def _masking(wi: Array, wo: Array, alpha: float) -> Array:
+    """That of GGX, shape (P,), with cosines of at least 1e-9."""
+    above = (np.maximum(w, [-1.0, -1.0, 1e-9]) for w in (wi, wo))
+    return GGX.isotropic(alpha).masking(*above)
+
+
+def cos_theta_h(wi: Array, wo: Array) -> Array:
+    """Cosine between the half vector of directions (P, 3) and the normal, shape (P,); 0 between opposite directions."""
     h = wi + wo
-    cos_theta_h = h[:, 2] / np.maximum(np.linalg.norm(h, axis=1), np.finfo(float).tiny)
-    return normal_distribution(cos_theta_h, alpha, tail) / np.maximum(2.0 * (ci * so + co * si), 1e-12)
+    return h[:, 2] / np.maximum(np.linalg.norm(h, axis=1), np.finfo(float).tiny)
 
 
 def cos_theta_d(wi: Array, wo: Array) -> Array:

@@ -13,12 +13,14 @@ with Spherical Caps".
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numba import njit, prange
 
+from manifold.analytic.base import choose_lobe
 from manifold.directions import gauss_legendre, half_vector, hemisphere_quadrature, normalize
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Indices
@@ -116,24 +118,25 @@ class GGX:
 
     def stretched_length(self, w: Array) -> Array:
         """|M^-1 w|, shape (...): the cosine of the transformed direction is w_z over this."""
-        plane = w[..., :2] @ self._inverse[:2, :2].T
-        return np.sqrt(plane[..., 0] ** 2 + plane[..., 1] ** 2 + w[..., 2] ** 2)
+        return np.sqrt(_squared_length(self._inverse, w))
 
     def D(self, wm: Array) -> Array:
         """Density of microfacet normals per solid angle and surface area in 1/sr, shape (...); 0 below.
 
         Normalised so that the integral of D(wm) <wm, n> over the hemisphere is 1.
         """
-        plane = wm[..., :2] @ self.transform[:2, :2]  # (M^T w_m), row vectors
-        stretched = plane[..., 0] ** 2 + plane[..., 1] ** 2 + wm[..., 2] ** 2
+        stretched = _squared_length(self.transform.T, wm)
         # <w_std, n>^4 / <w_m, n>^4 = 1 / |M^T w_m|^4, without the division by a grazing cosine.
         return np.where(wm[..., 2] > 0, self._determinant / (np.pi * stretched**2), 0.0)
 
+    def masking(self, wi: Array, wo: Array) -> Array:
+        """G2 / (4 cos_i cos_o), height-correlated, shape (...), for directions above the horizon; symmetric."""
+        # The cosines are cancelled, so grazing directions lose no digits.
+        return 0.5 / (wi[..., 2] * self.stretched_length(wo) + wo[..., 2] * self.stretched_length(wi))
+
     def reflection_factor(self, wi: Array, wo: Array) -> Array:
         """D G2 / (4 cos_i cos_o) in 1/sr, shape (...), for directions above the horizon; symmetric."""
-        d = self.D(half_vector(wi, wo))
-        # G2 / (4 cos_i cos_o) with the cosines cancelled, so grazing directions lose no digits.
-        return d / (2.0 * (wi[..., 2] * self.stretched_length(wo) + wo[..., 2] * self.stretched_length(wi)))
+        return self.D(half_vector(wi, wo)) * self.masking(wi, wo)
 
     def sample_visible_normal(self, wi: Array, u: Array) -> Array:
         """Normals (..., 3) that `wi` (..., 3) above the horizon sees, of density G1 <wi, wm> D / cos_i, for u (..., 2).
@@ -204,9 +207,103 @@ class AlbedoTable:
         return (weights * nodes[:, 2]) @ self(nodes) / np.pi
 
 
+@dataclass(frozen=True, eq=False)
+class GGXMixture:
+    """Isotropic GGX microsurfaces, each on its share of the area; it stands in for a `GGX`.
+
+    Attributes:
+        parts: pairs (share of the area, roughness alpha), shares with sum 1.
+    Raises:
+        UsageError: there are no parts, or their shares do not sum to 1.
+    """
+
+    parts: Sequence[tuple[float, float]]
+
+    def __post_init__(self) -> None:
+        shares = [share for share, _ in self.parts]
+        if not all(share >= 0.0 for share in shares) or abs(sum(shares) - 1.0) > 1e-6:
+            raise UsageError(f"shares are {shares}, expected numbers >= 0 with the sum 1")
+
+    @property
+    def is_isotropic(self) -> bool:
+        return True
+
+    @cached_property
+    def _surfaces(self) -> tuple[tuple[float, GGX], ...]:
+        return tuple((share, GGX.isotropic(alpha)) for share, alpha in self.parts)
+
+    def reflection_factor(self, wi: Array, wo: Array) -> Array:
+        """D G2 / (4 cos_i cos_o) in 1/sr, shape (...), as `GGX.reflection_factor`."""
+        return sum(share * ggx.reflection_factor(wi, wo) for share, ggx in self._surfaces)  # type: ignore[return-value]
+
+    def sample_visible_normal(self, wi: Array, u: Array) -> Array:
+        """Normals (n, 3), as `GGX.sample_visible_normal`."""
+        part, u = choose_lobe(np.array([share for share, _ in self.parts]), u)
+        normals = np.empty_like(wi)
+        for k, (_, ggx) in enumerate(self._surfaces):
+            normals[part == k] = ggx.sample_visible_normal(wi[part == k], u[part == k])
+        return normals
+
+    def pdf_reflection(self, wi: Array, wo: Array) -> Array:
+        """Density in 1/sr of mirrored visible normals, shape (...)."""
+        return sum(share * ggx.pdf_reflection(wi, wo) for share, ggx in self._surfaces)  # type: ignore[return-value]
+
+    def albedo_table(self, reflectance: Array) -> MixedAlbedo:
+        """Directional albedo of single scattering, as `GGX.albedo_table`."""
+        return MixedAlbedo([(share, ggx.albedo_table(reflectance)) for share, ggx in self._surfaces])
+
+
+@dataclass(frozen=True, eq=False)
+class MixedAlbedo:
+    """The mean of tables of directional albedo, which it stands in for.
+
+    Attributes:
+        parts: pairs (share, table).
+    """
+
+    parts: Sequence[tuple[float, AlbedoTable]]
+
+    def __call__(self, w: Array) -> Array:
+        """Albedo of directions (n, 3) above the horizon, shape (n, B)."""
+        return sum(share * table(w) for share, table in self.parts)  # type: ignore[return-value]
+
+    @cached_property
+    def hemispherical(self) -> Array:
+        """Albedo under uniform illumination, shape (B,)."""
+        return sum(share * table.hemispherical for share, table in self.parts)  # type: ignore[return-value]
+
+
+def _squared_length(matrix: Array, w: Array) -> Array:
+    """|A w|^2, shape (...), of a map A of the plane and vectors (..., 3)."""
+    x, y, z = w[..., 0], w[..., 1], w[..., 2]
+    (a, b, _), (c, d, _), _ = matrix
+    return (a * x + b * y) ** 2 + (c * x + d * y) ** 2 + z * z
+
+
 def facet_cosines() -> Array:
     """The cosines between direction and facet at which `GGX.albedo_table` needs the Fresnel reflectance."""
     return np.linspace(0.0, 1.0, _N_COSINES)
+
+
+def normal_distribution(cos_theta_h: Array, alpha: float, tail: float) -> Array:
+    """Density of microfacet normals in 1/sr; the integral of `D cos(theta_h)` over the hemisphere is 1.
+
+    `D ~ (1 - (1 - alpha^2) cos^2(theta_h))^-tail` for alpha below 1; GGX has the tail 2, less has longer tails.
+
+    Source: Burley 2012, "Physically-Based Shading at Disney", generalised Trowbridge-Reitz.
+    """
+    a2 = alpha * alpha
+    norm = (tail - 1.0) * (1.0 - a2) / (np.pi * (a2 ** (1.0 - tail) - 1.0))
+    return norm / (1.0 - (1.0 - a2) * cos_theta_h**2) ** tail
+
+
+def sample_normals(u: Array, alpha: float, tail: float) -> Array:
+    """Normals (P, 3) of density `D cos(theta_h)`, D of `normal_distribution`, for uniform variates u (P, 2)."""
+    a2 = alpha * alpha
+    x = (a2 ** (1.0 - tail) * (1.0 - u[:, 1]) + u[:, 1]) ** (1.0 / (1.0 - tail))
+    sin_squared = np.clip((x - a2) / (1.0 - a2), 0.0, 1.0)
+    s, phi = np.sqrt(sin_squared), 2.0 * np.pi * u[:, 0]
+    return np.stack([s * np.cos(phi), s * np.sin(phi), np.sqrt(1.0 - sin_squared)], axis=1)
 
 
 def _cell(x: Array, n: int) -> tuple[Indices, Array]:

@@ -16,8 +16,7 @@ import numpy as np
 
 from manifold.analytic.base import AnalyticBRDF, choose_lobe, cosine_hemisphere, set_per_band
 from manifold.analytic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
-from manifold.analytic.ggx import GGX, AlbedoTable, facet_cosines
-from manifold.analytic.ggx_mixture import GGXMixture, MixedAlbedo
+from manifold.analytic.ggx import GGX, AlbedoTable, GGXMixture, MixedAlbedo, facet_cosines
 from manifold.directions import gauss_legendre
 from manifold.errors import UsageError
 from manifold.records import Array, Bands

@@ -12,7 +12,8 @@ import numba as nb
 import numpy as np
 
 from manifold.analytic.base import choose_lobe, cosine_hemisphere
-from manifold.analytic.free_lobes import Lobes, normal_distribution
+from manifold.analytic.free_lobes import Lobes
+from manifold.analytic.ggx import normal_distribution, sample_normals
 from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic, values_at
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
@@ -64,18 +65,9 @@ class LobeSampling:
         for k, shape in enumerate(self._shapes):
             mine = chosen == k
             if shape is not None and np.any(mine):
-                h = _normals(u[mine], *shape)
+                h = sample_normals(u[mine], *shape)
                 wo[mine] = 2.0 * np.sum(wi[mine] * h, axis=1, keepdims=True) * h - wi[mine]
         return wo, self.pdf(wi, wo)
-
-
-def _normals(u: Array, alpha: float, tail: float) -> Array:
-    """Normals (P, 3) of density `D cos(theta_h)`: the inverse of its cumulative distribution."""
-    a2 = alpha * alpha
-    x = (a2 ** (1.0 - tail) * (1.0 - u[:, 1]) + u[:, 1]) ** (1.0 / (1.0 - tail))
-    sin_squared = np.clip((x - a2) / (1.0 - a2), 0.0, 1.0)
-    s, phi = np.sqrt(sin_squared), 2.0 * np.pi * u[:, 0]
-    return np.stack([s * np.cos(phi), s * np.sin(phi), np.sqrt(1.0 - sin_squared)], axis=1)
 
 
 # Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.

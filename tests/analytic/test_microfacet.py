@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from manifold.analytic.base import Lambert, Sheen
 from manifold.analytic.diffuse import RoughDiffuse
 from manifold.analytic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
-from manifold.analytic.ggx import GGX
-from manifold.analytic.ggx_mixture import GGXMixture
+from manifold.analytic.ggx import GGX, GGXMixture
 from manifold.analytic.layers import Immersed, Layered, MixedBRDF, Retroreflection
 from manifold.analytic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
 from manifold.colour.metals import metal_ior

@@ -12,9 +12,8 @@ from manifold.analytic.free_lobes import (
     bernstein,
     cos_theta_d,
     microfacet_lobe,
-    normal_distribution,
 )
-from manifold.analytic.ggx import GGX
+from manifold.analytic.ggx import GGX, normal_distribution
 from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.nonnegative import nonnegative_weights
 

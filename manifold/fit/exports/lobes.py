@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from manifold.analytic.fresnel import fresnel_dielectric
+from manifold.analytic.ggx import GGX
 from manifold.directions import normalize, rotate_z
 from manifold.records import Array
 
@@ -52,38 +53,22 @@ class Pairs:
         )  # fmt: skip
 
 
-def ggx(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
-    """GGX (Trowbridge-Reitz) distribution of half vectors, (P,). Source: Burley 2012, eq. 13."""
-    ax, ay = max(alpha_x, _LEAST_ALPHA), max(alpha_y, _LEAST_ALPHA)
-    x, y, z = (pairs.half[:, k] for k in range(3))
-    return 1.0 / (np.pi * ax * ay * ((x / ax) ** 2 + (y / ay) ** 2 + z * z) ** 2)
-
-
-def smith_g1(direction: Array, alpha_x: float, alpha_y: float) -> Array:
-    """Smith's masking of GGX in one direction, (P,). Source: Walter et al. 2007, eq. 34."""
-    x, y, z = (direction[:, k] for k in range(3))
-    slope = ((alpha_x * x) ** 2 + (alpha_y * y) ** 2) / np.maximum(z * z, 1e-12)
-    return 2.0 / (1.0 + np.sqrt(1.0 + slope))
-
-
-def smith_correlated(cos_l: Array, cos_v: Array, alpha: float) -> Array:
-    """Height-correlated Smith masking and shadowing. Source: Heitz 2014, eq. 99."""
-    a2 = alpha * alpha
-    of_l = np.sqrt(a2 + (1.0 - a2) * cos_l**2)
-    of_v = np.sqrt(a2 + (1.0 - a2) * cos_v**2)
-    return 2.0 * cos_l * cos_v / (of_l * cos_v + of_v * cos_l)
+@lru_cache(maxsize=64)
+def surface(alpha_x: float, alpha_y: float) -> GGX:
+    """The GGX surface of these roughnesses, neither of them a mirror's."""
+    return GGX.anisotropic(max(alpha_x, _LEAST_ALPHA), max(alpha_y, _LEAST_ALPHA))
 
 
 def specular_correlated(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
     """`D G2 / (4 cos cos)` of GGX, (P,), G2 by the geometric mean of the alphas, as MaterialX has it."""
-    g = smith_correlated(pairs.cos_l, pairs.cos_v, np.sqrt(alpha_x * alpha_y))
-    return ggx(pairs, alpha_x, alpha_y) * g / (4.0 * pairs.cos_v * pairs.cos_l)
+    mean = float(np.sqrt(alpha_x * alpha_y))
+    return surface(alpha_x, alpha_y).D(pairs.half) * surface(mean, mean).masking(pairs.view, pairs.light)
 
 
 def specular_joint(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
-    """`D G2 / (4 cos cos)` of GGX, (P,), G2 height-correlated with both alphas. Source: Heitz 2014, eq. 99."""
-    g = 1.0 / smith_g1(pairs.view, alpha_x, alpha_y) + 1.0 / smith_g1(pairs.light, alpha_x, alpha_y) - 1.0
-    return ggx(pairs, alpha_x, alpha_y) / (4.0 * pairs.cos_v * pairs.cos_l * g)
+    """`D G2 / (4 cos cos)` of GGX, (P,), G2 height-correlated with both alphas."""
+    both = surface(alpha_x, alpha_y)
+    return both.D(pairs.half) * both.masking(pairs.view, pairs.light)
 
 
 def schlick(f0: Array | float, f90: Array | float, cosine: Array) -> Array:
@@ -156,25 +141,18 @@ def _dielectric_table(alpha: float, ior: float) -> tuple[Array, Array]:
 @lru_cache(maxsize=16)
 def _visible_reflections(alpha: float) -> tuple[Array, Array, Array]:
     """Cosines with the normal (C,), weights (C, S) and cosines with the half vector (C, S) of a lobe's samples."""
-    alpha = max(alpha, 1e-3)
+    ggx = surface(max(alpha, 1e-3), max(alpha, 1e-3))
     nodes = np.linspace(0.0, 1.0, _NODES) ** 2  # dense at grazing
     nodes[0] = 1e-3
-    u = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    u1, u2 = (a.ravel() for a in np.meshgrid(u, u))
-    view = np.stack([np.sqrt(1.0 - nodes**2), np.zeros(_NODES), nodes], axis=1)
-    stretched = normalize(view * [alpha, alpha, 1.0])[:, None]  # [C, 1, 3]
-    z = (1.0 - u2) * (1.0 + stretched[..., 2]) - stretched[..., 2]
-    r = np.sqrt(np.clip(1.0 - z * z, 0.0, 1.0))
-    normal = np.stack([r * np.cos(2 * np.pi * u1), r * np.sin(2 * np.pi * u1), z], axis=-1) + stretched
-    normal = normalize(normal * [alpha, alpha, 1.0])
-    cos_d = np.einsum("ck,csk->cs", view, normal)
-    cos_l = 2.0 * cos_d * normal[..., 2] - nodes[:, None]
-    lit = cos_l > 0
-    safe = np.where(lit, cos_l, 1.0)
-    cos_v = np.broadcast_to(nodes[:, None], safe.shape)
-    g1 = 2.0 / (1.0 + np.sqrt(1.0 + alpha**2 * (1.0 / cos_v**2 - 1.0)))
-    weight = np.where(lit, smith_correlated(safe, cos_v, alpha) / g1, 0.0)
-    return nodes, weight, np.clip(cos_d, 0.0, 1.0)
+    u = np.stack(np.meshgrid(*[(np.arange(_SAMPLES) + 0.5) / _SAMPLES] * 2), axis=-1).reshape(-1, 2)
+    view = np.stack([np.sqrt(1.0 - nodes**2), np.zeros(_NODES), nodes], axis=1)[:, None]  # [C, 1, 3]
+    normal = ggx.sample_visible_normal(view, u)
+    cos_d = np.sum(view * normal, axis=-1)
+    light = 2.0 * cos_d[..., None] * normal - view
+    lit = light[..., 2] > 0.0
+    light[~lit] = (0.0, 0.0, 1.0)
+    weight = light[..., 2] * ggx.reflection_factor(view, light) / ggx.pdf_reflection(view, light)
+    return nodes, np.where(lit, weight, 0.0), np.clip(cos_d, 0.0, 1.0)
 
 
 def charlie(pairs: Pairs, roughness: float) -> Array:

@@ -80,4 +80,4 @@ def _lobe(pairs: Pairs, roughness: float) -> Array:
     alpha = max(roughness, 0.001) ** 2
     k = 0.5 * alpha
     masking = (pairs.cos_v * (1.0 - k) + k) * (pairs.cos_l * (1.0 - k) + k)
-    return (lobes.ggx(pairs, alpha, alpha) / (4.0 * masking))[:, None]
+    return (lobes.surface(alpha, alpha).D(pairs.half) / (4.0 * masking))[:, None]

@@ -54,7 +54,7 @@ def hemisphere(n=64):
     ("roughness", "anisotropic", "rtol"),
     [(0.2, 0.0, 2e-5), (0.5, 0.0, 2e-5), (1.0, 0.0, 2e-5), (0.5, 0.7, 1e-4)],
 )
-def test_a_rough_metal_in_gltf_is_principled_s_but_for_height_correlated_masking(
+def test_a_rough_metal_in_gltf_is_principled_s_but_for_masking_and_what_scatters_between_facets(
     roughness, anisotropic, rtol, rng
 ):
     # Both are GGX with Schlick's term; Mitsuba's masking is separable, and in single precision.
@@ -71,6 +71,8 @@ def test_a_rough_metal_in_gltf_is_principled_s_but_for_height_correlated_masking
     alone = [2.0 / (1.0 + surface.stretched_length(each) / each[:, 2]) for each in (view, light)]
     correlated = 1.0 / (1.0 / alone[0] + 1.0 / alone[1] - 1.0)  # Heitz 2014, eq. 99
     expected = expected * (correlated / (alone[0] * alone[1]))[:, None]
+    single, _ = lobes.single_scattering(min(material.alphas), view[:, 2])
+    expected = expected * (1.0 + np.array(material.base_color) * (1.0 / single - 1.0))
     np.testing.assert_allclose(gltf.brdf(gltf.parameters(material), view, light), expected, rtol=rtol)
 
 
@@ -86,6 +88,14 @@ def test_a_film_in_gltf_has_the_colour_of_the_viewer_s_angle_and_leaves_the_diff
         gltf.brdf(grey | each, view, light) - gltf.brdf(black | each, view, light) for each in ({}, film)
     ]
     np.testing.assert_allclose(*diffuse, rtol=1e-9)
+
+
+def test_the_diffuse_of_gltf_loses_what_each_channel_of_its_highlight_reflects():
+    both = from_spherical(np.array([0.4]), np.array([0.0]))
+    values = gltf.DEFAULTS | {"metallicFactor": 0.0, "ior": 2.0, "specularColorFactor": [1.0, 0.0, 0.5]}
+    black = gltf.brdf(values | {"baseColorFactor": [0.0, 0.0, 0.0]}, both, both)
+    found = gltf.brdf(values, both, both) - black
+    np.testing.assert_allclose(np.pi * found[0], 1.0 - np.array([1.0, 0.0, 0.5]) / 9.0, rtol=1e-9)
 
 
 def test_other_metals_are_principled_s_but_for_masking_and_what_scatters_between_facets(rng):
@@ -132,7 +142,7 @@ def test_no_target_makes_light(target):
         assert f.min() >= 0.0
 
 
-@pytest.mark.parametrize("name", ["openpbr", "blender", "unity"])
+@pytest.mark.parametrize("name", ["gltf", "openpbr", "blender", "unity"])
 def test_a_rough_white_metal_loses_nothing_where_light_scatters_between_facets(name):
     light, solid_angle = hemisphere(128)
     values = TARGETS[name].parameters(Principled((1.0, 1.0, 1.0), metallic=1.0, roughness=0.8))

@@ -104,22 +104,23 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Args:
         values: all of `DEFAULTS`.
         view, light: unit vectors (P, 3).
-    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions. The thin
-    film, which they leave open, as three.js and Khronos' renderer have it: at the angle of the viewer with the normal;
-    the diffuse is what it is without, as in three.js.
+    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions, but for
+    what three.js and Khronos' renderer do otherwise: of the diffuse, Fresnel's share is taken per channel; a thin film
+    is seen at the angle of the viewer with the normal, and, as light that scatters between facets, as in three.js.
     """
     pairs = Pairs.of(view, light, values["anisotropyRotation"])
     base = np.asarray(values["baseColorFactor"])
     alpha = values["roughnessFactor"] ** 2
     along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2
-    specular = lobes.specular_joint(pairs, along, alpha)[:, None]
-    metal = specular * _filmed(values, pairs, lobes.schlick(base, 1.0, pairs.cos_d), base)
     f0 = np.minimum(ior_to_f0(values["ior"]) * np.asarray(values["specularColorFactor"]), 1.0)
-    strength = values["specularFactor"]
+    strength, m = values["specularFactor"], values["metallicFactor"]
+    single, _ = lobes.single_scattering(alpha, pairs.cos_v)
+    scattered = 1.0 + (f0 * strength + m * (base - f0 * strength)) * (1.0 / single - 1.0)  # Turquin 2019
+    specular = lobes.specular_joint(pairs, along, alpha)[:, None] * scattered
+    metal = specular * _filmed(values, pairs, lobes.schlick(base, 1.0, pairs.cos_d), base)
     bare = lobes.schlick(f0 * strength, np.full(3, strength), pairs.cos_d)
-    dielectric = (1.0 - bare.max(axis=1, keepdims=True)) * base / np.pi
-    dielectric = dielectric + specular * _filmed(values, pairs, bare, f0 * strength)
-    f: Array = dielectric + values["metallicFactor"] * (metal - dielectric)
+    dielectric = (1.0 - bare) * base / np.pi + specular * _filmed(values, pairs, bare, f0 * strength)
+    f: Array = dielectric + m * (metal - dielectric)
     f = _sheen(values, pairs, f)
     if values["clearcoatFactor"]:
         coat_alpha = values["clearcoatRoughnessFactor"] ** 2

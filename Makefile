@@ -9,7 +9,7 @@ MINUTES ?= 10
 # Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo kernels test test-slow test-lowest check attack bench golden docs clean help
+.PHONY: demo kernels test test-slow test-lowest check attack bench golden engines docs clean help
 
 help:
 	@echo "make demo        run the whole program on the built-in corpus, into $(OUT)/"
@@ -21,6 +21,7 @@ help:
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
+	@echo "make engines     exports as Cycles, MaterialX and three.js draw them, into benchmarks/results/engines.json"
 	@echo "make golden      which numbers of commands and calls moved since they were kept: KEEP=1 keeps them, ONLY=words"
 
 .venv/ready: pyproject.toml tools/setup.sh
@@ -67,6 +68,12 @@ bench: .venv/readydev
 # One thread a process: two processes share the steps.
 golden: kernels
 	OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python tools/golden $(if $(ONLY),--only "$(ONLY)") $(if $(KEEP),--keep)
+
+.venv-engines/ready: tools/setup.sh
+	tools/setup.sh engines
+
+engines: kernels .venv-engines/ready
+	$(BIN)/python tools/engines
 
 docs: .venv/readydocs
 	$(BIN)/codespell README.md CONTRIBUTING.md CHANGELOG.md SECURITY.md docs manifold cli

@@ -3,6 +3,7 @@
 #
 #   tools/setup.sh          what running the program needs
 #   tools/setup.sh dev      what its tests and checks need as well
+#   tools/setup.sh engines  Blender's module and MaterialX's renderer, into .venv-engines; what `make engines` needs
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
 # libllvm19 lets Mitsuba run its fast variants. It is installed where it is missing and apt may be used;
@@ -43,6 +44,17 @@ apt_install() {
 has_llvm() {
     ldconfig -p 2>/dev/null | grep -Eq 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])'
 }
+
+if [ "$extra" = engines ]; then # Blender's module is for one version of Python
+    command -v xvfb-run >/dev/null 2>&1 ||
+        apt_install xvfb libgl1 libgl1-mesa-dri libsm6 libxi6 libxfixes3 libxkbcommon0 libxxf86vm1 ||
+        echo "setup: xvfb is missing and could not be installed; MaterialX's renderer needs an X server" >&2
+    [ -x .venv-engines/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv-engines
+    .venv-engines/bin/python -m pip install --quiet --disable-pip-version-check --no-compile \
+        "bpy==5.0.1" "materialx>=1.39.5,<1.40"
+    touch .venv-engines/ready
+    exit
+fi
 
 python=$(find_python)
 if [ ! -x .venv/bin/python ] || ! .venv/bin/python -m pip --version >/dev/null 2>&1; then

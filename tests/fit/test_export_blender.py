@@ -145,7 +145,7 @@ def drawn_and_expected(picture, parameters, view, light):
     frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
     wi, wo = frame @ view, frame @ light
     lit = wo[:, 2] > 0.02
-    drawn = np.array(picture).reshape(SIZE, SIZE, 4)[inside][lit]
+    drawn = picture[inside][lit]
     assert np.all(drawn[:, 3] == 1.0)
     return drawn[:, :3], np.pi * blender.brdf(parameters, wi[lit], wo[lit]) * wo[lit][:, 2:]
 
@@ -159,10 +159,15 @@ def test_cycles_draws_the_model_that_losses_are_measured_with(tmp_path):
         (tmp_path / f"{name}.py").write_text(blender.script(other))
         made[str(tmp_path / f"{name}.py")] = other
     view, light = normalize(np.array([0.0, -1.0, 0.3])), normalize(np.array([-0.5, -0.6, 0.7]))
-    task = {"scripts": list(made), "picture": str(tmp_path / "x.exr"), "size": SIZE, "edge": EDGE}
-    found = blender_module.run(blender_module.BALLS, task | {"view": list(view), "light": list(light)})
-    for path, exported in made.items():
-        linear = drawn_and_expected(found[path], exported.parameters, view, light)
+    task = {
+        "materials": {str(k): path for k, path in enumerate(made)}, "lights": {"sun": light.tolist()},
+        "samples": [1, 1], "size": SIZE, "edge": EDGE, "filter": 0.01,  # a pixel is its centre
+        "view": view.tolist(), "folder": str(tmp_path),
+    }  # fmt: skip
+    blender_module.run(blender_module.BALLS, task)
+    for k, exported in enumerate(made.values()):
+        picture = np.load(tmp_path / f"{k} sun.npy")
+        linear = drawn_and_expected(picture, exported.parameters, view, light)
         difference = ball_colours.delta_e(*(srgb_to_xyz(np.clip(values, 0.0, 1.0)) for values in linear))
         print(exported.name, difference)
         assert difference < CYCLES[exported.name], exported.name

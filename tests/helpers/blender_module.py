@@ -8,6 +8,7 @@ import subprocess
 from typing import Any
 
 import pytest
+from helpers.paths import REPOSITORY
 
 VARIABLE = "MANIFOLD_BLENDER_PYTHON"
 
@@ -54,58 +55,8 @@ print(json.dumps(found))
 SIZE = 96  # pixels of a side
 EDGE = 1.02  # radii of the ball that half the picture's side shows
 
-BALLS = """
-import json, math, sys
-import bpy, mathutils
-import numpy as np
-task = json.loads(sys.argv[1])
-bpy.ops.wm.read_homefile(use_empty=True)
-scene = bpy.context.scene
-scene.render.engine = "CYCLES"
-scene.cycles.device = "CPU"
-scene.cycles.samples = 1
-scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
-scene.cycles.max_bounces = 0
-scene.cycles.pixel_filter_type = "BOX"
-scene.cycles.filter_width = 0.01  # a pixel is its centre
-scene.render.threads_mode, scene.render.threads = "FIXED", 2
-scene.render.resolution_x = scene.render.resolution_y = task["size"]
-scene.render.film_transparent = True
-scene.render.image_settings.file_format = "OPEN_EXR"
-scene.render.image_settings.color_depth = "32"
-scene.render.filepath = task["picture"]
-bpy.ops.mesh.primitive_uv_sphere_add(segments=256, ring_count=128)
-ball = bpy.context.object
-bpy.ops.object.shade_smooth()
-
-def turned(towards):
-    return mathutils.Vector(towards).to_track_quat("Z", "Y").to_euler()
-
-camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-camera.data.type, camera.data.ortho_scale = "ORTHO", 2.0 * task["edge"]
-camera.location, camera.rotation_euler = 20.0 * mathutils.Vector(task["view"]), turned(task["view"])
-sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
-sun.data.energy, sun.data.angle = math.pi, 0.0  # white diffusers that face it have radiance 1
-sun.rotation_euler = turned(task["light"])
-for thing in (camera, sun):
-    scene.collection.objects.link(thing)
-scene.camera = camera
-found = {}
-for path in task["scripts"]:
-    exec(compile(open(path, encoding="utf-8").read(), path, "exec"), {"__name__": "__main__"})
-    ball.data.materials.clear()
-    ball.data.materials.append(bpy.data.materials[-1])
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(task["picture"])
-    image.colorspace_settings.is_data = True
-    pixels = np.empty(4 * task["size"] ** 2, np.float32)
-    image.pixels.foreach_get(pixels)
-    found[path] = pixels.tolist()
-    bpy.data.images.remove(image)
-    bpy.data.materials.remove(bpy.data.materials[-1])
-print(json.dumps(found))
-"""
-"""Renders balls of scripts' materials under a distant light in Cycles; prints RGBA, rows from below."""
+BALLS = (REPOSITORY / "tools" / "engines" / "cycles.py").read_text(encoding="utf-8")
+"""Renders balls of scripts' materials in Cycles into a folder, `MATERIAL LIGHT.npy`: RGBA, rows from below."""
 
 
 def run(script: str, argument: Any) -> Any:

@@ -22,21 +22,35 @@ _PAGE = """<!doctype html><canvas id="canvas"></canvas>
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 const renderer = new THREE.WebGLRenderer({ canvas: document.getElementById("canvas") });
-window.draw = async (address, view, towards, kept, finer, edge) => {
+const linear = { type: THREE.FloatType, colorSpace: THREE.LinearSRGBColorSpace };
+const lit = async (scene, light) => {
+  if (Array.isArray(light)) {
+    const lamp = new THREE.DirectionalLight(0xffffff, Math.PI); // white diffusers that face it have radiance 1
+    lamp.position.set(...light);
+    scene.add(lamp);
+    return;
+  }
+  const grey = new Float32Array(await (await fetch(light)).arrayBuffer()), rows = Math.sqrt(grey.length / 2);
+  const around = new THREE.DataTexture(
+    new Float32Array(4 * grey.length).map((_, i) => grey[i >> 2]), 2 * rows, rows, THREE.RGBAFormat, THREE.FloatType
+  );
+  around.mapping = THREE.EquirectangularReflectionMapping;
+  around.minFilter = around.magFilter = THREE.LinearFilter;
+  around.needsUpdate = true;
+  scene.environment = around;
+};
+window.draw = async (address, view, light, kept, finer, edge) => {
   const size = kept * finer;
   const { scene: loaded } = await new GLTFLoader().loadAsync(address);
   const ball = loaded.getObjectByName("ball"), scene = new THREE.Scene();
   ball.geometry.computeBoundingSphere();
   ball.position.copy(ball.geometry.boundingSphere.center).negate();
   scene.add(ball);
-  const light = new THREE.DirectionalLight(0xffffff, Math.PI); // white diffusers that face it have radiance 1
-  light.position.set(...towards);
-  scene.add(light);
+  await lit(scene, light);
   const r = ball.geometry.boundingSphere.radius * edge;
   const camera = new THREE.OrthographicCamera(-r, r, r, -r, 0.1, 100);
   camera.position.set(...view).multiplyScalar(20 * r);
   camera.lookAt(0, 0, 0);
-  const linear = { type: THREE.FloatType, colorSpace: THREE.LinearSRGBColorSpace };
   const target = new THREE.WebGLRenderTarget(size, size, linear);
   renderer.setRenderTarget(target);
   renderer.render(scene, camera);
@@ -91,9 +105,27 @@ class ThreeJs:
         else:
             route.fulfill(body=content, content_type=kind)
 
-    def ball(self, path: Path, view: Sequence[float], light: Sequence[float]) -> np.ndarray:
-        """Radiance and alpha of a ball (SIZE, SIZE, 4), seen by parallel rays from `view`, up y, lit from `light`."""
+    def ball(
+        self,
+        path: Path,
+        view: Sequence[float],
+        light: Sequence[float] | np.ndarray,
+        size: int = SIZE,
+        edge: float = EDGE,
+    ) -> np.ndarray:
+        """Radiance and alpha of a ball (size, size, 4), seen by parallel rays from `view`, up y.
+
+        Args:
+            path: of the glTF file.
+            view: unit vector.
+            light: where a distant lamp stands, (3,), or radiance (H, 2 H) of grey surroundings, rows from below.
+            size: of the picture.
+            edge: radii of the ball that half the picture's side shows.
+        """
         self._files["material.glb"] = path.read_bytes()
+        if np.ndim(light) == 2:
+            self._files["light.bin"] = np.asarray(light, "<f4").tobytes()
+        described = "/light.bin" if np.ndim(light) == 2 else [float(x) for x in light]
         script = "([view, light, ...size]) => draw('/material.glb', view, light, ...size)"
-        values = self._page.evaluate(script, [list(view), list(light), SIZE, _FINER, EDGE])
-        return np.array(values).reshape(SIZE, SIZE, 4)
+        values = self._page.evaluate(script, [list(view), described, size, _FINER, edge])
+        return np.array(values).reshape(size, size, 4)

@@ -1,0 +1,261 @@
+"""Exports of real files as engines draw them, beside Mitsuba's renders of the measured files.
+
+    python tools/engines                  all materials in all engines, into benchmarks/results/engines.json
+    python tools/engines --only satin     the materials whose names contain a word, or one engine; keeps no results
+    python tools/engines --work FOLDER    with exports and pictures of before, where they are there
+
+Balls in the lights in which errors are judged: Cycles (`bpy`) draws Blender's scripts, and glTF as Blender imports it,
+MaterialX's GLSL renderer OpenPBR, standard_surface and UsdPreviewSurface, three.js in Chromium glTF. Each engine's
+exposure in a light is that in which a white Lambertian has the mean of Mitsuba's. Real files are taken from
+MANIFOLD_RGL_DIR, else ../shared/rgl/real; `make engines` installs what is needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "tools"), str(REPOSITORY / "tests")]
+
+from helpers.browser import chromium  # noqa: E402
+from helpers.three_js import ThreeJs, node_modules  # noqa: E402
+
+from engines import balls  # noqa: E402
+from engines.balls import EDGE, SIZE, Pictures, y_up  # noqa: E402
+from manifold.colour.ball_colours import VIEW  # noqa: E402
+from manifold.fit import exporting  # noqa: E402
+from manifold.fit.exports import TARGETS, Export, Principled, Target  # noqa: E402
+from manifold.fit.exports.targets import TargetBRDF  # noqa: E402
+from manifold.fit.fit_metrics import BallDifference  # noqa: E402
+
+MATERIALS = (
+    "acrylic_felt_green", "paper_blue", "satin_purple", "vch_golden_yellow", "chm_mint", "ilm_l3_37_matte",
+    "cc_iris_purple_gem", "irid_flake_paint2",
+)  # fmt: skip
+"""Felt, paper, tinted satin, two foils, leather-like film, paint of two colours, iridescent flakes."""
+
+WHITE = "white lambertian"
+RESULTS = REPOSITORY / "benchmarks" / "results" / "engines.json"
+_CYCLES_SAMPLES = (16, 128)  # a pixel: under suns, and in soft light
+_MATERIALX_SAMPLES = 64  # of a lobe in soft light; its viewer takes 16 unless told otherwise
+_FINER = 3  # pixels across one, of MaterialX's pictures
+_MOST_WHITE = 1.0  # CIEDE2000 of the white Lambertian: more, and the light stands elsewhere
+_PYTHON = REPOSITORY / ".venv-engines" / "bin" / "python"
+
+Exported = dict[str, dict[str, Any]]
+"""What an export says, with its path, by material."""
+
+
+def main() -> None:
+    """Export, draw, compare, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", action="append", default=[], metavar="WORD")
+    parser.add_argument("--engine", action="append", choices=ENGINES, help="by default all")
+    parser.add_argument("--work", type=Path, help="folder of exports and pictures; by default a new one")
+    parser.add_argument("--sheets", type=Path, help="folder of a picture for each light: a column a material")
+    options = parser.parse_args()
+    real = Path(os.environ.get("MANIFOLD_RGL_DIR", REPOSITORY.parent / "shared" / "rgl" / "real"))
+    files = {n: real / f"{n}_rgb.bsdf" for n in MATERIALS if any(w in n for w in options.only or [""])}
+    with tempfile.TemporaryDirectory() as scratch:
+        work = (options.work or Path(scratch)).resolve()
+        measured = {
+            name: balls.kept(work / "mitsuba", name, lambda path=path: balls.mitsuba(path))
+            for name, path in (files | {WHITE: None}).items()
+        }
+        pictures, rows, versions = {"measured": measured}, {}, {}
+        for engine in options.engine or ENGINES:
+            targets, draw = ENGINES[engine]
+            for target in targets:
+                name = f"{target} in {engine}"
+                made = exports(files, TARGETS[target], work)
+                folder = work / name
+                folder.mkdir(exist_ok=True)
+                version = folder / "version.json"
+                if not version.exists():
+                    version.write_text(json.dumps(draw(made, folder)), encoding="utf-8")
+                versions[engine] = json.loads(version.read_text(encoding="utf-8"))
+                drawn = {each: balls.read(folder, each) for each in made}
+                pictures[name] = balls.exposed(drawn, measured[WHITE], WHITE)
+                rows[name] = compared(name, made, pictures[name], measured)
+        found = {"versions": versions, "summary": summary(rows), "exports": rows}
+        if options.sheets:
+            balls.write_sheets(options.sheets, pictures)
+    if not options.only and not options.engine:
+        RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def exports(files: dict[str, Path], target: Target, work: Path) -> Exported:
+    """What `manifold export` says of every file, and where it was written, by material; a white Lambertian besides."""
+    folder = work / target.name
+    folder.mkdir(parents=True, exist_ok=True)
+    made: Exported = {}
+    for name, file in files.items():
+        path = folder / f"{name}{target.suffix}"
+        said = path.with_suffix(".export.json")
+        if not said.exists():
+            content = exporting.export(_subject(file), target, path).content
+            said.write_text(json.dumps(content), encoding="utf-8")
+        made[name] = json.loads(said.read_text(encoding="utf-8")) | {"path": path}
+    material = Principled((1.0, 1.0, 1.0), specular=0.0, is_diffuse=True)
+    white = Export(
+        WHITE,
+        target.name,
+        target.parameters(material),
+        {},
+        "mapping",
+        BallDifference(0.0, 0.0),
+        None,
+        "nothing",
+    )
+    path = folder / f"{WHITE}{target.suffix}"
+    path.write_bytes(target.content(white, material))
+    made[WHITE] = white.to_json() | {"path": path}
+    return made
+
+
+@cache
+def _subject(file: Path) -> exporting.Subject:
+    return exporting.subject_of(file)
+
+
+def cycles(exported: Exported, folder: Path) -> str:
+    """Draw in Cycles; the version of Blender."""
+    lights = {
+        name: _saved(folder, name, light.radiance("cycles"))
+        if light.towards is None
+        else light.towards.tolist()
+        for name, light in balls.LIGHTS.items()
+    }
+    task = {
+        "materials": {name: str(made["path"]) for name, made in exported.items()}, "lights": lights,
+        "samples": _CYCLES_SAMPLES, "size": SIZE, "edge": EDGE, "filter": 1.0, "view": VIEW.tolist(),
+        "folder": str(folder),
+    }  # fmt: skip
+    script = Path(__file__).with_name("cycles.py").read_text(encoding="utf-8")
+    return _run([str(_PYTHON), "-c", script, json.dumps(task)])
+
+
+def materialx(exported: Exported, folder: Path) -> str:
+    """Draw in MaterialX's renderer; its version."""
+    materials = {name: str(made["path"]) for name, made in exported.items()}
+    for name, made in exported.items():
+        if made["target"] == "usd":  # which MaterialX reads as a node of its own
+            described = folder / f"{name}.json"
+            described.write_text(json.dumps(_inputs(made["parameters"])), encoding="utf-8")
+            materials[name] = str(described)
+    lights = {
+        name: [
+            _saved(folder, name, light.radiance("materialx", 64)),
+            _saved(folder, f"irradiance {name}", light.irradiance("materialx")),
+        ]
+        if light.towards is None
+        else {"towards": y_up(light.towards).tolist()}
+        for name, light in balls.LIGHTS.items()
+    }
+    task = {
+        "materials": materials, "lights": lights, "samples": _MATERIALX_SAMPLES, "size": SIZE, "finer": _FINER,
+        "edge": EDGE, "view": y_up(VIEW).tolist(), "folder": str(folder),
+    }  # fmt: skip
+    script = str(Path(__file__).with_name("materialx.py"))
+    return _run(["xvfb-run", "-a", str(_PYTHON), script, json.dumps(task)])
+
+
+def _inputs(parameters: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """Types and values of MaterialX's inputs."""
+    kinds = {list: "color3", int: "integer", float: "float"}
+    return {
+        name: (kinds[type(value)], ", ".join(map(str, value)) if isinstance(value, list) else str(value))
+        for name, value in parameters.items()
+    }
+
+
+def three_js(exported: Exported, folder: Path) -> str:
+    """Draw in three.js; its version."""
+    modules = node_modules()
+    with chromium() as browser:
+        page = ThreeJs(browser, modules)
+        for name, made in exported.items():
+            for key, light in balls.LIGHTS.items():
+                lit = light.radiance("three.js") if light.towards is None else y_up(light.towards)
+                picture = page.ball(made["path"], y_up(VIEW).tolist(), lit, SIZE, EDGE)
+                np.save(folder / f"{name} {key}.npy", picture[::-1])
+        if page.errors:
+            raise RuntimeError("; ".join(page.errors))
+    return json.loads((modules / "three" / "package.json").read_text(encoding="utf-8"))["version"]
+
+
+ENGINES = {
+    "cycles": (("blender", "gltf"), cycles),
+    "materialx": (("openpbr", "standard-surface", "usd"), materialx),
+    "three.js": (("gltf",), three_js),
+}
+"""Targets that each engine draws, and what draws them: a file for each material and light, rows from below."""
+
+
+def _run(command: list[str]) -> str:
+    """What a command prints last, JSON."""
+    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    if made.returncode:
+        raise RuntimeError(made.stdout[-3000:] + made.stderr[-3000:])
+    return json.loads(made.stdout.strip().splitlines()[-1])
+
+
+def _saved(folder: Path, name: str, values: Any) -> str:
+    np.save(folder / f"light {name}.npy", values)
+    return str(folder / f"light {name}.npy")
+
+
+def compared(
+    title: str, exported: Exported, drawn: dict[str, Pictures], measured: dict[str, Pictures]
+) -> dict[str, dict[str, Any]]:
+    """What was printed, what is drawn, and how far that is from our own model of the target, by material."""
+    white = balls.differences(drawn[WHITE], measured[WHITE])
+    print(f"\n{title}\n  {'white':10}", _text(white))
+    if max(white.values()) > _MOST_WHITE:
+        raise RuntimeError(f"{title}: a white Lambertian looks otherwise than in Mitsuba; are lights turned?")
+    rows = {}
+    for name, made in exported.items():
+        if name == WHITE:
+            continue
+        model = balls.by_quadrature(TargetBRDF(TARGETS[made["target"]], made["parameters"]))
+        lights, printed = balls.differences(drawn[name], measured[name]), made["ball"]["lights"]
+        mean, mean_printed = (statistics.fmean(each.values()) for each in (lights, printed))
+        rows[name] = {
+            "printed": mean_printed, "drawn": mean, "ratio": mean / mean_printed, "printed_lights": printed,
+            "drawn_lights": lights, "drawn_from_model": balls.differences(drawn[name], model),
+        }  # fmt: skip
+        print(f"{name}: printed {mean_printed:.2f}, drawn {mean:.2f}, ratio {mean / mean_printed:.2f}")
+        for key in ("printed_lights", "drawn_lights", "drawn_from_model"):
+            print(f"  {key:16}", _text(rows[name][key]), flush=True)
+    return rows
+
+
+def _text(lights: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in lights.items())
+
+
+def summary(rows: dict[str, dict[str, dict[str, Any]]]) -> dict[str, dict[str, float]]:
+    """Median and largest ratio of what is drawn to what was printed, of every row and of all."""
+    each = {name: [row["ratio"] for row in made.values()] for name, made in rows.items()}
+    each["all"] = [ratio for ratios in each.values() for ratio in ratios]
+    found = {name: {"median": statistics.median(r), "largest": max(r)} for name, r in each.items()}
+    for name, one in found.items():
+        print(f"{name}: ratio {one['median']:.2f} in the median, at most {one['largest']:.2f}")
+    return found
+
+
+if __name__ == "__main__":
+    main()

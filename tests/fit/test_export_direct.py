@@ -13,6 +13,7 @@ from manifold.colour.difference import VISIBLE
 from manifold.fit import fit_samples
 from manifold.fit.exports import TARGETS, blender, gltf, openpbr, standard_surface
 from manifold.fit.exports.direct import at_bounds, fit_target
+from manifold.fit.exports.document import CURVE_COSINES
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.fit.fit_metrics import ball_errors
@@ -128,6 +129,19 @@ def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):
     bare = fit_target(replace(target, film=()), start, fit_samples.from_brdf(truth))
     assert difference(bare) > VISIBLE
     assert difference(found) < 1.0
+
+
+def test_a_base_colour_by_the_angle_of_view_is_found_in_unreal():
+    target = TARGETS["unreal"]
+    metal = target.parameters(Principled((0.3, 0.2, 0.5), metallic=1.0, roughness=0.4))
+    curve = np.linspace([0.5, 0.1, 0.1], [0.05, 0.2, 0.6], len(CURVE_COSINES))
+    truth = TargetBRDF(target, metal | {"BaseColorCurve": curve.ravel().tolist()})
+    start = target.parameters(Principled((0.4, 0.4, 0.4), metallic=0.8, roughness=0.5))
+    found = fit_target(target, start, fit_samples.from_brdf(truth))
+    np.testing.assert_allclose(np.reshape(found["BaseColorCurve"], (-1, 3))[1:], curve[1:], atol=0.05)
+    assert BallDifference.between(TargetBRDF(target, found), truth).unseen_light < 0.5
+    plain = fit_target(target, start, fit_samples.from_brdf(TargetBRDF(target, metal)))
+    assert plain["BaseColorCurve"] == []
 
 
 def test_highlights_of_usd_keep_their_hue_on_which_renderers_agree():

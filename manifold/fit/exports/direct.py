@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from manifold.colour.difference import VISIBLE
+from manifold.fit.exports.document import CURVE_COSINES
 from manifold.fit.exports.principled_values import snapped
 from manifold.fit.exports.targets import Target, TargetBRDF
 from manifold.fit.fit_metrics import Criterion
@@ -23,7 +24,7 @@ _RIDGE = 1e-3  # towards the mapped values, which undetermined parameters keep
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
-_GAIN = 0.8  # a film, or colour of a sheen, that is kept lowers squared residual and ball's difference below this share
+_GAIN = 0.8  # a film, curve or colour of a sheen that is kept lowers squared residual and difference below this share
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
 _FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
 _FILM_STARTS = 3  # that are refined
@@ -32,8 +33,9 @@ _FILM_STARTS = 3  # that are refined
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
     """Parameters of a target whose model is nearest to a material, all of the target's.
 
-    A thin film is tried where the ball differs visibly without. A sheen keeps the hue of its start, where there is
-    none grey; its colour is free where that is nearer to all samples as well, of which the fit sees a part.
+    A thin film, or where the target has none a base colour by the angle of view, is tried where the ball differs
+    visibly without. A sheen keeps the hue of its start, where there is none grey; its colour is free where that is
+    nearer to all samples as well, of which the fit sees a part.
 
     Args:
         target: whose model.
@@ -61,11 +63,21 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
                 problem, x, cost, hued = coloured, y, with_colour, fixed
         found = problem.rounded(x)
         difference = problem.ball_difference(x)
-        if target.film and difference > VISIBLE:
-            filmed = _Problem(target, start, [*free, *target.film], few, hued)
-            x, with_film = filmed.nearest(filmed.film_starts(found))
-            if with_film < _GAIN * cost and filmed.ball_difference(x) < _GAIN * difference:
-                return filmed.rounded(x)
+        if difference <= VISIBLE:
+            return found
+        more, starts = problem, list[Array]()
+        if target.film:
+            more = _Problem(target, start, [*free, *target.film], few, hued)
+            starts = more.film_starts(found)
+        elif target.curve:
+            curve, base = target.curve
+            begun = {**found, curve: len(CURVE_COSINES) * found[base]}
+            more = _Problem(target, begun, [*(name for name in free if name != base), curve], few, hued)
+            starts = [more.vector(begun)]
+        if starts:
+            x, with_more = more.nearest(starts)
+            if with_more < _GAIN * cost and more.ball_difference(x) < _GAIN * difference:
+                return more.rounded(x)
     return found
 
 

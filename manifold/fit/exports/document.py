@@ -41,6 +41,10 @@ BASE_COLOURS = ("base_color", "baseColorFactor", "diffuseColor", "Base Color", "
 """What targets call the colour that a texture replaces."""
 
 
+CURVE_COSINES = (0.0, 0.35, 0.6, 0.8, 1.0)
+"""Between normal and view, of the colours of a base that changes with the angle; linear between."""
+
+
 @dataclass(frozen=True)
 class TextureFiles:
     """Pictures beside a material's document, which continue across their edges.

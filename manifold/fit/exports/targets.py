@@ -47,6 +47,7 @@ class Target:
         content: the file of an export.
         coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
         film: those of the thin film, the thickness and the index last; empty where there is none.
+        curve: the base colour by the angle of view, and the one that it replaces; empty where there is none.
         hued: colours whose hue no fit changes, since renderers disagree on what another one does.
     """
 
@@ -60,6 +61,7 @@ class Target:
     coat: tuple[str, ...]
     sheen: tuple[str, ...]
     film: tuple[str, ...]
+    curve: tuple[str, ...] = ()
     hued: tuple[str, ...] = ()
 
     @property
@@ -109,7 +111,7 @@ _BLENDER = {
 
 def _target(name: str, suffix: str, title: str, model: ModuleType, content: Content) -> Target:
     """A target whose parameters and shading model are those of a module."""
-    sheen, film, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "HUED"))
+    sheen, film, curve, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "CURVE", "HUED"))
     return Target(
         name,
         suffix,
@@ -121,6 +123,7 @@ def _target(name: str, suffix: str, title: str, model: ModuleType, content: Cont
         model.COAT,
         sheen,
         film,
+        curve,
         hued,
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from manifold.fit.exports import lobes
-from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.document import CURVE_COSINES, Parameter, defaults
 from manifold.fit.exports.lobes import Pairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.records import Array
@@ -22,12 +22,15 @@ PARAMETERS = {
     "Tangent": Parameter(0.0),
     "ClearCoat": Parameter(0.0, is_free=True),
     "ClearCoatRoughness": Parameter(0.1, is_free=True, low=0.02),
+    "BaseColorCurve": Parameter([]),
 }
 """Every input that exports may set, with the value that an unconnected one has."""
 
 DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("ClearCoat", "ClearCoatRoughness")
+
+CURVE = ("BaseColorCurve", "BaseColor")
 
 CONVENTIONS: dict[str, str] = {
     "BaseColor": "linear Rec. 709 (sRGB primaries), 0 to 1; encode as sRGB for an sRGB texture",
@@ -38,6 +41,8 @@ CONVENTIONS: dict[str, str] = {
     "Tangent": "degrees, counterclockwise seen from outside, by which that input turns the tangent",
     "ClearCoat": "0 to 1, shading model Clear Coat, index 1.5",
     "ClearCoatRoughness": "0 to 1; GGX alpha is its square",
+    "BaseColorCurve": "linear Rec. 709, 0 to 1, in place of BaseColor unless it is empty: red, green and blue at the "
+    f"dot products {', '.join(f'{c:g}' for c in CURVE_COSINES)} of PixelNormalWS and CameraVectorWS, linear between",
 }
 
 
@@ -72,10 +77,10 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Source: Karis 2013 (Lambert, GGX, Schlick); the coat attenuates what is below by its Fresnel term, both ways.
     """
     pairs = Pairs.of(view, light, np.deg2rad(values["Tangent"]))
-    base, m = np.asarray(values["BaseColor"]), values["Metallic"]
+    base, m = _base(values, pairs.cos_v), values["Metallic"]
     alpha, a = values["Roughness"] ** 2, values["Anisotropy"]
     f0 = (1.0 - m) * 0.08 * values["Specular"] + m * base
-    f90 = np.minimum(50.0 * f0[1], 1.0)  # nothing below 2 % is a surface: shadowing
+    f90 = np.minimum(50.0 * f0[:, 1:2], 1.0)  # nothing below 2 % is a surface: shadowing
     specular = lobes.specular_correlated(pairs, max(alpha * (1.0 + a), 1e-3), max(alpha * (1.0 - a), 1e-3))
     f: Array = (1.0 - m) * base / np.pi + specular[:, None] * lobes.schlick(f0, f90, pairs.cos_d)
     if values["ClearCoat"]:
@@ -84,3 +89,9 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         coat = lobes.specular_correlated(pairs, coat_alpha, coat_alpha)[:, None]
         f = f * (1.0 - fresnel) ** 2 + fresnel * coat
     return f
+
+
+def _base(values: Mapping[str, Any], cosine: Array) -> Array:
+    """The base colour at cosines between normal and view (P,), shape (P, 3)."""
+    nodes = np.reshape(values["BaseColorCurve"] or values["BaseColor"], (-1, 3))
+    return np.stack([np.interp(cosine, CURVE_COSINES[-len(nodes) :], channel) for channel in nodes.T], axis=1)

@@ -139,7 +139,7 @@ def test_a_base_colour_by_the_angle_of_view_is_found_in_unreal():
     start = target.parameters(Principled((0.4, 0.4, 0.4), metallic=0.8, roughness=0.5))
     found = fit_target(target, start, fit_samples.from_brdf(truth))
     np.testing.assert_allclose(np.reshape(found["BaseColorCurve"], (-1, 3))[1:], curve[1:], atol=0.05)
-    assert BallDifference.between(TargetBRDF(target, found), truth).unseen_light < 0.5
+    assert ball_errors(TargetBRDF(target, found), truth).ball < 0.5
     plain = fit_target(target, start, fit_samples.from_brdf(TargetBRDF(target, metal)))
     assert plain["BaseColorCurve"] == []
 

@@ -37,7 +37,6 @@ from manifold.colour.ball_colours import VIEW  # noqa: E402
 from manifold.fit import exporting  # noqa: E402
 from manifold.fit.exports import TARGETS, Export, Principled, Target  # noqa: E402
 from manifold.fit.exports.targets import TargetBRDF  # noqa: E402
-from manifold.fit.fit_metrics import BallDifference  # noqa: E402
 
 MATERIALS = (
     "acrylic_felt_green", "paper_blue", "satin_purple", "vch_golden_yellow", "chm_mint", "ilm_l3_37_matte",
@@ -116,7 +115,7 @@ def exports(files: dict[str, Path], target: Target, work: Path) -> Exported:
         target.parameters(material),
         {},
         "mapping",
-        BallDifference(0.0, 0.0),
+        Errors(),
         None,
         "nothing",
     )
@@ -231,7 +230,7 @@ def compared(
         if name == WHITE:
             continue
         model = balls.by_quadrature(TargetBRDF(TARGETS[made["target"]], made["parameters"]))
-        lights, printed = balls.differences(drawn[name], measured[name]), made["ball"]["lights"]
+        lights, printed = balls.differences(drawn[name], measured[name]), made["errors"]["lights"]
         mean, mean_printed = (statistics.fmean(each.values()) for each in (lights, printed))
         rows[name] = {
             "printed": mean_printed, "drawn": mean, "ratio": mean / mean_printed, "printed_lights": printed,

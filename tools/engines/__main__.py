@@ -35,8 +35,10 @@ from engines import balls  # noqa: E402
 from engines.balls import EDGE, SIZE, Pictures, y_up  # noqa: E402
 from manifold.colour.ball_colours import VIEW  # noqa: E402
 from manifold.fit import exporting  # noqa: E402
-from manifold.fit.exports import TARGETS, Export, Principled, Target  # noqa: E402
-from manifold.fit.exports.targets import TargetBRDF  # noqa: E402
+from manifold.fit.exports.document import Export  # noqa: E402
+from manifold.fit.exports.principled_values import Principled  # noqa: E402
+from manifold.fit.exports.targets import TARGETS, Target, TargetBRDF  # noqa: E402
+from manifold.metrics import Errors  # noqa: E402
 
 MATERIALS = (
     "acrylic_felt_green", "paper_blue", "satin_purple", "vch_golden_yellow", "chm_mint", "ilm_l3_37_matte",

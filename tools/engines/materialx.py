@@ -132,7 +132,9 @@ def main():
             renderer.render()
             picture = pixels_of(renderer.captureImage(None), size)
             cells = picture.reshape(task["size"], task["finer"], task["size"], task["finer"], 3)
-            np.save(f"{task['folder']}/{name} {key}.npy", cells.mean(axis=(1, 3)))
+            np.save(
+                f"{task['folder']}/{name} {key}.npy", np.nanmean(cells, axis=(1, 3))
+            )  # where it divides by 0, at the pole
     print(json.dumps(mx.getVersionString()))
 
 

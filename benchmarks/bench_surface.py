@@ -193,7 +193,7 @@ def _sparkle_again(surface: Surface, brdf: EvaluableBRDF, pictures: SurfacePictu
 def known(size: int = 192) -> dict[str, Any]:
     """Reliefs that were rendered, and what is recovered of them."""
     colour = np.array([0.5, 0.3, 0.2])
-    found: dict[str, Any] = {"relief": [], "flakes": []}
+    found: dict[str, Any] = {"relief": {}}
     for roughness in (0.8, 0.6, 0.4):
         for steepness in (0.07, 0.13):
             rng = np.random.default_rng(7)
@@ -218,9 +218,9 @@ def known(size: int = 192) -> dict[str, Any]:
             row["albedo_ciede2000_of_mean"] = float(
                 np.median(ciede2000(np.broadcast_to(colour, true.shape), true))
             )
-            found["relief"].append(row)
+            found["relief"][f"roughness {roughness:g} slope {steepness:g}"] = row
             print(json.dumps(row), flush=True)
-    dark = 0.5 * colour
+    dark, cases = 0.5 * colour, []
     for flakes in (
         Flakes(100, 2, 0.3, 0.15, 0.04), Flakes(100, 2, 0.3, 0.1, 0.04), Flakes(300, 2, 0.3, 0.1, 0.02),
         Flakes(50, 2, 0.2, 0.15, 0.04), Flakes(200, 4, 0.25, 0.1, 0.03), Flakes(100, 3, 0.5, 0.15, 0.08),
@@ -231,9 +231,15 @@ def known(size: int = 192) -> dict[str, Any]:
         drawn = flakes.drawn(320, rng)
         pictures = twins.rendered(rng, _principled(0.7), height, reflectance, flakes=drawn)
         again = sparkle_of(estimate_surface(pictures, _fitted(dark, 0.7))).flakes
-        row = {"known": vars(flakes), "recovered": None if again is None else vars(again)}
-        found["flakes"].append(row)
-        print(json.dumps(row), flush=True)
+        assert again is not None
+        cases.append({"known": vars(flakes), "recovered": vars(again)})
+        print(json.dumps(cases[-1]), flush=True)
+    ratios = {
+        name: [case["recovered"][name] / case["known"][name] for case in cases]
+        for name in ("density", "slope_std", "roughness", "reflectance")
+    }
+    over = {name: [float(np.median(values)), max(values)] for name, values in ratios.items()}
+    found["flakes"] = {"cases": cases, "recovered_over_known": over}
     found["roughness"] = _roughness_std()
     print(json.dumps(found["roughness"]))
     return found

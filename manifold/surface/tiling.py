@@ -66,9 +66,12 @@ def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
         raise UsageError(f"found a texture of {size} pixels, expected {2 * _CELL_PX} to {_MOST_SIZE}")
     rows, columns = uncropped(surface.albedo)
     logs = np.log(surface.albedo[rows, columns])
-    sample = np.concatenate([logs, surface.relief[rows, columns]], axis=-1)
-    blended = blend(sample, size, np.random.default_rng(seed), avoided=dust_in(logs))
-    albedo = np.exp(blended[..., :3])
+    dust = dust_in(logs)
+    # Along principal axes, or channels that are blended apart make colours that the sample does not have.
+    axes = np.linalg.eigh(np.cov(logs[~dust].T))[1]
+    sample = np.concatenate([logs @ axes, surface.relief[rows, columns]], axis=-1)
+    blended = blend(sample, size, np.random.default_rng(seed), avoided=dust)
+    albedo = np.exp(blended[..., :3] @ axes.T)
     slope = blended[..., 3:] - blended[..., 3:].mean(axis=(0, 1))
     height = _integrated_periodic(slope)
     return Textures(albedo / albedo.mean(axis=(0, 1)), slope, height)
@@ -104,13 +107,13 @@ def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask |
         sample: shape (H, W, C).
         size: pixels of a side.
         rng: draws the offsets.
-        avoided: pixels of the sample that tiles avoid where they can, shape (H, W).
+        avoided: pixels of the sample that tiles avoid where they can, and whose values are not the sample's, (H, W).
     Returns:
         Values, shape (size, size, C).
     """
     avoided = np.full(sample.shape[:2], False) if avoided is None else avoided
     h, w, _ = sample.shape
-    gaussian, back = _to_gaussian(sample)
+    gaussian, back = _to_gaussian(sample, ~avoided)
     cells = max(2, round(size / _CELL_PX))
     edges = np.round(np.linspace(0.0, size, cells + 1)).astype(int)
     span = int(2 * np.max(np.diff(edges)))
@@ -144,21 +147,16 @@ def _tent(edges: Indices, cell: int, size: int) -> tuple[Indices, Array]:
     return indices, np.concatenate([(np.arange(rise) + 0.5) / rise, 1.0 - (np.arange(fall) + 0.5) / fall])
 
 
-def _to_gaussian(sample: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """A sample whose channels are normally distributed, and the function back."""
-    flat = sample.reshape(-1, sample.shape[2])
-    order = np.argsort(flat, axis=0)
-    ranks = ndtri((np.arange(len(flat)) + 0.5) / len(flat))
-    gaussian = np.empty_like(flat)
-    np.put_along_axis(gaussian, order, np.broadcast_to(ranks[:, None], flat.shape), axis=0)
-    quantiles = np.take_along_axis(flat, order, axis=0)
+def _to_gaussian(sample: Array, counted: Mask) -> tuple[Array, Callable[[Array], Array]]:
+    """A sample whose channels are normally distributed over the pixels that are counted, and the function back."""
+    quantiles = np.sort(sample[counted], axis=0)
+    ranks = ndtri((np.arange(len(quantiles)) + 0.5) / len(quantiles))
 
-    def back(values: Array) -> Array:
-        return np.stack(
-            [np.interp(values[..., c], ranks, quantiles[:, c]) for c in range(flat.shape[1])], axis=-1
-        )
+    def mapped(values: Array, forth: bool) -> Array:
+        tables = [(own, ranks) if forth else (ranks, own) for own in quantiles.T]
+        return np.stack([np.interp(values[..., c], *table) for c, table in enumerate(tables)], axis=-1)
 
-    return gaussian.reshape(sample.shape), back
+    return mapped(sample, True), lambda values: mapped(values, False)
 
 
 def _integrated_periodic(slope: Array) -> Array:

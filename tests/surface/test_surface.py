@@ -183,6 +183,18 @@ def test_textures_of_a_surface_have_normals_that_belong_to_their_heights(rng):
         tile(estimate_surface(photographed(rng, slope)[0]), 100)
 
 
+def test_a_texture_has_no_colours_that_the_sample_without_its_dust_has_not(rng):
+    _, slope = truth(rng)
+    surface = estimate_surface(photographed(rng, slope)[0])
+    shade = 0.3 * rough(rng)
+    logs = np.stack([shade, shade**2, -shade], axis=-1)  # a curve: channels that are blended apart leave it
+    logs[100:110, 50:60] = 2.0  # dust
+    made = np.log(tile(replace(surface, albedo=np.exp(logs)), 256).albedo)
+    made -= np.median(made, axis=(0, 1)) - np.median(logs, axis=(0, 1))
+    assert made.max() < 1.2
+    assert np.std(made[..., 0] + made[..., 2]) < 0.01  # red and blue are opposite
+
+
 def test_shaded_edges_are_cropped_and_dust_is_found():
     albedo = np.ones((200, 240, 3))
     albedo[:6] *= 0.5

@@ -18,7 +18,7 @@ from manifold.io_rgl import write_bsdf
 
 PACKAGES = sorted(
     ".".join(file.parent.relative_to(REPOSITORY).parts)
-    for file in (REPOSITORY / "manifold").rglob("__init__.py")
+    for file in (REPOSITORY / "manifold").rglob("__init__.pyi")
 )
 IN_PYTHON = (
     (REPOSITORY / "docs/reference/python.md")

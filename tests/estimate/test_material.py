@@ -50,9 +50,9 @@ def felt(photo_atoms, render):
 
 
 def test_a_material_of_the_library_is_found(photo_atoms, felt):
-    ball, cube_root, _ = errors(photo_atoms, "syn_felt_green", felt[1])
-    assert ball < 1.5  # in lights other than the photograph's
-    assert cube_root < 0.1
+    found = errors(photo_atoms, "syn_felt_green", felt[1])
+    assert found.ball < 1.5  # in lights other than the photograph's
+    assert found.cube_root < 0.1
     assert felt[1].residual < 0.05
     assert not any("is the light" in note for note in felt[1].notes)
 
@@ -111,8 +111,8 @@ def test_two_photographs_tell_more_than_one(photo_atoms, render):
     seen = [sighting(render("syn_metal_copper", light), light) for light in ("one-lamp", "studio")]
     one, two = (find_material(photo_atoms, some, RGB, np.eye(3)) for some in (seen[:1], seen))
     assert (
-        errors(photo_atoms, "syn_metal_copper", two)[1]
-        < errors(photo_atoms, "syn_metal_copper", one)[1] + 0.02
+        errors(photo_atoms, "syn_metal_copper", two).cube_root
+        < errors(photo_atoms, "syn_metal_copper", one).cube_root + 0.02
     )
     assert len(two.channels[0].seen) > len(one.channels[0].seen)
 

@@ -23,12 +23,12 @@ from neural_fits import NeuralBRDF, read_neural_fits, seen_neural
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.evaluate.baselines import fit_nonnegative
 from manifold.evaluate.cross_validation import Method, cross_validate, leave_out
-from manifold.evaluate.errors import BallErrors
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import Errors
+from manifold.model.material_table import MaterialTable
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
@@ -100,7 +100,7 @@ def main() -> None:
         drawn = random.Random(arguments.seed).sample(range(len(materials)), arguments.draw)
         materials = [materials[i] for i in sorted(drawn)]
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
-    balls = BallErrors(materials, data.bands)
+    balls = MaterialTable(materials, data.bands)
     print(f"{len(materials)} materials; median / 90th percentile")
     print(
         "| method | numbers | linear | cube root | ball CIEDE2000 | worst light | seconds per material |\n"
@@ -115,9 +115,9 @@ def main() -> None:
         errors = []
         for (_, out), combination in zip(splits, predictions, strict=True):
             i, here = int(out[0]), combination.in_bands(data.bands)
-            f, truth, ball = here.evaluate(data), data.f[i], here.evaluate(balls.values)
+            f, truth, ball = here.evaluate(data), data.f[i], here.evaluate(balls.on_ball)
             assert not method.key.startswith(("nonnegative", "few_atoms")) or min(f.min(), ball.min()) >= 0.0
-            found = balls.differences(i, ball) | Errors.of_values(truth, f, data.cosines)
+            found = balls.look(i, ball) | Errors.of_values(truth, f, data.cosines)
             errors.append([getattr(found, column) for column in COLUMNS])
         both = np.percentile(errors, (50, 90), axis=0).T.tolist()
         rows[method.key] = {"numbers": method.numbers(3), **dict(zip(COLUMNS, both, strict=True))}

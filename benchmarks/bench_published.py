@@ -20,7 +20,7 @@ import numpy as np
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.encoding import Encoder
 from manifold.evaluate.cross_validation import Encode
-from manifold.evaluate.errors import BallErrors, PredictionErrors
+from manifold.evaluate.errors import PredictionErrors
 from manifold.evaluate.latent_models import LatentProcess, fit_settings
 from manifold.evaluate.methods import STANDARD
 from manifold.evaluate.tabulated import Data
@@ -29,6 +29,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.likelihood import pca_start
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
+from manifold.model.material_table import MaterialTable
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices
 
@@ -61,14 +62,14 @@ RULES: dict[str, Callable[[LatentProcess, int], Combination]] = {
 }
 
 
-def measured(data: Data, balls: BallErrors, find: Callable[[int], Combination]) -> dict[str, Array]:
+def measured(data: Data, balls: MaterialTable, find: Callable[[int], Combination]) -> dict[str, Array]:
     """Errors of every material, left out."""
     made = [find(i) for i in range(data.n_materials)]
     errors = PredictionErrors([one.in_bands(data.bands) for one in made])
     for block in data.blocks():
         errors.add(block)
     n_counted = data.f.shape[1] * len(data.bands) / data.n_bands
-    found = balls.of(made) | errors.of_values(n_counted, data.n_bands)
+    found = balls.looks(made) | errors.of_values(n_counted, data.n_bands)
     return {
         "ball": found.ball, "cube root": found.cube_root, "linear": found.linear,
         "eq. 22": found.rmse, "eq. 22, within 80 degrees": found.rmse_80,
@@ -85,7 +86,7 @@ def main() -> None:
     asked = parser.parse_args()
     materials = [MeasuredBRDF(read_bsdf(path)) for path in sorted(asked.folder.glob("*.bsdf"))]
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
-    balls = BallErrors(materials, data.bands)
+    balls = MaterialTable(materials, data.bands)
     every = np.arange(len(materials))
     blend = fit_settings(STANDARD["blend_2"])
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility, plausibilities
-from manifold.colour import panel
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
 from manifold.evaluate.tabulated import Data
 from manifold.metrics import Errors, RunningErrors
@@ -18,7 +17,6 @@ from manifold.pairs import Pairs
 from manifold.records import Array, Indices
 
 _HIGHEST_COSINE = float(np.cos(np.deg2rad(80.0)))  # nearer to the horizon values grow as 1 / cos
-_AT_ONCE = 8  # predictions evaluated together
 
 Predictions = Sequence[Sequence[Combination]]
 """Per method, one per material."""
@@ -103,37 +101,6 @@ def standardised_error(data: Data, i: int, combination: Combination) -> float:
     if expected <= 0.0:  # without variance: at a training latent, for example
         return 0.0 if squared == 0.0 else float("inf")
     return float(np.sqrt(squared / expected))
-
-
-class BallErrors:
-    """Balls of N materials in some of their bands, in the judged lights, and how predictions of them differ.
-
-    Attributes:
-        pairs: direction pairs (P,) that light a ball; see `panel.Panel`.
-        values: of the materials there.
-    """
-
-    def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices) -> None:
-        """Colour the balls in bands (B',)."""
-        self._lights = panel.judged()
-        self._bands = materials[0].bands.select(bands)
-        self.pairs: Pairs = self._lights
-        self.values = Values.at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
-        self._chosen = bands
-        self._xyz = [self._lights.xyz(f, self._bands) for f in self.values.f]
-
-    def differences(self, i: int, f: Array) -> Errors[float]:
-        """Between material i and values f (P, B') in 1/sr."""
-        return self._lights.compare(self._xyz[i], self._lights.xyz(f, self._bands))
-
-    def of(self, combinations: Sequence[Combination]) -> Errors[Array]:
-        """Those of a prediction per material."""
-        here = [c.in_bands(self._chosen) for c in combinations]
-        found: list[Errors[float]] = []
-        for first in range(0, len(here), _AT_ONCE):
-            predicted = evaluate(here[first : first + _AT_ONCE], self.values)
-            found += [self.differences(first + k, f) for k, f in enumerate(predicted)]
-        return Errors.of_several(found)
 
 
 def colour_errors(materials: Sequence[MeasuredBRDF], predictions: Predictions) -> list[Errors[Array]]:

@@ -17,13 +17,13 @@ from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
-from manifold.evaluate.errors import BallErrors
 from manifold.evaluate.results import Result
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
 from manifold.evaluate.tabulated import MAX_BANDS, Data
 from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate
+from manifold.model.material_table import MaterialTable
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, evenly_spaced
@@ -87,7 +87,7 @@ class HeldOut:
         tabulate = partial(Data.evaluate, materials, grid, bands)
         self.data = tabulate()
         self._tabulating = [self.watch.lap(tabulate)[1] for _ in range(_REPEATS)]
-        self.pairs, self.balls = grid.pairs(), BallErrors(materials, bands)
+        self.pairs, self.balls = grid.pairs(), MaterialTable(materials, bands)
         self._block = some_pairs(_BLOCK_PAIRS, grid)
         # Settings that differ only in how files are stored, or in their threshold, share a fit.
         self._fits: dict[Fit, _Fitted] = {}
@@ -133,7 +133,7 @@ class HeldOut:
         data = self.data
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
         of_values = Errors.of_values(data.f[i], f, data.cosines)
-        return replace(self.balls.differences(i, f_ball) | of_values, rmse=rmse)
+        return replace(self.balls.look(i, f_ball) | of_values, rmse=rmse)
 
     def _fitted(self, fit: Fit) -> _Fitted:
         """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""
@@ -182,7 +182,7 @@ class StoredMaterials:
             sampled = [brdf.select_bands(held.data.bands.tolist()) for brdf in self.brdfs]
         else:
             self.back = storage_forms.interpolation(files[0].bands, storage.bands)
-        self._at = [Values.at(sampled, pairs) for pairs in (held.pairs, held.balls.pairs)]
+        self._at = [Values.at(sampled, pairs) for pairs in (held.pairs, held.balls.lights)]
 
     def file_bytes(self, band_share: float) -> int:
         """Bytes of all files that predictions read, values in a share of the bands."""

@@ -25,7 +25,6 @@ from manifold.evaluate.cross_validation import (
     wall_clock,
 )
 from manifold.evaluate.errors import (
-    BallErrors,
     PredictionErrors,
     colour_errors,
     measure_errors,
@@ -45,6 +44,7 @@ from manifold.model import fitting
 from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
+from manifold.model.material_table import MaterialTable
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.plots import figures, map_figure
@@ -197,11 +197,11 @@ def make_report(
         errors = measure_errors(predictions, bands, blocks)
         physical = plausibility_results(materials, data.bands, predictions)
         colours = colour_errors(materials, predictions)
-        balls = BallErrors(materials, data.bands)
+        table = MaterialTable(materials, data.bands)
         # Eq. 22 sums over bands: those measured stand for all.
         n_counted = grid.n_pairs * len(bands) / model.bands.count
         return tuple(
-            _result(model, data, *each, balls, n_counted)
+            _result(model, data, *each, table, n_counted)
             for each in zip(chosen, encoded, errors, physical, colours, strict=True)
         )
 
@@ -260,7 +260,7 @@ def _measured_blocks(
 
 def _result(
     model: Manifold, data: Data, method: Method, encoded: Encoded, errors: PredictionErrors,
-    physical: Sequence[Plausibility], colours: Errors[Array], balls: BallErrors, n_counted: float,
+    physical: Sequence[Plausibility], colours: Errors[Array], table: MaterialTable, n_counted: float,
 ) -> MethodResult:  # fmt: skip
     """All that is measured of one method."""
     n_bands, negative = model.bands.count, errors.negative_share
@@ -274,7 +274,7 @@ def _result(
         fit_seconds=float(np.mean(encoded.fit_times)),
         encode_seconds=sum(encoded.encode_times) / data.n_materials,
         predict_seconds=errors.seconds / data.n_materials,
-        errors=balls.of(encoded.combinations) | of_values | colours,
+        errors=table.looks(encoded.combinations) | of_values | colours,
         negative_share=0.0 if errors.is_clipped else negative,
         clipped_share=negative if errors.is_clipped else 0.0,
         reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical])),

@@ -105,7 +105,7 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -
 
 def _measured(i: int, file: BsdfFile, predictor: _Predictor, held: HeldOut) -> tuple[Errors[float], Array]:
     """Errors of a prediction of material i, and times of repeated runs."""
-    on_grid, on_ball = predictor(held.pairs), predictor(held.balls.pairs)
+    on_grid, on_ball = predictor(held.pairs), predictor(held.balls.lights)
     errors = held.errors(i, *(evaluate()[:, held.data.bands] for evaluate in (on_grid, on_ball)))
     return errors, file.luminance.size / len(held.pairs) * held.watch.laps(on_grid, _REPEATS)
 

@@ -20,13 +20,14 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
-from manifold.evaluate.errors import BallErrors, measure_errors
+from manifold.evaluate.errors import measure_errors
 from manifold.evaluate.latent_models import fit_settings
 from manifold.evaluate.results import Result
 from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
 from manifold.model.manifold import Manifold
+from manifold.model.material_table import MaterialTable
 from manifold.model.materials import names_without
 from manifold.model.settings import Settings
 from manifold.names import counted
@@ -116,7 +117,7 @@ class _Trials:
         bands = np.union1d(evenly_spaced(n_bands, MAX_BANDS), evenly_spaced(n_bands, settings.sample_bands))
         self._settings = settings
         self._data = Data.evaluate(materials, GRID, bands, stride=1)
-        self._balls = BallErrors(materials, bands)
+        self._table = MaterialTable(materials, bands)
         self._splits = leave_out(N, N if N <= LEAVE_ONE_OUT_UP_TO else FOLDS)
 
     def run(self, name: str, latent_dim: int) -> Candidate:
@@ -125,7 +126,7 @@ class _Trials:
         encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))
         found = encoded.combinations
         (errors,) = measure_errors([found], self._data.bands, [self._data])
-        of_each = self._balls.of(found) | errors.of_values()
+        of_each = self._table.looks(found) | errors.of_values()
         mean = float(np.exp(np.mean(np.log(np.maximum(of_each.linear, 1e-12)))))
         return Candidate(
             key=f"{name}_{latent_dim}", title=f"{name}, {latent_dim} dimensions", errors=of_each, mapping=name,

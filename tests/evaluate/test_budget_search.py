@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manifold.errors import UsageError
-from manifold.evaluate.budget.representations import FULL, Candidate
+from manifold.evaluate.budget.representations import FULL, Representation
 from manifold.evaluate.budget.search import Difference, Tolerance, search
 from manifold.evaluate.budget.verification import without_noise
 
@@ -15,9 +15,10 @@ def some_candidates(rng, n=6):
     """Candidates of growing size whose differences fall only roughly, and the whole file."""
     true = np.sort(rng.uniform(0.05, 6.0, n))[::-1] * rng.uniform(0.5, 1.5, n)
     made = [
-        Candidate(f"c{k}", 10 * (k + 1), {"true": d}, d * rng.uniform(0.7, 1.4)) for k, d in enumerate(true)
+        Representation(f"c{k}", 10 * (k + 1), {"true": d}, d * rng.uniform(0.7, 1.4))
+        for k, d in enumerate(true)
     ]
-    return [*made, Candidate(FULL, 1000, {"true": 0.0}, 0.0)]
+    return [*made, Representation(FULL, 1000, {"true": 0.0}, 0.0)]
 
 
 def difference(candidate, extra=0.0):
@@ -71,10 +72,10 @@ def test_the_answer_keeps_the_tolerance_with_all_materials_together(rng):
 
 def test_alone_the_answer_is_the_cheapest_within_the_tolerance():
     candidates = [
-        Candidate("rough", 1, {"true": 2.0}, 1.9),
-        Candidate("far", 2, {"true": 0.1}, 9.0),  # predicted far away: not rendered
-        Candidate("fine", 3, {"true": 0.9}, 1.1),
-        Candidate(FULL, 9, {"true": 0.0}, 0.0),
+        Representation("rough", 1, {"true": 2.0}, 1.9),
+        Representation("far", 2, {"true": 0.1}, 9.0),  # predicted far away: not rendered
+        Representation("fine", 3, {"true": 0.9}, 1.1),
+        Representation(FULL, 9, {"true": 0.0}, 0.0),
     ]
     answer = search({"a": candidates}, Tolerance(1.0), verify_with(0.0))
     assert answer.choice["a"].name == "fine"

@@ -10,10 +10,11 @@ from helpers.small_library import NAMES, measured, spectral_materials
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.evaluate.cross_validation import encode_all
-from manifold.evaluate.errors import BallErrors, measure_errors
+from manifold.evaluate.errors import measure_errors
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
+from manifold.model.material_table import MaterialTable
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import RusinkiewiczGrid
 
@@ -87,7 +88,7 @@ def test_real_materials_are_predicted_within_the_target():
     """Linear, cube root, ball CIEDE2000 in the judged lights: median and 90th percentile of the 20 real files."""
     materials = [MeasuredBRDF(read_bsdf(path)) for path in real_rgl_files()]
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
-    balls = BallErrors(materials, data.bands)
+    balls = MaterialTable(materials, data.bands)
     targets = {
         "nonnegative": [(0.10, 0.24), (0.042, 0.16), (1.3, 3.2)],
         "few_atoms": [(0.20, 0.40), (0.08, 0.20), (2.0, 6.5)],
@@ -96,7 +97,7 @@ def test_real_materials_are_predicted_within_the_target():
         combinations = encode_all(data, METHODS[key]).combinations
         (errors,) = measure_errors([combinations], data.bands, [data])
         assert errors.negative_share == 0.0
-        of_each = balls.of(combinations) | errors.of_values()
+        of_each = balls.looks(combinations) | errors.of_values()
         for found, (median, p90) in zip((of_each.linear, of_each.cube_root, of_each.ball), most, strict=True):
             assert np.median(found) <= median
             assert np.percentile(found, 90) <= p90

@@ -17,7 +17,6 @@ from manifold.colour.difference import colour_differences, multi_angle_pairs
 from manifold.encoding import encoding_pairs
 from manifold.evaluate import report, tabulated
 from manifold.evaluate.cross_validation import encode_all
-from manifold.evaluate.errors import BallErrors
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.report_text import format_report, lead
@@ -28,6 +27,7 @@ from manifold.library.store import Library
 from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.appearance import appearance_pairs
 from manifold.model.manifold import Manifold, Settings
+from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.plots import figures, map_figure
@@ -178,14 +178,14 @@ def test_three_errors_stand_side_by_side(models, reports):
     materials = model.materials.filled()
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     nearest = [c.source for c in encode_all(data, standard_methods()[0]).combinations]
-    balls = BallErrors(materials, data.bands)
+    balls = MaterialTable(materials, data.bands)
     for i, n in enumerate(nearest):
         assert result.errors.linear[i] == pytest.approx(relative_error(data.f[i], data.f[n], data.cosines))
         assert result.errors.cube_root[i] == pytest.approx(
             cube_root_error(data.f[i], data.f[n], data.cosines)
         )
-        assert result.errors.ball[i] == pytest.approx(balls.differences(i, balls.values.f[n]).ball)
-        assert set(balls.differences(i, balls.values.f[i]).lights.values()) == {0.0}
+        assert result.errors.ball[i] == pytest.approx(balls.look(i, balls.on_ball.f[n]).ball)
+        assert set(balls.look(i, balls.on_ball.f[i]).lights.values()) == {0.0}
         assert (
             0.5 < result.errors.ball_itp[i] / result.errors.ball[i] < 20.0
         )  # another unit, of the same pictures

@@ -16,7 +16,7 @@ from manifold.errors import MissingFileError, UsageError
 from manifold.estimate import predictions
 from manifold.evaluate.budget import example_scenes, representations, scene_survey, search
 from manifold.evaluate.budget.budget_figure import budget_figure
-from manifold.evaluate.budget.representations import Candidate
+from manifold.evaluate.budget.representations import Representation
 from manifold.evaluate.budget.scene_document import SceneDocument, SceneMaterial
 from manifold.evaluate.budget.scene_survey import MaterialLighting
 from manifold.evaluate.budget.search import Difference, Tolerance
@@ -69,14 +69,14 @@ class Chosen:
     """
 
     material: str
-    candidate: Candidate
+    candidate: Representation
     full_size: int
     reason: str
     lighting: str
     milliseconds: float
     verified: Difference
     noise: Difference
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[Representation, ...]
     alone: Mapping[str, Difference]
     asset: Path | None = None
 
@@ -304,7 +304,7 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
 # -- the answer -----------------------------------------------------------------------------------------------
 
 
-def _reason(cheaper: list[Candidate], alone: Mapping[str, Difference]) -> str:
+def _reason(cheaper: list[Representation], alone: Mapping[str, Difference]) -> str:
     """Why nothing cheaper: what comes closest among it."""
     if not cheaper:
         return "no representation is cheaper"
@@ -358,7 +358,7 @@ def _require_no_inputs(target: Path, names: Iterable[str], inputs: Sequence[Path
 
 
 def _write(
-    document: SceneDocument, target: Path, names: Mapping[str, str], choice: Mapping[str, Candidate]
+    document: SceneDocument, target: Path, names: Mapping[str, str], choice: Mapping[str, Representation]
 ) -> dict[str, Path]:
     """Copy the chosen files beside a scene that uses them; the files that were written, by key."""
     bsdfs, assets = {key: one.bsdf for key, one in choice.items()}, {}

@@ -37,7 +37,7 @@ _ELSEWHERE = 0.05  # weight of directions that the pre-pass does not see
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Representation:
     """One way to represent a material.
 
     Attributes:
@@ -75,7 +75,7 @@ class _Builder:
     def __init__(self, path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> None:
         self.file, self.lighting = read_bsdf(path), lighting
         self.rows = np.flatnonzero(lighting.lit)
-        self.found: list[Candidate] = []
+        self.found: list[Representation] = []
         self._survey, self._path, self._folder = survey, path, folder
         self._reference = self._appearance_of_file(self.file)
 
@@ -123,17 +123,17 @@ class _Builder:
     def add_numbers(self, name: str, bsdf: Mapping[str, Any], numbers: int, appearance: Array) -> None:
         """Add a candidate of a few numbers."""
         size = _FLOAT_BYTES * numbers
-        self.found.append(Candidate(name, size, bsdf, self._predicted(appearance), numbers=numbers))
+        self.found.append(Representation(name, size, bsdf, self._predicted(appearance), numbers=numbers))
 
     def _add_path(self, name: str, path: Path, predicted: float) -> None:
         bsdf = {"type": "measured", "filename": str(path)}
-        self.found.append(Candidate(name, path.stat().st_size, bsdf, predicted, path))
+        self.found.append(Representation(name, path.stat().st_size, bsdf, predicted, path))
 
     def _predicted(self, appearance: Array) -> float:
         return float(image_metrics.ciede2000_map(self._reference, appearance).mean())
 
 
-def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> list[Candidate]:
+def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> list[Representation]:
     """All representations of a measured file, cheapest first; the whole file is among them.
 
     Args:

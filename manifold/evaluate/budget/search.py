@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from manifold.errors import UsageError
-from manifold.evaluate.budget.representations import Candidate
+from manifold.evaluate.budget.representations import Representation
 
 SLACK = 2.0
 """Candidates are rendered where their predicted difference is at most this many times the tolerance."""
@@ -68,7 +68,7 @@ class Tolerance:
         )
 
 
-Choice = Mapping[str, Candidate]
+Choice = Mapping[str, Representation]
 """A candidate per material, by key; a material that is missing is the reference."""
 
 Verify = Callable[[Choice], Mapping[str, Difference]]
@@ -85,22 +85,22 @@ class Answer:
         alone: differences of all candidates that were rendered alone, by material and the candidate's name.
     """
 
-    choice: Mapping[str, Candidate]
+    choice: Mapping[str, Representation]
     together: Mapping[str, Difference]
     alone: Mapping[str, Mapping[str, Difference]]
 
 
 def search(
-    candidates: Mapping[str, Sequence[Candidate]],
+    candidates: Mapping[str, Sequence[Representation]],
     tolerance: Tolerance,
     verify: Verify,
-    milliseconds: Callable[[Candidate], float] | None = None,
+    milliseconds: Callable[[Representation], float] | None = None,
     others: int = 0,
 ) -> Answer:
     """Find the cheapest choice within a tolerance.
 
     Args:
-        candidates: per material, cheapest first; the last resort, `Candidate.is_full`, is among them.
+        candidates: per material, cheapest first; the last resort, `Representation.is_full`, is among them.
         tolerance: see there.
         verify: renders a choice; called once for each.
         milliseconds: time of a candidate; needed where the tolerance limits it.
@@ -108,7 +108,7 @@ def search(
     """
     alone: dict[str, dict[str, Difference]] = {key: {} for key in candidates}
 
-    def difference_alone(key: str, candidate: Candidate) -> Difference:
+    def difference_alone(key: str, candidate: Representation) -> Difference:
         known = alone[key]
         if candidate.name not in known:
             known[candidate.name] = verify({key: candidate})[key]
@@ -144,9 +144,9 @@ def search(
 
 
 def _first(
-    key: str, candidates: Sequence[Candidate], tolerance: Tolerance, scale: float,
-    difference_alone: Callable[[str, Candidate], Difference],
-) -> Candidate:  # fmt: skip
+    key: str, candidates: Sequence[Representation], tolerance: Tolerance, scale: float,
+    difference_alone: Callable[[str, Representation], Difference],
+) -> Representation:  # fmt: skip
     """The cheapest candidate within the scaled tolerance."""
     for candidate in candidates:
         if candidate.predicted <= SLACK * scale * tolerance.delta_e and tolerance.admits(

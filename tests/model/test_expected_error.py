@@ -11,9 +11,9 @@ from scipy.stats import spearmanr
 
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.model.diagnostics import in_words, predict
-from manifold.model.expected_error import ExpectedError
-from manifold.model.left_out import GUARANTEED, LEVEL, LeftOut
+from manifold.model.diagnostics import in_words, predict_and_diagnose
+from manifold.model.expected_error import GUARANTEED, LEVEL, ExpectedError
+from manifold.model.left_out import LeftOut
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 
@@ -106,7 +106,7 @@ def test_every_kind_is_calibrated_and_a_model_file_remembers(library, tmp_path, 
 def test_without_calibration_nothing_is_expected_and_the_remedy_is_named(library):
     fitted = Manifold.fit(library, calibrate=False)
     assert fitted.expected_error(fitted.X.mean(axis=0)) is None
-    made = predict(fitted, fitted.X.mean(axis=0))
+    made = predict_and_diagnose(fitted, fitted.X.mean(axis=0))
     assert made.expected is None
     assert "unknown: the model is not calibrated" in in_words(made.expected, made.materials)
 
@@ -140,7 +140,9 @@ def test_far_from_small_errors_large_ones_are_expected(scattered):
 
 
 def test_a_place_that_is_not_supported_has_no_expected_error_in_words(model):
-    assert predict(model, model.X[0] + 50.0).rows["expected error"] == ["none: not supported by the data"]
+    assert predict_and_diagnose(model, model.X[0] + 50.0).rows["expected error"] == [
+        "none: not supported by the data"
+    ]
 
 
 def test_the_bound_needs_enough_materials(model):
@@ -159,8 +161,10 @@ def test_nine_in_ten_new_materials_err_by_less_than_the_bound(rng):
         light, heavy = np.exp(0.3 * X[:, 0] + rng.normal(size=70)), np.exp(rng.standard_t(2.0, size=70))
         known = slice(None, 30)
         space = SimpleNamespace(X=X[known], kernel=SimpleNamespace(length_scale=1.0))
-        errors = LeftOut(space, X[known], light[known], 0.1 * heavy[known], np.ones(30), np.arange(30))
-        bounds, expected = errors.calibration(), errors.expected(X[30:])
+        errors = LeftOut(
+            space, X[known], Errors(light[known], 0.1 * heavy[known]), np.ones(30), np.arange(30)
+        )
+        bounds, expected = errors.reliability(), errors.expected(X[30:])
         below.append(light[30:] < bounds["ball"].bound * expected.ball)
         below.append(0.1 * heavy[30:] < bounds["cube_root"].bound * expected.cube_root)
     shares = np.mean(np.reshape(below, (12, 2, 40)), axis=(0, 2))

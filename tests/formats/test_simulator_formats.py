@@ -333,7 +333,7 @@ def test_formats_of_one_band_get_the_luminance(files, tmp_path):
     material = smooth(Bands(None))
     for name, to in (("fred.txt", "fred"), ("x.anisotropicbsdf", None)):
         made = convert([files["utia"]], tmp_path / name, to=to)
-        assert made.error.linear < 0.005
+        assert made.errors.linear < 0.005
         assert any("luminance (CIE Y under D65)" in note for note in made.notes)
         assert (
             error_of(tmp_path / name, lambda *w: luminance(material.eval(*w), Bands(None))[:, None]) < 0.005
@@ -351,7 +351,7 @@ def test_spectra_survive_speos_openmaterial_and_back(files, tmp_path):
     first = convert([files["mini-diff"]], tmp_path / "x.brdf")
     second = convert([tmp_path / "x.brdf"], tmp_path / "x.xompt")
     third = convert([tmp_path / "x.xompt"], tmp_path / "x.csv")
-    assert max(made.error.linear for made in (first, second, third)) < 0.002
+    assert max(made.errors.linear for made in (first, second, third)) < 0.002
     assert error_of(tmp_path / "x.csv", smooth(MINI_DIFF_BANDS).eval) < 0.003
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import inspect
 import re
 import shutil
 import subprocess
@@ -18,14 +20,15 @@ from manifold.io_rgl import write_bsdf
 
 PACKAGES = sorted(
     ".".join(file.parent.relative_to(REPOSITORY).parts)
-    for file in (REPOSITORY / "manifold").rglob("__init__.pyi")
+    for file in (REPOSITORY / "manifold").rglob("__init__.pyi")  # which lists what is public
 )
-IN_PYTHON = (
-    (REPOSITORY / "docs/reference/python.md")
-    .read_text(encoding="utf-8")
-    .split("## A tour")[1]
-    .split("\n## ")[0]
-)
+NAMES_OF = [
+    (package, name)
+    for package in PACKAGES
+    for name in sorted(importlib.import_module(package).__all__, key=str.lower)
+]
+REFERENCE = (REPOSITORY / "docs/reference/python.md").read_text(encoding="utf-8")
+IN_PYTHON = REFERENCE.split("## A tour")[1].split("\n## ")[0]
 
 
 def test_the_names_of_the_package_are_those_that_the_reference_lists():
@@ -42,6 +45,33 @@ def test_every_package_lists_its_names_and_has_them(package):
         assert getattr(module, name) is not None
     with pytest.raises(AttributeError, match="no_such_name"):
         module.no_such_name  # noqa: B018
+
+
+def summary(package, name):
+    """The first line of a public object's docstring; of a registry, what it is of."""
+    found = getattr(importlib.import_module(package), name)
+    if isinstance(found, dict):
+        return f"Every {found.what}, by name: {found}."
+    return (inspect.getdoc(found) or "").split("\n")[0]
+
+
+@pytest.mark.parametrize(("package", "name"), NAMES_OF)
+def test_every_public_name_has_a_line_in_the_reference(package, name):
+    said = summary(package, name)
+    assert said.endswith("."), said
+    assert f"| `{package}.{name}` | {said.replace('|', '/')} |" in REFERENCE
+
+
+@pytest.mark.parametrize(
+    "path", ["README.md", "docs/reference/python.md", *sorted((REPOSITORY / "docs/examples").glob("*.py"))]
+)
+def test_pages_for_users_import_public_names_alone(path):
+    known = {f"{package}.{name}" for package, name in NAMES_OF}
+    text = (REPOSITORY / path).read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL) if str(path).endswith(".md") else [text]
+    for node in ast.walk(ast.parse("\n".join(blocks))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("manifold"):
+            assert {f"{node.module}.{each.name}" for each in node.names} <= known
 
 
 def test_importing_the_package_is_quick_and_loads_nothing_heavy():

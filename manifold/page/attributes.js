@@ -1,7 +1,7 @@
 // Sliders of what people think in: gloss, lightness, chroma and hue; methods of the page.
 
 import { lookOf } from "./state.js";
-import { hexOf, labOf, labOfLch, lchOf, linearOf } from "./colour.js";
+import { hexOf, labOf, labOfLch, lchOf, linearOf, wordsFor } from "./colour.js";
 
 const LCH = ["lightness", "chroma", "hue"];
 const TURNS = 4; // of the search for a gloss: that of blended colours is not that of the chosen ones
@@ -36,6 +36,17 @@ export const attributes = {
     }
     this.glossWanted = wanted;
     this.change({ ...this.glossFrom, x, at: undefined, path: null }, false);
+  },
+
+  /** Of every material what a search knows: its name, words for its gloss and colour, and a text that says them; made once. */
+  searched() {
+    this.searchWords ??= [...this.data.names, ...this.data.others.names].map((name, k) => {
+      if (k >= this.data.names.length) return { name, words: name.toLowerCase(), text: name };
+      const prediction = this.materials.predict(this.data.X[k]), gloss = prediction.gloss();
+      const words = wordsFor(lchOf(labOf(linearOf(prediction.factor(), this.data.toSrgb.D65))), gloss);
+      return { name, words: [name.toLowerCase(), ...words].join(" "), text: `${name}: ${words.join(", ")}, ${Number(gloss.toPrecision(2))} GU` };
+    });
+    return this.searchWords;
   },
 
   /** Lightness, chroma, hue and gloss of what is shown, while their tab is. */

@@ -5,6 +5,8 @@
 // nearest to the normal, which make sharp highlights, are summed for every pixel of the disc.
 
 import { BlendRenderer } from "./blend.js";
+import { DIFFERENCE } from "./difference.js";
+import { floorOf, groundPicture, GROUND_REACH, SHAPES_ON_GROUND } from "./ground.js";
 import { NORMALS, SHAPES } from "./shapes.js";
 import { bindTexture, drawInto, makeCube, makeProgram, makeTarget, makeTexture } from "./webgl.js";
 
@@ -13,11 +15,19 @@ import { bindTexture, drawInto, makeCube, makeProgram, makeTarget, makeTexture }
 const WIDE = { azimuths: 48, elevations: 24, rings: 18, spokes: 16, span: [1 / 3, 1] };
 const MIDDLE = { azimuths: 128, elevations: 64, rings: 5, spokes: 20, span: [1 / 6, 1 / 3] };
 const NEAR = { azimuths: 72, elevations: 36, rings: 6, spokes: 12, span: [0, 1 / 3] }; // while something moves
+const TURNING = { // the same while the light turns, whose tables are then made in every frame
+  wide: { azimuths: 32, elevations: 16, rings: 12, spokes: 12, span: WIDE.span },
+  narrow: { azimuths: 48, elevations: 28, rings: 6, spokes: 9, span: NEAR.span },
+};
 const FINE = { elevations: 48, rings: 5, spokes: 9, span: [0, 1 / 6] }; // at rest, for every pixel
 const MOVING = 160, RESTING = 432; // pixels across discs
 const ACROSS = 16; // grids of normals beside each other in a table of light
 const STRIPS = 16; // in which a disc at rest is drawn, one per frame
 const FACE = 128; // texels along a face of an environment
+const SHARE = 0.84; // of a picture's height that a shape's square takes: the rest is ground
+
+/** Pixels along the square of a shape in a picture of some size, of which there are so many beside each other. */
+export const squareIn = (width, height, columns) => SHARE * Math.min(height, width / columns);
 
 const COMMON = `
 uniform sampler2D table; // cube roots of f cos(theta_i) cos(theta_o): phi_d across, theta_d within theta_h down
@@ -198,21 +208,46 @@ void main() {
 }`;
 
 const SHOW = `${COMMON}
-uniform sampler2D disc, normals;
+uniform sampler2D disc, normals, ground;
 uniform vec2 corner;
-uniform float exposure;
-uniform bool isLamp;
+uniform float exposure, side;
+uniform bool isLamp, isOnGround;
 uniform vec3 lamp; // towards the lamp: right, up, towards the viewer
+uniform vec3 onFloor; // reflectance of the floor
+uniform vec2 standing; // height of the shape's middle, and radius of the ball whose shadow stands for its own
+uniform mat3 turned; // from the world to the environment
 
 vec3 encoded(vec3 linear) {
   vec3 c = clamp(linear, 0.0, 1.0);
   return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
 }
 
+// What the floor shows at a place of the picture (right and up, radii).
+vec3 floorAt(vec2 place) {
+  vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
+  vec3 p = place.x * right + place.y * up;
+  p -= (p.z + standing.x) / view.z * view;
+  if (!isLamp) return onFloor * textureLod(ground, (turned * p).xy / ${(2 * GROUND_REACH).toFixed(1)} + 0.5, 0.0).rgb;
+  vec3 wo = lamp.x * right + lamp.y * up + lamp.z * view;
+  float away = length(p), sine = min(standing.y / away, 1.0);
+  float seen = clamp(0.5 + (sqrt(1.0 - sine * sine) + dot(p, wo) / away) / (0.07 * sine), 0.0, 1.0);
+  return onFloor * max(wo.z, 0.0) * seen;
+}
+
+// Less than a step of 8 bits, so that smooth shading has no bands.
+float dither() { return (fract(sin(dot(gl_FragCoord.xy, vec2(12.9898, 78.233))) * 43758.5453) - 0.5) / 255.0; }
+
 void main() {
-  vec4 normal = texelFetch(normals, ivec2(gl_FragCoord.xy - corner), 0);
+  ivec2 within = ivec2(floor(gl_FragCoord.xy - corner)), size = textureSize(normals, 0);
+  bool isInside = all(greaterThanEqual(within, ivec2(0))) && all(lessThan(within, size));
+  vec4 normal = isInside ? texelFetch(normals, within, 0) : vec4(0.0);
   result = vec4(0.0);
-  if (normal.a <= 0.0) return;
+  vec3 behind = vec3(0.0);
+  if (isOnGround && normal.a < 1.0) behind = encoded(floorAt(((gl_FragCoord.xy - corner) / side * 2.0 - 1.0) * 1.02) * exposure);
+  if (normal.a <= 0.0) {
+    if (isOnGround) result = vec4(behind + dither(), 1.0);
+    return;
+  }
   vec3 linear = vec3(0.0);
   if (isLamp) {
     mat3 frame = frameOf(normal.xyz);
@@ -226,7 +261,8 @@ void main() {
   } else {
     linear = textureLod(disc, normal.xy / 1.02 * 0.5 + 0.5, 0.0).rgb;
   }
-  result = vec4(encoded(linear * exposure) * normal.a, normal.a);
+  result = vec4(mix(behind, encoded(linear * exposure), normal.a) + (isOnGround ? dither() : 0.0), 1.0);
+  if (!isOnGround) result = vec4(encoded(linear * exposure) * normal.a, normal.a);
 }`;
 
 const PROGRAMS = { faces: FACES, light: LIGHT, material: MATERIAL, sum: SUM, disc: DISC, normals: NORMALS, show: SHOW };
@@ -257,21 +293,27 @@ export class BallRenderer {
     this.cubes = [];
     this.lights = new Map(); // by set of half vectors, then by environment and turn: that of PLAIN, and the last
     this.room = new Map(); // for what materials make of sets of half vectors
+    this.grounds = new Map(); // by environment and shape
     this.shapes = new Map(); // pictures of normals: the last, and that of thumbnails
     this.surfaces = [];
   }
 
-  /** Take a prediction under an illuminant as surface 0, 1, ..., and light it coarsely; light is {environment, turn}. */
-  setSurface(k, prediction, illuminant, light) {
+  /**
+   * Take a prediction under an illuminant as surface 0, 1, ..., and light it coarsely, still more so where the light alone
+   * was turned; light is {environment, turn}.
+   */
+  setSurface(k, prediction, illuminant, light, isTurning = false) {
     const { blends, gl } = this, grid = ({ azimuths, elevations }) => makeTarget(gl, azimuths, elevations);
     const disc = (size) => makeTarget(gl, size, size, { wrap: gl.CLAMP_TO_EDGE });
     this.surfaces[k] ??= { table: blends.table(), wide: grid(WIDE), narrow: grid(NEAR), middle: grid(MIDDLE),
-      moving: disc(MOVING), resting: disc(RESTING) };
-    const surface = Object.assign(this.surfaces[k], { prediction, illuminant, light, isRefined: false });
-    blends.draw(surface.table, prediction, illuminant, true);
-    this._sum(surface, surface.wide, WIDE, 1);
-    this._sum(surface, surface.narrow, NEAR, 1);
-    this._drawDisc(surface, surface.moving, surface.narrow, null, 0, MOVING);
+      turning: { wide: grid(TURNING.wide), narrow: grid(TURNING.narrow) }, moving: disc(MOVING), resting: disc(RESTING) };
+    const surface = this.surfaces[k], isBlended = surface.prediction === prediction && surface.illuminant === illuminant;
+    Object.assign(surface, { prediction, illuminant, light, isRefined: false });
+    if (!isBlended) blends.draw(surface.table, prediction, illuminant, true); // turning the light keeps the material
+    const sets = isTurning ? TURNING : { wide: WIDE, narrow: NEAR }, grids = isTurning ? surface.turning : surface;
+    this._sum(surface, grids.wide, sets.wide, 1);
+    this._sum(surface, grids.narrow, sets.narrow, 1);
+    this._drawDisc(surface, surface.moving, grids, null, 0, MOVING);
   }
 
   /** Blend and light a surface again, as finely as befits a still picture. */
@@ -288,7 +330,7 @@ export class BallRenderer {
     this._sum(surface, surface.middle, MIDDLE, 2);
     const contribution = this._contribution(surface, FINE), high = RESTING / STRIPS;
     for (let row = 0; row < RESTING; row += high) {
-      this._drawDisc(surface, surface.resting, surface.middle, contribution, row, high);
+      this._drawDisc(surface, surface.resting, { wide: surface.wide, narrow: surface.middle }, contribution, row, high);
       yield;
     }
     surface.isRefined = true;
@@ -377,10 +419,10 @@ export class BallRenderer {
   }
 
   /** Draw rows of a disc of normals, from the wide and a narrower grid, and contributions of single half vectors, if any. */
-  _drawDisc(surface, disc, narrow, contribution, row, high) {
+  _drawDisc(surface, disc, { wide, narrow }, contribution, row, high) {
     const { gl, programs: { disc: program } } = this, size = disc.width;
     this._bindSky(program, surface.light);
-    bindTexture(gl, program, "wide", 0, surface.wide.picture);
+    bindTexture(gl, program, "wide", 0, wide.picture);
     bindTexture(gl, program, "narrow", 1, narrow.picture);
     bindTexture(gl, program, "material", 2, contribution ?? narrow.picture);
     gl.uniform3f(program.at("view"), ...this.data.view);
@@ -418,22 +460,79 @@ export class BallRenderer {
    */
   draw(surfaces, light, wipe = null) {
     const { gl } = this, { width, height } = gl.canvas, columns = wipe === null ? surfaces.length : 1;
-    const side = Math.floor(Math.min(height, width / columns)), left = (width - side * columns) / 2;
-    const corners = surfaces.map((_, k) => [left + (wipe === null ? k * side : 0), (height - side) / 2].map(Math.round));
+    const side = Math.floor(squareIn(width, height, columns)), across = width / columns;
+    const corners = surfaces.map((_, k) => [(wipe === null ? k * across : 0) + (across - side) / 2, (height - side) / 2].map(Math.round));
     const normals = this._normals(light.shape, light.turnShape, side, 1);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.viewport(0, 0, width, height);
+    gl.enable(gl.SCISSOR_TEST);
     surfaces.forEach((k, column) => {
-      if (wipe !== null) {
-        const at = Math.round(corners[0][0] + wipe * side);
-        gl.enable(gl.SCISSOR_TEST);
-        if (column === 0) gl.scissor(0, 0, at, height);
-        else gl.scissor(at, 0, width - at, height);
-      }
-      this._show(this.surfaces[k], normals, corners[column], side, light);
-      gl.disable(gl.SCISSOR_TEST);
+      const at = Math.round(wipe === null ? across : corners[0][0] + wipe * side);
+      if (surfaces.length === 1) gl.scissor(0, 0, width, height);
+      else if (column === 0) gl.scissor(0, 0, at, height);
+      else gl.scissor(at, 0, width - at, height);
+      this._show(this.surfaces[k], normals, corners[column], side, light, this._ground(this.surfaces[k].light, light.shape));
     });
+    gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** Pixels along the square of a single shape in the picture. */
+  get side() {
+    return Math.floor(squareIn(this.gl.canvas.width, this.gl.canvas.height, 1));
+  }
+
+  /** Draw where two surfaces differ, in colours, in the square of one; light as of `draw`. */
+  drawDifference(surfaces, light) {
+    const { gl, side } = this, { width, height } = gl.canvas;
+    this._compared(surfaces, light, side);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.viewport(0, 0, width, height);
+    this._difference([width, height].map((v) => Math.round((v - side) / 2)), false);
+  }
+
+  /** Mean and largest CIEDE2000 between two surfaces, over pixels of a small picture. */
+  difference(surfaces, light) {
+    const { gl } = this, size = 96, values = new Float32Array(4 * size * size);
+    this._compared(surfaces, light, size);
+    const { target } = (this.measured ??= makeTarget(gl, size, size));
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.viewport(0, 0, size, size);
+    this._difference([0, 0], true);
+    gl.readPixels(0, 0, size, size, gl.RGBA, gl.FLOAT, values);
+    const found = values.filter((_, k) => k % 4 === 0 && values[k + 3] > 0);
+    return { mean: found.reduce((sum, v) => sum + v, 0) / found.length, most: found.reduce((most, v) => Math.max(most, v), 0) };
+  }
+
+  /** Pictures of two surfaces without ground, side x side, for `_difference`. */
+  _compared(surfaces, light, side) {
+    const { gl } = this;
+    if (this.compared?.side !== side) {
+      for (const { picture, target } of this.compared?.targets ?? []) {
+        gl.deleteTexture(picture);
+        gl.deleteFramebuffer(target);
+      }
+      this.compared = { side, targets: surfaces.map(() => makeTarget(gl, side, side)) };
+    }
+    const normals = this._normals(light.shape, light.turnShape, side, 1);
+    surfaces.forEach((k, at) => {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.compared.targets[at].target);
+      gl.viewport(0, 0, side, side);
+      this._show(this.surfaces[k], normals, [0, 0], side, light);
+    });
+  }
+
+  _difference(corner, isRaw) {
+    const { gl, compared: { targets } } = this, program = (this.programs.difference ??= makeProgram(gl, DIFFERENCE));
+    gl.useProgram(program.handle);
+    bindTexture(gl, program, "one", 0, targets[0].picture);
+    bindTexture(gl, program, "other", 1, targets[1].picture);
+    gl.uniform2f(program.at("corner"), ...corner);
+    gl.uniform1i(program.at("isRaw"), isRaw ? 1 : 0);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
   /** A surface's ball as ImageData, size x size. */
@@ -451,6 +550,7 @@ export class BallRenderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.thumbnail.target);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.viewport(0, 0, size, size);
     this._show(this.surfaces[k], normals, [0, 0], size, { lamp: null, exposure: 1 });
     const pixels = new Uint8ClampedArray(4 * size * size);
     gl.readPixels(0, 0, size, size, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
@@ -463,10 +563,29 @@ export class BallRenderer {
     return new ImageData(pixels, size, size);
   }
 
-  _show(surface, normals, corner, side, light) {
+  /** The ground of an environment with the shadow of a shape, made when first asked for. */
+  _ground({ environment, turn }, shape) {
+    const key = `${environment} ${shape}`, [c, s] = [Math.cos(turn), Math.sin(turn)], standing = SHAPES_ON_GROUND[shape];
+    if (!this.grounds.has(key)) {
+      const { side, values } = groundPicture(this.environments[environment], standing);
+      this.grounds.set(key, makeTexture(this.gl, side, side, values, { wrap: this.gl.CLAMP_TO_EDGE }));
+    }
+    return { picture: this.grounds.get(key), standing: [standing.height, standing.radius], turned: [c, -s, 0, s, c, 0, 0, 0, 1],
+      onFloor: floorOf(this.environments[environment]) };
+  }
+
+  /** Draw a surface by a shape's normals into a square; on the ground, if any, over all that the scissors let. */
+  _show(surface, normals, corner, side, light, ground = null) {
     const { gl, programs: { show } } = this;
     this._use(show, surface);
-    gl.viewport(...corner, side, side);
+    gl.uniform1i(show.at("isOnGround"), ground ? 1 : 0);
+    gl.uniform1f(show.at("side"), side);
+    bindTexture(gl, show, "ground", 4, ground?.picture ?? normals);
+    if (ground) {
+      gl.uniform3f(show.at("onFloor"), ...ground.onFloor);
+      gl.uniform2f(show.at("standing"), ...ground.standing);
+      gl.uniformMatrix3fv(show.at("turned"), false, ground.turned);
+    }
     bindTexture(gl, show, "disc", 1, (surface.isRefined ? surface.resting : surface.moving).picture);
     bindTexture(gl, show, "normals", 2, normals);
     gl.uniform2f(show.at("corner"), ...corner);

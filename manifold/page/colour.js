@@ -17,6 +17,24 @@ export function labOf(linear) {
 /** Lightness, chroma and hue in degrees of CIELAB. */
 export const lchOf = ([l, a, b]) => [l, Math.hypot(a, b), (Math.atan2(b, a) * DEGREES + 360) % 360];
 
+const HUES = { // degrees in CIELAB that people give a name, from and to; names overlap
+  pink: [335, 15], red: [10, 52], orange: [45, 80], yellow: [72, 118], green: [108, 195], turquoise: [170, 235], blue: [220, 312],
+  purple: [295, 350],
+};
+
+/** Words for a colour (lightness, chroma, hue) and gloss units at 60 degrees, as people search by them. */
+export function wordsFor([lightness, chroma, hue], gloss) {
+  const words = [gloss < 10 ? "matt" : gloss < 70 ? "satin" : "glossy"];
+  if (lightness < 35) words.push("dark");
+  if (lightness > 70) words.push("light");
+  if (chroma < 12) words.push(lightness > 80 ? "white" : lightness < 25 ? "black" : "grey");
+  if (chroma >= 6) {
+    for (const [name, [from, to]] of Object.entries(HUES)) if ((hue - from + 360) % 360 <= (to - from + 360) % 360) words.push(name);
+    if (lightness < 60 && hue > 35 && hue < 90 && chroma < 55) words.push("brown");
+  }
+  return words;
+}
+
 /** CIELAB of lightness, chroma and hue. */
 export const labOfLch = ([l, c, h]) => [l, c * Math.cos(h / DEGREES), c * Math.sin(h / DEGREES)];
 

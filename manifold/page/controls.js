@@ -1,5 +1,6 @@
 // Controls to state, by mouse and by keyboard; methods of the page.
 
+import { squareIn } from "./ball.js";
 import { fixed } from "./elements.js";
 import { interpolate, parseSpectrum } from "./numerics.js";
 import { isPicture } from "./photo.js";
@@ -7,16 +8,17 @@ import { fromFragment, lampWithin, toFragment } from "./state.js";
 
 const DEGREES_ACROSS = 270; // by which a drag across the whole picture turns it
 const STEP = 0.01, LARGE = 0.05; // of the map's extent, per press of an arrow key
+const SYNONYMS = { matte: "matt", shiny: "glossy", "semi-gloss": "satin", gray: "grey" };
 const MOST_FOUND = 50; // names in the list of a search
 
 export const controls = {
   fillControls() {
     const { data } = this;
     const options = (select, names) => select.append(...names.map((name) => new Option(name, name)));
-    for (const id of ["like", "path-from", "path-to"]) options(this.byId(id), data.names);
+    for (const id of ["like", "walk-from", "walk-to"]) options(this.byId(id), data.names);
     this.byId("pinned").append(new Option("nothing", ""), new Option("the pinned latent", "\u0000pinned"));
     options(this.byId("pinned"), data.names);
-    this.byId("path-to").value = data.names[data.names.length - 1];
+    this.byId("walk-to").value = data.names[data.names.length - 1];
     options(this.byId("illuminant"), Object.keys(data.toSrgb));
     if (!data.wavelengths) {
       this.byId("illuminant").disabled = true;
@@ -210,9 +212,8 @@ export const controls = {
         this.turnTo(this.turned, from[1] + ((event.clientX - from[0]) / canvas.clientWidth) * DEGREES_ACROSS, false);
       } else if (this.state.light === "lamp") {
         const box = canvas.getBoundingClientRect(), count = this.columns;
-        const side = Math.min(box.height, box.width / count);
-        const left = event.clientX - box.left - (box.width - side * count) / 2;
-        const across = count === 2 && left > side ? left - side : left;
+        const side = squareIn(box.width, box.height, count), column = box.width / count;
+        const across = ((event.clientX - box.left) % column) - (column - side) / 2;
         aim((2 * across) / side - 1, 1 - (2 * (event.clientY - box.top - (box.height - side) / 2)) / side);
       }
     });
@@ -332,20 +333,19 @@ export const controls = {
 
   listenToPath() {
     const travel = (done) => {
-      const [from, to, t] = [this.byId("path-from").value, this.byId("path-to").value, Number(this.byId("path-t").value)];
+      const [from, to, t] = [this.byId("walk-from").value, this.byId("walk-to").value, Number(this.byId("walk-t").value)];
       const [a, b] = [from, to].map((name) => this.data.X[this.data.names.indexOf(name)]);
       const at = t === 0 ? from : t === 1 ? to : undefined;
       this.change({ x: a.map((v, q) => (t === 1 ? b[q] : v + t * (b[q] - v))), at, path: { from, to, t } }, done);
     };
-    this.byId("path-t").addEventListener("input", () => travel(false));
-    this.byId("path-t").addEventListener("change", () => this.commit());
-    this.byId("path-from").addEventListener("change", () => travel(true));
-    this.byId("path-to").addEventListener("change", () => travel(true));
+    this.byId("walk-t").addEventListener("input", () => travel(false));
+    this.byId("walk-t").addEventListener("change", () => this.commit());
+    this.byId("walk-from").addEventListener("change", () => travel(true));
+    this.byId("walk-to").addEventListener("change", () => travel(true));
   },
 
   listenToSearch() {
     const input = this.byId("search"), list = this.byId("found"), { names, others } = this.data;
-    const searched = [...names, ...others.names];
     let found = [], at = 0;
     const close = () => {
       list.hidden = true;
@@ -354,8 +354,9 @@ export const controls = {
     };
     const show = () => {
       const words = input.value.trim().toLowerCase().split(/\s+/);
+      const isOf = (one) => words.every((word) => one.words.includes(word) || one.words.includes(SYNONYMS[word] ?? word));
       found = input.value.trim()
-        ? searched.flatMap((name, k) => (words.every((w) => name.toLowerCase().includes(w)) ? [k] : [])) : [];
+        ? this.searched().flatMap((one, k) => (isOf(one) ? [k] : [])) : [];
       found = found.slice(0, MOST_FOUND);
       at = Math.min(at, Math.max(found.length - 1, 0));
       list.replaceChildren(...found.map((k, row) => {
@@ -363,7 +364,7 @@ export const controls = {
         item.id = `found-${row}`;
         item.setAttribute("role", "option");
         item.setAttribute("aria-selected", String(row === at));
-        item.textContent = searched[k];
+        item.textContent = this.searched()[k].text;
         item.addEventListener("pointerdown", (event) => event.preventDefault()); // the focus stays
         item.addEventListener("click", () => choose(k)); // a finger may scroll the list; screen readers only click
         return item;
@@ -372,7 +373,7 @@ export const controls = {
         const none = document.createElement("li");
         none.setAttribute("role", "option");
         none.setAttribute("aria-disabled", "true");
-        none.textContent = "no material has such a name";
+        none.textContent = "no material has such a name, gloss or colour";
         list.append(none);
         if (input.value.trim()) this.announce(none.textContent);
       }

@@ -20,9 +20,9 @@ export const documents = {
     listen("save-picture", () => this.savePicture());
     listen("save-latent", () => this.save("latent.json", this.latentDocument(this.state, this.prediction)));
     listen("save-colours", () => this.save("colours.json", this.coloursDocument()));
-    listen("save-variants", () => this.save("variants.json", {
+    listen("save-looks", () => this.save("kept-looks.json", {
       library: this.data.library,
-      variants: this.state.variants.map((look) => this.latentDocument(look, this.predicted(look))),
+      looks: this.state.variants.map((look) => this.latentDocument(look, this.predicted(look))),
     }));
   },
 

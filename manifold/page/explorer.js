@@ -13,7 +13,7 @@ import { attributes } from "./attributes.js";
 import { labOfLch } from "./colour.js";
 import { guests } from "./guests.js";
 import { makeTabs } from "./tabs.js";
-import { variants } from "./variants.js";
+import { keptLooks } from "./kept_looks.js";
 
 const MOVING_HEIGHT = 320; // pixels in height of a ball that moves
 const REST = 600; // ms without a change, after which the ball is lit more finely
@@ -45,6 +45,7 @@ export class Explorer {
     this.shown = {}; // what the picture was last drawn of
     this.balls = BallRenderer.create(this.byId("ball"), materials);
     if (!this.balls) this.problem(`${this.missingGraphics()}, so balls are not drawn; everything else works.`);
+    this.map.images = data.names.map((_, k) => materials.thumbnail(k));
     this.pendingThumbnails = data.names.map((_, k) => k);
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
   }
@@ -168,16 +169,17 @@ export class Explorer {
   // -- pictures ----------------------------------------------------------------------------------------------
 
   refresh() {
-    const { state } = this, look = JSON.stringify([lookOf(state), state.illuminant, this.sky]);
-    const turned = JSON.stringify([state.shape, state.turnShape]);
+    const { state } = this, look = JSON.stringify([lookOf(state), state.illuminant]);
+    const sky = JSON.stringify(this.sky), turned = JSON.stringify([state.shape, state.turnShape]);
     if (look !== this.shown.look) {
       this.prediction = this.predicted(state);
       this.slices = this.prediction.slices(state.illuminant);
       this.reflectance = this.prediction.reflectance();
-      this.balls?.setSurface(0, this.prediction, state.illuminant, this.sky);
     }
-    if (this.refreshPin() || look !== this.shown.look || turned !== this.shown.turned) this.refineLater();
-    this.shown = { look, turned };
+    const isLit = look === this.shown.look && sky === this.shown.sky;
+    if (!isLit) this.balls?.setSurface(0, this.prediction, state.illuminant, this.sky, look === this.shown.look);
+    if (this.refreshPin() || !isLit || turned !== this.shown.turned) this.refineLater();
+    this.shown = { look, sky, turned };
     this.drawBalls();
     this.drawMap();
     this.drawPlots();
@@ -208,11 +210,12 @@ export class Explorer {
 
   /** Predict what is pinned, where it has changed; whether it has. */
   refreshPin() {
-    const { pin, illuminant } = this.state;
+    const { pin, illuminant } = this.state, look = JSON.stringify(pin);
     const key = pin ? JSON.stringify([pin, illuminant, this.sky]) : null;
     if (this.pinned.key === key) return false;
-    this.pinned = { key, prediction: pin ? this.predicted(pin) : null };
-    if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction, illuminant, this.sky);
+    const isKnown = pin && look === this.pinned.look;
+    this.pinned = { key, look, prediction: isKnown ? this.pinned.prediction : pin ? this.predicted(pin) : null };
+    if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction, illuminant, this.sky, isKnown);
     return pin !== null;
   }
 
@@ -231,7 +234,7 @@ export class Explorer {
 
   /** Pictures beside each other. */
   get columns() {
-    return this.state.pin && this.state.wipe === null ? 2 : 1;
+    return this.state.pin && this.state.view === "beside" ? 2 : 1;
   }
 
   /** What dragging the picture turns: a ball looks the same from all sides. */
@@ -246,7 +249,10 @@ export class Explorer {
     const scale = isMoving ? Math.min(ratio, MOVING_HEIGHT / canvas.clientHeight) : ratio;
     const width = Math.round(canvas.clientWidth * scale), height = Math.round(canvas.clientHeight * scale);
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    this.balls.draw(this.state.pin ? [1, 0] : [0], this.light, this.state.pin ? this.state.wipe : null);
+    const { pin, view, wipe } = this.state;
+    if (pin && view === "difference") this.balls.drawDifference([1, 0], this.light);
+    else this.balls.draw(pin ? [1, 0] : [0], this.light, pin && view === "wipe" ? wipe : null);
+    this.showDifference();
   }
 
   /** A tab was chosen: its curves are drawn while they are seen. */
@@ -268,7 +274,7 @@ export class Explorer {
     this.byId("spectrum-other").textContent = compared ? `; ${kind}: ${compared}` : "";
   }
 
-  /** Balls of the materials, one per frame, after the first picture. */
+  /** Finer balls of the materials than the page came with, one per frame, after the first picture. */
   nextThumbnail() {
     requestAnimationFrame(() => this.balls && !this.balls.gl.isContextLost() && this.drawThumbnail());
   }
@@ -285,4 +291,4 @@ export class Explorer {
   }
 }
 
-Object.assign(Explorer.prototype, facts, controls, documents, guests, variants, attributes);
+Object.assign(Explorer.prototype, facts, controls, documents, guests, keptLooks, attributes);

@@ -151,12 +151,12 @@ export const facts = {
     this.byId("pinned").value = state.pin ? state.pin.at && state.pin.colour === "blend" ? state.pin.at : "\u0000pinned" : "";
     this.byId("pinned").options[1].hidden = this.byId("pinned").options[1].disabled = this.byId("pinned").value !== "\u0000pinned";
     if (state.path) {
-      this.byId("path-from").value = state.path.from;
-      this.byId("path-to").value = state.path.to;
+      this.byId("walk-from").value = state.path.from;
+      this.byId("walk-to").value = state.path.to;
     }
-    this.byId("path-t").value = state.path?.t ?? 0;
-    this.byId("path-value").textContent = state.path ? percent(state.path.t) : "off";
-    this.byId("path-t").setAttribute("aria-valuetext", this.byId("path-value").textContent);
+    this.byId("walk-t").value = state.path?.t ?? 0;
+    this.byId("walk-value").textContent = state.path ? percent(state.path.t) : "off";
+    this.byId("walk-t").setAttribute("aria-valuetext", this.byId("walk-value").textContent);
     for (const input of this.byId("coordinates").querySelectorAll("input")) {
       if (input !== this.root.activeElement || input.type === "range") input.value = fixed(state.x[input.dataset.q], 3);
     }

@@ -38,7 +38,7 @@ export const guests = {
     this.drawMap();
   },
 
-  /** Its place and colours stay, so that undo and variants still show it. */
+  /** Its place and colours stay, so that undo and kept looks still show it. */
   removeGuest(k) {
     this.guests[k].isRemoved = true;
     this.showGuests();

@@ -92,7 +92,21 @@ export class Materials {
     const float = (half) => made.packed.float[half];
     made.environments = await Promise.all(data.environments.map(async ({ radiance, ...rest }) => (
       { ...rest, radiance: Float32Array.from(new Uint16Array(await inflate(radiance)), float) })));
+    made.thumbnails = { side: data.thumbnails.side, rgb: new Uint8Array(await inflate(data.thumbnails.rgb)) };
     return made;
+  }
+
+  /** The ball of a material that the page came with, as a canvas. */
+  thumbnail(k) {
+    const { side, rgb } = this.thumbnails, pixels = new Uint8ClampedArray(4 * side * side).fill(255), large = 4 * side;
+    for (let p = 0; p < side * side; p++) for (let c = 0; c < 3; c++) pixels[4 * p + c] = rgb[3 * (k * side * side + p) + c];
+    const [small, round] = [side, large].map((size) => Object.assign(document.createElement("canvas"), { width: size, height: size }));
+    small.getContext("2d").putImageData(new ImageData(pixels, side, side), 0, 0);
+    const context = round.getContext("2d");
+    context.arc(large / 2, large / 2, large / 2, 0, 2 * Math.PI);
+    context.clip();
+    context.drawImage(small, 0, 0, large, large);
+    return round;
   }
 
   constructor(data, halves, steps, scales, cosines) {

@@ -10,8 +10,9 @@ from importlib.resources import files
 from typing import Any
 
 _MODULES = (
-    "colour", "numerics", "elements", "webgl", "blend", "shapes", "ball", "layout", "map", "plots", "state", "facts",
-    "tabs", "photo", "controls", "documents", "guests", "variants", "attributes", "served", "explorer",
+    "colour", "numerics", "elements", "webgl", "blend", "shapes", "ground", "difference", "ball", "layout", "map",
+    "plots", "state", "facts", "tabs", "photo", "controls", "documents", "guests", "kept_looks", "attributes", "served",
+    "explorer",
 )  # fmt: skip  # a module after what it imports
 _BODY = re.compile(r'<body class="explorer">(.*)</body>', re.DOTALL)
 _IMPORT = re.compile(r"^import .*?;\n", re.MULTILINE | re.DOTALL)

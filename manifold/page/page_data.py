@@ -19,7 +19,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.brdf.sums import WeightedSum
 from manifold.colour import ball_colours
-from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb
+from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb, xyz_to_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_rusinkiewicz, from_spherical, normalize
@@ -205,6 +205,7 @@ ILLUMINANTS = ("D65", "A", "F11")
 _COMPONENTS = 8  # of the spectral basis, at most
 _MAP_NODES = 32  # visible bands that colours are made of, at most
 _LEAST_WEIGHT = 0.3  # of a band in the basis, relative to the largest: paths include invisible bands
+_THUMBNAIL = 24  # pixels across
 _DARK = 0.05  # of a material's median: ratios of components below this are not resolved
 _FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # of spectra that are dropped on an RGB map
 
@@ -221,6 +222,7 @@ class Tables:
         components: cube roots of f cos(theta_i) cos(theta_o) in the basis, float32, shape (N, R, P).
         walked: the materials as ends of walks.
         at_nodes: which of their bands the nodes are, shape (J,).
+        thumbnails: balls of the materials in the studio, sRGB, in squares that their edges fill, (N, S, S, 3).
     """
 
     grid: AngleGrid
@@ -231,6 +233,7 @@ class Tables:
     components: NDArray[np.float32]
     walked: list[Walked]
     at_nodes: Indices
+    thumbnails: NDArray[np.uint8]
 
 
 def tabulate(model: Manifold) -> Tables:
@@ -251,7 +254,23 @@ def tabulate(model: Manifold) -> Tables:
     basis, inverse = _spectral_basis(roots, _band_weights(model.bands, nodes, at_nodes, len(bands)))
     components = np.ascontiguousarray(np.moveaxis(roots @ inverse, 2, 1), dtype=np.float32)
     walked = [Walked.of(material) for material in materials]
-    return Tables(grid, pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes)
+    thumbnails = np.stack([_thumbnail(material, at_nodes) for material in materials])
+    return Tables(
+        grid, pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes, thumbnails
+    )
+
+
+def _thumbnail(material: MeasuredBRDF, at_nodes: Indices) -> NDArray[np.uint8]:
+    """A small ball, (S, S, 3), which the map shows until the page has drawn a finer one."""
+    ball = ball_colours.ball(_THUMBNAIL)
+    bands = material.bands
+    if bands.wavelengths_nm is not None:
+        bands = Bands(tuple(np.array(bands.wavelengths_nm)[at_nodes].tolist()))
+    linear = xyz_to_srgb(ball.xyz(material.eval(ball.wi, ball.wo)[:, at_nodes], bands))
+    across = (2.0 * np.arange(_THUMBNAIL) + 1.0) / _THUMBNAIL - 1.0
+    x, y = np.meshgrid(across, -across)
+    away = (x[..., None] - ball.places[:, 0]) ** 2 + (y[..., None] - ball.places[:, 1]) ** 2  # [S, S, K]
+    return np.rint(255.0 * encode_srgb(np.clip(linear, 0.0, 1.0))).astype(np.uint8)[away.argmin(axis=2)]
 
 
 def packed(tables: Tables) -> dict[str, Any]:
@@ -280,6 +299,7 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
     return {
         "library": model.library.path.name,
         "names": names,
+        "thumbnails": {"side": _THUMBNAIL, "rgb": _text(tables.thumbnails)},
         "others": _others(model),
         "X": space.X.tolist(),
         "lengthScale": space.kernel.length_scale,

@@ -56,6 +56,7 @@ class Actions {
     const byId = (id) => explorer.byId(id);
     this.list = byId("jobs");
     byId("actions").hidden = false;
+    byId("actions-need").hidden = true;
     for (const kind of ["predict", "render", "fit"]) {
       byId(`do-${kind}`).addEventListener("click", () => this.requestAll(kind));
     }

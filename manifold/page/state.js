@@ -3,13 +3,16 @@
 import { SHAPES } from "./shapes.js";
 import { reachOf, within } from "./numerics.js";
 
+const VIEWS = ["wipe", "beside", "difference"]; // of what is pinned and what is shown
+
 /** The state at the start: the material nearest to the middle of the map. */
 export function initialState(data) {
   const Q = data.X[0].length;
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
   return {
     x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, guest: null, lch: null, path: null,
-    light: "studio", turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, wipe: 0.5, variants: [],
+    light: "studio", turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, view: "wipe", wipe: 0.5,
+    variants: [],
   };
 }
 
@@ -42,7 +45,7 @@ export function toFragment(state) {
   if (state.illuminant !== "D65") parts.set("illuminant", state.illuminant);
   if (state.exposure) parts.set("exposure", state.exposure);
   if (state.pin) parts.set("pin", asText(state.pin));
-  if (state.wipe === null) parts.set("view", "beside");
+  if (state.view !== "wipe") parts.set("view", state.view);
   for (const look of state.variants) parts.append("variant", asText(look));
   return parts.toString();
 }
@@ -106,7 +109,7 @@ export function fromFragment(fragment, data) {
   const exposure = Number(parts.get("exposure"));
   if (Number.isFinite(exposure)) state.exposure = Math.min(Math.max(exposure, -3), 3);
   [state.pin] = [...nested(parts.get("pin") ?? ""), null];
-  if (parts.get("view") === "beside") state.wipe = null;
+  if (VIEWS.includes(parts.get("view"))) state.view = parts.get("view");
   state.variants = parts.getAll("variant").flatMap(nested);
   return state;
 }

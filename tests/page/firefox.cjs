@@ -48,7 +48,7 @@ async function search(page, text) {
 
 async function scrub(page) {
   await page.evaluate(() => window.explorer.showTab("compare"));
-  await page.focus("#path-t");
+  await page.focus("#walk-t");
   return press(page, "Home", "ArrowRight", "ArrowRight");
 }
 
@@ -67,7 +67,7 @@ const ballAt = (page, places) => page.evaluate((places) => {
   const { explorer } = window, { gl } = explorer.balls;
   explorer.balls.refine(0);
   explorer.drawBalls();
-  const { width, height } = gl.canvas, side = Math.min(width, height), picture = new Uint8Array(4 * width * height);
+  const { width, height } = gl.canvas, { side } = window.explorer.balls, picture = new Uint8Array(4 * width * height);
   gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, picture);
   return places.map(([x, y]) => {
     const [i, j] = [x, y].map((v, k) => Math.floor([width, height][k] / 2 + (v / 1.02) * side / 2));
@@ -95,7 +95,7 @@ async function main(address, places) {
       await page.reload(); // Firefox keeps what forms held
       await page.waitForSelector("[data-ready]");
       found.reloaded = await stateOf(page);
-      found.slider = await page.$eval("#path-t", (e) => e.value);
+      found.slider = await page.$eval("#walk-t", (e) => e.value);
       found.red = await dropSpectrum(page);
     }
   } finally {

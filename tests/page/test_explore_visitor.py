@@ -15,6 +15,7 @@ from helpers.browser import control, follow, settle, shown, state, visit
 from helpers.small_library import NAMES
 from PIL import Image
 
+from manifold.colour import decode_srgb, delta_e_2000, srgb_to_xyz
 from manifold.colour.reflectances import read_reflectance
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
@@ -396,12 +397,12 @@ def test_a_lamp_s_highlight_is_drawn_on_the_photograph_and_dragged(served_page, 
     page = served_page.page
     drop_picture(page, "lit.png")
     canvas = page.locator("#photo-canvas")
-    canvas.scroll_into_view_if_needed()
     page.locator("#photo-circle").fill("100,50,40")
     page.locator("#photo-circle").dispatch_event("change")
     page.locator("#photo-lamp").fill("0,0,1")
     page.locator("#photo-lamp").dispatch_event("change")
     assert page.locator("#photo-light").input_value() == "lamp"
+    canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
     scale = box["width"] / 200
     page.mouse.move(
@@ -475,12 +476,18 @@ def test_tabs_are_chosen_by_mouse_and_arrow_keys(page):
     assert page.locator("[role=tab][tabindex='0']").count() == 1
 
 
-def test_map_and_ball_are_the_first_screen(page):
-    """Side by side and equally high; on a phone the ball is in view while the map is dragged, and below it."""
-    box = {name: page.locator(f"#{name}").bounding_box() for name in ("map", "ball")}
-    assert box["map"]["y"] == box["ball"]["y"]
-    assert box["map"]["height"] == box["ball"]["height"] > 0.6 * 900
-    assert page.locator("#tab-here").bounding_box()["y"] < 900
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+def test_map_ball_and_sliders_are_the_first_screen(page, width, height):
+    page.set_viewport_size({"width": width, "height": height})
+    page.evaluate("window.explorer.showTab('colour')")
+    settle(page)
+    boxes = [page.locator(f"#{name}").bounding_box() for name in ("map", "ball", "gloss", "lightness")]
+    assert all(box["y"] >= 0 and box["y"] + box["height"] <= height for box in boxes)
+    assert page.locator("#ball").bounding_box()["height"] > 0.24 * height
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_on_a_phone_the_ball_stays_in_view(page):
     page.set_viewport_size({"width": 390, "height": 844})
     settle(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
@@ -489,7 +496,7 @@ def test_map_and_ball_are_the_first_screen(page):
         settle(page)
         ball = page.locator("#ball").bounding_box()
         assert 0 <= ball["y"] <= 844 - ball["height"]
-    assert page.locator("#map").bounding_box()["height"] > 240
+    assert page.locator("#map").bounding_box()["height"] > 220
 
 
 def test_balls_and_names_on_the_map_do_not_cover_each_other(page):
@@ -572,16 +579,16 @@ def test_kept_looks_come_back_by_a_click_undo_and_a_link(page):
 
 
 def test_kept_looks_are_saved_together(page):
-    assert control(page, "#save-variants").is_disabled()
+    assert control(page, "#save-looks").is_disabled()
     for k in (0, 2):
         page.evaluate(f"window.explorer.goTo({k})")
         page.locator("#keep").click()
     settle(page)
     with page.expect_download() as download:
-        control(page, "#save-variants").click()
+        control(page, "#save-looks").click()
     saved = json.loads(Path(download.value.path()).read_text(encoding="utf-8"))
-    assert [one["material"] for one in saved["variants"]] == [NAMES[0], NAMES[2]]
-    assert all(sum(one["weights"].values()) == pytest.approx(1.0) for one in saved["variants"])
+    assert [one["material"] for one in saved["looks"]] == [NAMES[0], NAMES[2]]
+    assert all(sum(one["weights"].values()) == pytest.approx(1.0) for one in saved["looks"])
 
 
 def test_the_picture_is_saved_as_it_is_shown(page):
@@ -628,11 +635,83 @@ def test_a_wipe_shows_before_on_the_left_and_after_on_the_right(page):
     control(page, "input[name=view][value=beside]").check()
     settle(page)
     assert page.locator("#wipe").is_hidden()
-    assert state(page)["wipe"] is None
+    assert state(page)["view"] == "beside"
     control(page, "input[name=view][value=wipe]").check()
     control(page, "#unpin").click()
     settle(page)
     assert page.locator("#wipe").is_hidden()
+
+
+def test_two_materials_are_compared_pixel_by_pixel(page, model):
+    page.evaluate("window.explorer.goTo(3)")
+    control(page, "#pinned").select_option(NAMES[1])
+    control(page, "input[name=view][value=difference]").check()
+    settle(page)
+    found = page.evaluate("window.explorer.balls.difference([1, 0], window.explorer.light)")
+    assert (
+        f"mean {found['mean']:.1f}, largest {found['most']:.1f}"
+        in page.locator("#difference-text").inner_text()
+    )
+    balls = page.evaluate("""() => { const { balls, light } = window.explorer;
+      return [1, 0].map((k) => [...balls.image(k, 96).data]); }""")
+    pixels = np.array(balls, dtype=float).reshape(2, -1, 4)
+    first, second = (srgb_to_xyz(decode_srgb(one[pixels[0, :, 3] == 255, :3] / 255.0)) for one in pixels)
+    expected = delta_e_2000(first, second, srgb_to_xyz(np.ones(3)))
+    assert found["mean"] == pytest.approx(expected.mean(), rel=0.02)  # edges are counted a little otherwise
+    control(page, "#pinned").select_option(NAMES[3])
+    settle(page)
+    assert page.evaluate("window.explorer.balls.difference([1, 0], window.explorer.light)")["most"] == 0.0
+    control(page, "#unpin").click()
+    settle(page)
+    assert page.locator("#difference").is_hidden()
+
+
+def test_the_shadow_lies_on_the_side_away_from_the_light(page):
+    corners = """(turn) => { const { explorer } = window, { gl, side } = explorer.balls;
+      explorer.turnTo("turn", turn, true);
+      explorer.refresh();
+      return [-1, 1].map((right) => { const pixel = new Uint8Array(4), { width, height } = gl.canvas;
+        gl.readPixels(width / 2 + right * 0.54 * side, height / 2 - 0.4 * side, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+        return pixel[1]; }); }"""
+    control(page, "input[name=light][value=sky]").check()
+    settle(page)
+    left, right = page.evaluate(corners, 0)  # the sun is on the left, behind the viewer
+    assert right < left - 20
+    left, right = page.evaluate(corners, 120)  # it comes from the right
+    assert left < right - 20
+
+
+def test_materials_are_found_by_gloss_and_colour(page):
+    page.locator("#search").fill("gray")  # the other spelling of grey
+    words = page.evaluate("window.explorer.searched()")
+    greys = [one["name"] for one in words if "grey" in one["words"]]
+    listed = page.locator("#found li").all_inner_texts()
+    assert [text.split(":")[0] for text in listed if "GU" in text] == greys
+    for one in words:
+        k = NAMES.index(one["name"])
+        gloss = page.evaluate(f"window.explorer.materials.predict(window.explorer.data.X[{k}]).gloss()")
+        assert ("glossy" in one["words"].split()) == (gloss >= 70.0)
+
+
+def test_the_map_comes_with_its_balls(page, model):
+    sizes = page.evaluate(
+        "window.explorer.data.names.map((_, k) => window.explorer.materials.thumbnail(k).width)"
+    )
+    assert len(sizes) == len(NAMES)
+    assert min(sizes) > 0
+    pixel = """(k) => { const ball = window.explorer.materials.thumbnail(k);
+      return [...ball.getContext("2d").getImageData(ball.width / 2, ball.height / 2, 1, 1).data]; }"""
+    drawn = """(k) => { const ball = window.explorer.pictureOf({ material: k }, null);
+      return [...ball.getContext("2d").getImageData(ball.width / 2, ball.height / 2, 1, 1).data]; }"""
+    page.wait_for_selector("[data-complete]", state="attached")
+    for k in range(len(NAMES)):
+        assert np.allclose(page.evaluate(pixel, k), page.evaluate(drawn, k), rtol=0, atol=12)  # coarser light
+
+
+def test_a_page_without_a_server_says_what_one_can(page):
+    page.evaluate("window.explorer.showTab('export')")
+    assert "manifold explore" in page.locator("#actions-need").inner_text()
+    assert page.locator("#actions").is_hidden()
 
 
 def located(model, name, **gain):
@@ -703,7 +782,7 @@ def test_commands_are_requested_for_all_kept_looks(served, served_page):
         page.evaluate(f"window.explorer.goTo({k})")
         page.locator("#keep").click()
     settle(page)
-    control(page, "#all-variants").check()
+    control(page, "#all-looks").check()
     control(page, "#action-name").fill("both")
     control(page, "#do-predict").click()
     for k in (1, 2):

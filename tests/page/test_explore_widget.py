@@ -127,7 +127,7 @@ def test_a_path_on_the_page_is_one_in_python(page):
     page.evaluate("([a, b]) => model.set('link', `path=${JSON.stringify([a, b, 0.5])}`)", NAMES[:2])
     page.locator("#a #caption", has_text="50 % of the way").wait_for()
     page.locator("#a #tab-compare").click()
-    page.locator("#a #path-t").press("ArrowRight")
+    page.locator("#a #walk-t").press("ArrowRight")
     page.wait_for_function("model.get('colour').between?.[2] > 0.5")
     start, end, t = page.evaluate("model.get('colour').between")
     assert (start, end) == tuple(NAMES[:2])

@@ -1,12 +1,12 @@
 // Looks that are kept in the filmstrip, and the comparison of two; methods of the page.
 
-import { PLAIN } from "./ball.js";
+import { PLAIN, squareIn } from "./ball.js";
 import { fixed, percent } from "./elements.js";
 import { isBetween, lookOf } from "./state.js";
 
 const FRAME = 96; // pixels across a picture of the filmstrip
 
-export const variants = {
+export const keptLooks = {
   listenToVariants() {
     this.pictures = new Map(); // of looks, by their text
     this.byId("keep").addEventListener("click", () => this.change({ variants: [...this.state.variants, lookOf(this.state)] }));
@@ -18,7 +18,7 @@ export const variants = {
       this.change({ pin: k >= 0 ? { ...lookOf(this.state), ...at } : null });
     });
     for (const input of this.radios("view")) {
-      input.addEventListener("change", () => this.change({ wipe: input.value === "wipe" ? 0.5 : null }));
+      input.addEventListener("change", () => this.change({ view: input.value }));
     }
     this.byId("wipe").addEventListener("input", (event) => {
       this.state.wipe = Number(event.target.value);
@@ -49,9 +49,9 @@ export const variants = {
       return item;
     }));
     if (hadFocus) (strip.querySelector("button") ?? this.byId("keep")).focus();
-    this.byId("save-variants").disabled = !looks.length;
-    this.byId("all-variants").disabled = !looks.length;
-    this.byId("all-variants-label").textContent = `all ${looks.length || ""} kept variants`;
+    this.byId("save-looks").disabled = !looks.length;
+    this.byId("all-looks").disabled = !looks.length;
+    this.byId("all-looks-label").textContent = `all ${looks.length || ""} kept looks`;
   },
 
   /** A ball as a canvas, drawn once per look; null without graphics. */
@@ -69,20 +69,29 @@ export const variants = {
 
   /** The looks that commands are about: that on the page or, where asked for, all that are kept. */
   looks() {
-    return this.byId("all-variants").checked && this.state.variants.length ? this.state.variants : [lookOf(this.state)];
+    return this.byId("all-looks").checked && this.state.variants.length ? this.state.variants : [lookOf(this.state)];
   },
 
   /** The slider that wipes between what is pinned, on the left, and what is shown, and its line. */
   showWipe() {
-    const { pin, wipe } = this.state, isWiped = Boolean(pin) && wipe !== null;
+    const { pin, view, wipe } = this.state, isWiped = Boolean(pin) && view === "wipe";
     for (const id of ["wipe", "wipe-line"]) this.byId(id).hidden = !isWiped;
-    for (const input of this.radios("view")) input.checked = (input.value === "wipe") === (wipe !== null);
+    for (const input of this.radios("view")) input.checked = input.value === view;
     if (!isWiped) return;
-    const { clientWidth: width, clientHeight: height } = this.byId("ball"), side = Math.min(width, height);
+    const { clientWidth: width, clientHeight: height } = this.byId("ball"), side = squareIn(width, height, 1);
     this.byId("wipe").value = wipe;
     this.byId("wipe").setAttribute("aria-valuetext", `${percent(wipe)} ${this.describe(pin)}`);
     Object.assign(this.byId("wipe").style, { left: `${(width - side) / 2}px`, width: `${side}px` });
     this.byId("wipe-line").style.left = `${(width - side) / 2 + wipe * side}px`;
+  },
+
+  /** How much what is pinned and what is shown differ in the light of the picture, where that is what it shows. */
+  showDifference() {
+    const { pin, view } = this.state, isShown = Boolean(pin && this.balls) && view === "difference";
+    this.byId("difference").hidden = !isShown;
+    if (!isShown) return;
+    const { mean, most } = this.balls.difference([1, 0], this.light);
+    this.byId("difference-text").textContent = `CIEDE2000 0 to 10 or more; mean ${mean.toFixed(1)}, largest ${most.toFixed(1)}; visible from 1`;
   },
 
   /** The name of a look. */

@@ -12,7 +12,7 @@ import numpy as np
 from manifold.analytic import corpus, fresnel
 from manifold.brdf.goniometer import remeasure
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.plausibility import profile_pairs, valley_depth
+from manifold.brdf.plausibility import profile_pairs, squared_valleys, valley_depth
 from manifold.brdf.sums import WeightedSum
 from manifold.gplvm import GPLVM
 from manifold.nonnegative import nonnegative_weights
@@ -44,6 +44,7 @@ def compile_models() -> None:
     warnings.simplefilter("ignore")  # three samples far from each other
     GPLVM(1, optimizer="dls", max_iter=1).fit(np.eye(3))
     nonnegative_weights(np.eye(2), np.ones((1, 2)))
+    squared_valleys(np.eye(2), np.ones((2, 1, 3, 1)), np.zeros(2))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,8 @@ LAYOUT_AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
 REACH_DEG = 20.0
 """Largest angle of profiles from the mirror direction."""
 _DARK = 1e-9  # 1/sr
-_SHARPNESS = 32  # power of the weights in smooth maxima
+_TINY = float(np.finfo(float).tiny)
+_SHARPNESS = 32  # power of the weights in smooth maxima; `_squared_each` multiplies it out
 
 
 def profile_pairs(
@@ -117,40 +118,63 @@ def _squared(roots: Array, allowed: Array) -> tuple[Array, Indices, Array, Array
 
     And which blends have any, (k,); the gradients of these by their roots, (k, I D B), and by what is allowed, (k,).
     """
-    K, *of_profile, B = roots.shape
-    cubes = roots**3
-    f = sum(cubes[..., b] for b in range(B)) / B  # [K, I, D]; the mean is slow along a short axis
-    k = np.flatnonzero(valley_depth(f).max(axis=1) > allowed)  # weighted means are no larger than maxima
-    value = np.zeros(K)
-    roots, f = roots[k], f[k]
-    top = np.maximum(f.max(axis=2, keepdims=True), _DARK)
-    less = (f / top) ** (_SHARPNESS - 1)
-    power = less * f / top
-    left_sum, right_sum = _sums_to(power), _sums_from(power)
-    left, right = _sums_to(power * f) / left_sum, _sums_from(power * f) / right_sum
-    side = np.maximum(np.minimum(left, right), _DARK)
-    depth = np.maximum(1.0 - f / side - allowed[k, None, None], 0.0)
-    value[k] = np.sum(depth**2, axis=(1, 2))
-    by_side = 2.0 * depth * f / side**2
-    by_f = -2.0 * depth / side
-    is_left = left <= right
-    for slope, means, back in (
-        (np.where(is_left, by_side, 0.0) / left_sum, left, _sums_from),
-        (np.where(is_left, 0.0, by_side) / right_sum, right, _sums_to),
-    ):
-        by_f += (_SHARPNESS + 1) * power * back(slope) - _SHARPNESS * less / top * back(slope * means)
-    by_roots = (3.0 / B) * by_f[..., None] * roots**2
-    return value, k, by_roots.reshape(len(k), np.prod([*of_profile, B])), -2.0 * depth.sum(axis=(1, 2))
+    value, by_allowed, by_roots = np.zeros(len(roots)), np.zeros(len(roots)), np.empty_like(roots)
+    _squared_each(roots, allowed, value, by_roots, by_allowed)
+    k = np.flatnonzero(value)
+    return value, k, by_roots[k].reshape(len(k), by_roots[0].size), by_allowed[k]
 
 
-def _sums_to(f: Array) -> Array:
-    """Sums of profiles (..., D) up to each direction."""
-    return np.cumsum(f, axis=-1) + np.finfo(float).tiny
-
-
-def _sums_from(f: Array) -> Array:
-    """Sums of profiles (..., D) from each direction on."""
-    return _sums_to(f[..., ::-1])[..., ::-1]
+@nb.njit(cache=True, error_model="numpy")
+def _squared_each(roots, allowed, value, by_roots, by_allowed):
+    """Value, and gradients where it is not zero: blend by blend, which stays in cache."""
+    K, I, D, B = roots.shape
+    f, depth = np.empty((I, D)), np.empty(I)
+    less, power, by_f, slopes = np.empty(D), np.empty(D), np.empty(D), np.empty((2, D))
+    sums, means = np.empty((2, D)), np.empty((2, D))  # of what lies to the left, and to the right
+    for k in range(K):
+        for i in range(I):
+            for d in range(D):
+                total = 0.0
+                for b in range(B):
+                    total += roots[k, i, d, b] ** 3
+                f[i, d] = total / B
+        _deepest(f, depth)
+        if depth.max() <= allowed[k]:  # weighted means are no larger than maxima
+            continue
+        for i in range(I):
+            row = f[i]
+            top = max(row.max(), _DARK)
+            for d in range(D):
+                ratio = row[d] / top
+                fourth = ratio * ratio * ratio * ratio
+                less[d] = fourth**7 * ratio * ratio * ratio
+                power[d] = less[d] * ratio
+            for side in range(2):
+                total, weighted = _TINY, _TINY
+                for step in range(D):
+                    d = step if side == 0 else D - 1 - step
+                    total += power[d]
+                    weighted += power[d] * row[d]
+                    sums[side, d], means[side, d] = total, weighted / total
+            for d in range(D):
+                lower = 0 if means[0, d] <= means[1, d] else 1
+                height = max(means[lower, d], _DARK)
+                excess = max(1.0 - row[d] / height - allowed[k], 0.0)
+                value[k] += excess**2
+                by_allowed[k] -= 2.0 * excess
+                by_f[d] = -2.0 * excess / height
+                slopes[lower, d] = 2.0 * excess * row[d] / height**2 / sums[lower, d]
+                slopes[1 - lower, d] = 0.0
+            for side in range(2):
+                total, weighted = 0.0, 0.0
+                for step in range(D):
+                    d = D - 1 - step if side == 0 else step
+                    total += slopes[side, d]
+                    weighted += slopes[side, d] * means[side, d]
+                    by_f[d] += (_SHARPNESS + 1) * power[d] * total - _SHARPNESS * less[d] / top * weighted
+            for d in range(D):
+                for b in range(B):
+                    by_roots[k, i, d, b] = 3.0 / B * by_f[d] * roots[k, i, d, b] ** 2
 
 
 Evaluate = Callable[[Array, Array], Array]

@@ -51,8 +51,8 @@ class Errors(Generic[Number]):
     @classmethod
     def of_values(cls, f: Array, f_star: Array, weight: Array | float = 1.0) -> Errors[float]:
         """Cube-root and linear error; arguments as in `relative_error`."""
-        errors = _errors_of(f, f_star, weight)
-        return Errors(cube_root=float(errors.cube_root_error), linear=float(errors.relative_error))
+        found = _errors_of(f, f_star, weight)
+        return Errors(cube_root=float(found.cube_root), linear=float(found.linear))
 
     @classmethod
     def of_lights(cls, lights: Mapping[str, float], ball_itp: float) -> Errors[float]:
@@ -177,8 +177,7 @@ def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
     >>> rmse(np.array([[3.0, 0.0], [0.0, 0.0]]), np.array([[0.0, 4.0], [0.0, 0.0]])).__round__(6)
     3.535534
     """
-    errors = _errors_of(f, f_star, 1.0)
-    return float(errors.rmse(errors.n_pairs if n_pairs is None else n_pairs))
+    return float(_errors_of(f, f_star, 1.0, n_pairs).rmse)
 
 
 def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
@@ -194,15 +193,15 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
     Raises:
         ShapeError: the shapes differ.
     """
-    return float(_errors_of(f, f_star, weight).relative_error)
+    return float(_errors_of(f, f_star, weight).linear)
 
 
 def cube_root_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
     """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, as `relative_error`; nearer to what is seen."""
-    return float(_errors_of(f, f_star, weight).cube_root_error)
+    return float(_errors_of(f, f_star, weight).cube_root)
 
 
-def _errors_of(f: Array, f_star: Array, weight: Array | float) -> RunningErrors:
+def _errors_of(f: Array, f_star: Array, weight: Array | float, n_pairs: float | None = None) -> Errors[Array]:
     """The errors of one material with values (..., B) in 1/sr, weight (...) or one for all."""
     f, f_star = np.asarray(f), np.asarray(f_star)
     _require_alike(f, f_star)
@@ -211,7 +210,7 @@ def _errors_of(f: Array, f_star: Array, weight: Array | float) -> RunningErrors:
         raise ShapeError(f"weight has shape {weight.shape}, expected {f.shape[:-1]}, one per direction pair")
     errors, rows = RunningErrors(), (-1, f.shape[-1])
     errors.add(f.reshape(rows), f_star.reshape(rows), np.broadcast_to(weight, f.shape[:-1]).reshape(-1))
-    return errors
+    return errors.errors(n_pairs)
 
 
 class RunningErrors:
@@ -251,19 +250,12 @@ class RunningErrors:
             self._cube_root, _squared_norms(wrong).sum(axis=-1), _squared_norms(roots).sum(axis=-1)
         )
 
-    def rmse(self, n_pairs: float) -> Array:
-        """Eq. 22 of Hikichi & Iwasaki with the sum divided by `n_pairs`, per material."""
-        return np.sqrt(self._squared / n_pairs)
-
-    @property
-    def relative_error(self) -> Array:
-        """`||w (f* - f)|| / ||w f||`, per material."""
-        return _norm_ratio(*self._linear)
-
-    @property
-    def cube_root_error(self) -> Array:
-        """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, per material."""
-        return _norm_ratio(*self._cube_root)
+    def errors(self, n_pairs: float | None = None) -> Errors[Array]:
+        """Cube-root and linear error and eq. 22, its sum divided by `n_pairs`, by default all counted; per material."""
+        return Errors(
+            cube_root=_norm_ratio(*self._cube_root), linear=_norm_ratio(*self._linear),
+            rmse=np.sqrt(self._squared / (max(self.n_pairs, 1) if n_pairs is None else n_pairs)),
+        )  # fmt: skip
 
 
 def _require_alike(f: Array, f_star: Array) -> None:

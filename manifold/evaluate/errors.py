@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -63,11 +64,8 @@ class PredictionErrors:
             n_pairs: by which eq. 22 divides its sum.
             n_bands: that those measured stand for in the RMSE within 80 degrees.
         """
-        return Errors(
-            cube_root=self._errors.cube_root_error, linear=self._errors.relative_error,
-            rmse=self._errors.rmse(n_pairs),
-            rmse_80=np.sqrt(np.asarray(self._bounded) / self._weight * n_bands / self._n_measured),
-        )  # fmt: skip
+        within_80 = np.sqrt(np.asarray(self._bounded) / self._weight * n_bands / self._n_measured)
+        return replace(self._errors.errors(n_pairs), rmse_80=within_80)
 
     @property
     def negative_share(self) -> float:

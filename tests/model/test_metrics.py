@@ -33,9 +33,9 @@ def test_errors_in_blocks_are_the_errors_of_the_whole(rng):
     for start in range(0, 90, 25):
         rows = slice(start, start + 25)
         running.add(f[rows], f_star[rows], w[rows])
-    assert running.rmse(running.n_pairs) == pytest.approx(rmse(f, f_star), rel=1e-12)
-    assert running.relative_error == pytest.approx(relative_error(f, f_star, w), rel=1e-12)
-    assert running.cube_root_error == pytest.approx(cube_root_error(f, f_star, w), rel=1e-12)
+    assert running.errors(running.n_pairs).rmse == pytest.approx(rmse(f, f_star), rel=1e-12)
+    assert running.errors().linear == pytest.approx(relative_error(f, f_star, w), rel=1e-12)
+    assert running.errors().cube_root == pytest.approx(cube_root_error(f, f_star, w), rel=1e-12)
 
 
 def test_errors_of_many_materials_are_those_of_each(rng):
@@ -43,9 +43,9 @@ def test_errors_of_many_materials_are_those_of_each(rng):
     running = RunningErrors()
     running.add(f, f_star, w)
     for k in range(5):
-        assert running.rmse(30)[k] == pytest.approx(rmse(f[k], f_star[k]), rel=1e-12)
-        assert running.relative_error[k] == pytest.approx(relative_error(f[k], f_star[k], w), rel=1e-12)
-        assert running.cube_root_error[k] == pytest.approx(cube_root_error(f[k], f_star[k], w), rel=1e-12)
+        assert running.errors(30).rmse[k] == pytest.approx(rmse(f[k], f_star[k]), rel=1e-12)
+        assert running.errors().linear[k] == pytest.approx(relative_error(f[k], f_star[k], w), rel=1e-12)
+        assert running.errors().cube_root[k] == pytest.approx(cube_root_error(f[k], f_star[k], w), rel=1e-12)
 
 
 def test_cube_root_error_is_a_ratio_of_norms_of_cube_roots(rng):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -111,6 +111,7 @@ def surface(
                     f"{flakes.reflectance:.3f}, roughness {flakes.roughness:.2f} (GGX alpha)"
                 }
             ),
+            **({"by the instrument": [_entry(one) for one in made.instrument]} if made.instrument else {}),
             "files": [path.name for path in made.paths.values()],
             **{f"{target}, ball CIEDE2000": f"{ball:.2f}" for target, ball in made.exports.items()},
             "time": f"{made.seconds:.1f} s",
@@ -118,3 +119,7 @@ def surface(
         },
     )
     results.document(made.to_json())
+
+
+def _entry(values: dict[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in values.items())

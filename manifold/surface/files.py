@@ -67,6 +67,13 @@ class SurfaceFiles:
     notes: tuple[str, ...]
     seconds: float
 
+    @property
+    def instrument(self) -> list[dict[str, Any]]:
+        """Graininess and sparkle by the instrument, an entry a geometry, as the workbook names them."""
+        if self.completed is None:
+            return []
+        return [dict(entry) for entry in self.completed.completion.readings.texture.get("values", ())]
+
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         surface = self.surface
@@ -83,6 +90,7 @@ class SurfaceFiles:
             "slope_uncertainty": surface.slope_std.tolist(),
             "height_std_px": float(surface.height.std()),
             "sparkle": self.sparkle.to_json(),
+            "instrument": self.instrument,
             "exports": {target: {"ball": ball} for target, ball in self.exports.items()},
             "completion": None if self.completed is None else self.completed.to_json(),
             "notes": list(self.notes),

@@ -16,7 +16,7 @@ from manifold.surface.lamp_pictures import in_plane
 from manifold.surface.sparkle import DrawnFlakes
 
 _LAMPS_DEG = np.array([60.0, 20.0, -50.0])  # from the normal, in the plane of the instrument's lamps
-_SIZE, _SAMPLES = 320, 32
+_SIZE, _SAMPLES = 320, 16
 
 
 def strip(mean: Path, normal: Array, changes: Array, flakes: DrawnFlakes | None = None) -> Array:

@@ -152,25 +152,23 @@ def _flakes(
     cosines = pictures.lamps[middle, 2] * pictures.camera[2]
     bright = cosines * pictures.values[middle].mean(axis=(1, 2, 3))
     typical = float(np.average(bright, weights=density))
-    seen_at = np.sqrt(
-        np.maximum(q * np.sqrt(typical / bright) - 1.0, _LEAST_SEEN)
-    )  # radius over alpha, of each lamp
+    # Radius of what each lamp shows, over alpha.
+    seen_at = np.sqrt(np.maximum(q * np.sqrt(typical / bright) - 1.0, _LEAST_SEEN))
     spread = _spread(halves, density / seen_at**2)
-    apart = np.linalg.norm(
-        spread * np.random.default_rng(0).standard_normal((_DRAWS, 1, 2)) - halves, axis=-1
-    )
+    slopes = spread * np.random.default_rng(0).standard_normal((_DRAWS, 1, 2))
+    apart = np.linalg.norm(slopes - halves, axis=-1)
 
     def too_many_seen_once(alpha: float) -> float:
         seen = apart < alpha * seen_at
         return float(np.sum(np.sum(seen, axis=-1) == 1) / max(np.sum(seen), 1) - seen_once)
 
-    low, high = _ALPHAS
-    if too_many_seen_once(low) <= 0.0:
-        alpha = low
-    elif too_many_seen_once(high) >= 0.0:
-        alpha = high
-    else:
-        alpha = float(brentq(too_many_seen_once, low, high, xtol=1e-3))
+    alpha, high = _ALPHAS
+    if too_many_seen_once(alpha) > 0.0:
+        alpha = (
+            high
+            if too_many_seen_once(high) > 0.0
+            else float(brentq(too_many_seen_once, alpha, high, xtol=1e-3))
+        )
     expected = np.exp(-0.5 * np.sum(halves**2, axis=-1) / spread**2) * seen_at**2 / (2.0 * spread**2)
     shown = float(np.sum(density) / np.sum(expected))  # density of flakes times alpha squared
     alpha = max(alpha, np.sqrt(shown * size_px / (_PER * _MOST_COVERED)))

@@ -67,7 +67,13 @@ def workbook(path, rng, *, shift_px=0, factor=None):
         stream = io.BytesIO()
         Image.fromarray(np.round(255.0 * np.clip(grey, 0.0, 1.0)).astype(np.uint8)).save(stream, "PNG")
         images[caption] = stream.getvalue()
-    ma_t12.write(path, replace(readings, texture={"values": [{"Name": "twin"}], "images": images}))
+    ma_t12.write(
+        path,
+        replace(
+            readings,
+            texture={"values": [{"Name": "twin", "Geometry": "15d", "Graininess": 3.5}], "images": images},
+        ),
+    )
     return slope
 
 

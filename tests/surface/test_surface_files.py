@@ -159,6 +159,8 @@ def test_the_command_prints_and_writes_numbers(printed):
     output, folder, numbers = printed
     assert "slopes" in output
     assert numbers["pictures"] == list(CAPTIONS)
+    assert numbers["instrument"] == [{"Name": "twin", "Geometry": "15d", "Graininess": 3.5}]
+    assert "Graininess 3.5" in output
     assert all((folder / name).is_file() for name in numbers["files"].values())
     base = decode_srgb(read_display(folder / "twin_gltf_base.png")).mean(axis=(0, 1))
     np.testing.assert_allclose(base, base.mean(), rtol=0.05)  # of a grey twin

@@ -45,7 +45,7 @@ export class Explorer {
     this.shown = {}; // what the picture was last drawn of
     this.balls = BallRenderer.create(this.byId("ball"), materials);
     if (!this.balls) this.problem(`${this.missingGraphics()}, so balls are not drawn; everything else works.`);
-    this.map.images = data.names.map((_, k) => materials.thumbnail(k));
+    data.names.forEach((_, k) => this.map.showMaterial(k, materials.thumbnail(k)));
     this.pendingThumbnails = data.names.map((_, k) => k);
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
   }
@@ -285,7 +285,7 @@ export class Explorer {
       this.element.dataset.complete = "true";
       return;
     }
-    this.map.images[k] = this.pictureOf({ material: k }, this.materials.predict(this.data.X[k]));
+    this.map.showMaterial(k, this.pictureOf({ material: k }, this.materials.predict(this.data.X[k])));
     this.drawMap();
     this.nextThumbnail();
   }

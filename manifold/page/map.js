@@ -27,6 +27,12 @@ export class MapView {
     this.reach = reachOf(data.X);
   }
 
+  /** Show a material by a picture from now on. */
+  showMaterial(k, image) {
+    this.images[k] = image;
+    this.groundKey = null;
+  }
+
   /** Dropped materials {name, x, image} that stand on the map besides its own, and their indices. */
   setGuests(indices, shown) {
     const { names, X } = this.data;
@@ -142,8 +148,8 @@ export class MapView {
 
   /** What does not move with the point, drawn when it changes: the field of errors, balls and names. */
   _drawGround(state, theme) {
-    const { width, height } = this.canvas, drawn = this.images.filter((image) => image).length;
-    const key = JSON.stringify([state.x.slice(2), theme.name, this.scale, this.centre, width, height, drawn]);
+    const { width, height } = this.canvas;
+    const key = JSON.stringify([state.x.slice(2), theme.name, this.scale, this.centre, width, height, this.images.length]);
     if (this.groundKey === key) return;
     this.groundKey = key;
     this.ground ??= document.createElement("canvas");

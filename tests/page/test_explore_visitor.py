@@ -15,7 +15,8 @@ from helpers.browser import control, follow, settle, shown, state, visit
 from helpers.small_library import NAMES
 from PIL import Image
 
-from manifold.colour import decode_srgb, delta_e_2000, srgb_to_xyz
+from manifold.colour.conversion import decode_srgb, srgb_to_xyz
+from manifold.colour.difference import delta_e_2000
 from manifold.colour.reflectances import read_reflectance
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
@@ -706,6 +707,20 @@ def test_the_map_comes_with_its_balls(page, model):
     page.wait_for_selector("[data-complete]", state="attached")
     for k in range(len(NAMES)):
         assert np.allclose(page.evaluate(pixel, k), page.evaluate(drawn, k), rtol=0, atol=12)  # coarser light
+
+
+def test_a_finer_ball_takes_the_place_of_that_before(page):
+    page.wait_for_selector("[data-complete]", state="attached")
+    shown = page.evaluate("""() => { const { map } = explorer, before = map.images[2];
+      const flat = document.createElement("canvas");
+      const show = (image) => { map.showMaterial(2, image); explorer.drawMap(); };
+      flat.getContext("2d").fillStyle = "#00ff00";
+      flat.getContext("2d").fillRect(0, 0, 300, 150);
+      show(flat);
+      const [x, y] = map.places[2], pixel = map.canvas.getContext("2d").getImageData(x, y, 1, 1).data;
+      show(before);
+      return [...pixel.slice(0, 3)]; }""")
+    assert shown == [0, 255, 0]
 
 
 def test_a_page_without_a_server_says_what_one_can(page):

@@ -1,0 +1,134 @@
+"""Readings, the BRDF completed from them, and its export as three.js draws it: the first picture of README.md.
+
+    python benchmarks/readme_picture.py FOLDER docs/images/readings-to-engine.png NAME ...
+
+FOLDER holds `.bsdf` files in RGB. Of each material the twelve geometries of an MA-T12 are evaluated; it is completed
+from all others by `manifold complete`, exported by `manifold export`, and drawn in the studio: completed, measured,
+and in three.js, which needs its npm package as tests/helpers/three_js.py says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from engines.balls import Light, y_up
+from helpers.browser import chromium
+from helpers.three_js import ThreeJs, node_modules
+
+import manifold as mf
+from manifold.colour import ball_colours
+from manifold.colour.conversion import encode_srgb, xyz_to_srgb
+from manifold.directions import to_spherical
+from manifold.formats import geometry_ma_t12
+from manifold.model import brdf_errors
+from manifold.records import Array
+
+SIZE = 240  # pixels across a ball
+LIGHT = Light.named("studio 0")
+
+
+def manifold(folder: Path, *arguments: str) -> None:
+    """Run a command in a folder."""
+    subprocess.run([sys.executable, "-m", "manifold", *arguments], cwd=folder, check=True)
+
+
+def write_readings(path: Path, brdf: mf.MeasuredBRDF) -> Array:
+    """A table of the twelve geometries, and their values (12, 3) in 1/sr."""
+    wi, wo = geometry_ma_t12()
+    f = brdf.eval(wi, wo)
+    angles = [np.rad2deg(angle) for w in (wi, wo) for angle in to_spherical(w)]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", "R", "G", "B"])
+        table.writerows(np.column_stack([*angles, f]).round(6).tolist())
+    return f
+
+
+def lit_ball(brdf: mf.MeasuredBRDF) -> Array:
+    """The ball in the studio, sRGB and coverage, shape (SIZE, SIZE, 4)."""
+    ball = ball_colours.ball(SIZE, 24, 16)
+    linear = xyz_to_srgb(ball.xyz(brdf.eval(ball.wi, ball.wo), brdf.bands))
+    column, row = (np.rint((0.5 + 0.5 * xy) * SIZE - 0.5).astype(int) for xy in (ball.places * [1, -1]).T)
+    picture = np.zeros((SIZE, SIZE, 4))
+    picture[row, column, :3], picture[row, column, 3] = encode_srgb(np.clip(linear, 0.0, 1.0)), 1.0
+    return picture
+
+
+def main() -> None:
+    """Draw a row for each material."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("names", nargs="+", metavar="NAME")
+    given = parser.parse_args()
+    count = len(given.names)
+    figure, axes = plt.subplots(
+        count,
+        4,
+        figsize=(11, 2.75 * count),
+        squeeze=False,
+        width_ratios=(1.35, 1, 1, 1),
+        layout="constrained",
+    )
+    with tempfile.TemporaryDirectory() as temporary, chromium() as browser:
+        three, folder = ThreeJs(browser, node_modules()), Path(temporary)
+        for row, name in zip(axes, given.names, strict=True):
+            file = given.folder.resolve() / f"{name}_rgb.bsdf"
+            others = [str(one) for one in sorted(file.parent.glob("*_rgb.bsdf")) if one != file]
+            measured = mf.MeasuredBRDF(mf.read_bsdf(file))
+            f = write_readings(folder / f"{name}.csv", measured)
+            made = f"{name}-made_rgb.bsdf"
+            manifold(folder, "import", *others, "--library", f"{name}.zarr")
+            manifold(folder, "complete", f"{name}.csv", "--unit", "brdf", "--library", f"{name}.zarr",
+                     "-o", made, "--json", "made.json")  # fmt: skip
+            manifold(folder, "export", made, "-o", f"{name}.glb")
+            completed = mf.MeasuredBRDF(mf.read_bsdf(folder / made))
+            view, around = y_up(ball_colours.VIEW), LIGHT.radiance("three.js")
+            drawn = three.ball(folder / f"{name}.glb", view, around, SIZE, edge=1.0)
+            completed_ball, measured_ball = lit_ball(completed), lit_ball(measured)
+            drawn[..., :3] = encode_srgb(np.clip(drawn[..., :3], 0.0, 1.0))
+            drawn[..., 3] = measured_ball[..., 3]
+            expected = json.loads((folder / "made.json").read_text(encoding="utf-8"))["expected"]["ball"]
+            found = brdf_errors(measured, completed).ball
+            colours = encode_srgb(np.clip(np.pi * f, 0.0, 1.0))
+            row[0].bar(
+                np.arange(len(f)) + 1,
+                np.pi * f @ [0.2126, 0.7152, 0.0722],
+                color=colours,
+                edgecolor="#555",
+                lw=0.5,
+            )
+            row[0].set_yscale("log")
+            row[0].set_ylabel(f"{name.replace('_', ' ')}\nreflectance factor", fontsize=9)
+            row[0].set_xticks(np.arange(len(f)) + 1)
+            row[0].tick_params(labelsize=8)
+            row[0].set_xlabel("geometry of an MA-T12", fontsize=8)
+            for side in ("top", "right"):
+                row[0].spines[side].set_visible(False)
+            for axis, picture in zip(row[1:], (completed_ball, measured_ball, drawn), strict=True):
+                axis.imshow(np.clip(picture, 0.0, 1.0))
+                axis.axis("off")
+            off = f"off by {found:.1f} CIEDE2000, expected {expected:.1f}"
+            row[1].text(0.5, -0.02, off, transform=row[1].transAxes, ha="center", va="top", fontsize=8)
+    for axis, title in zip(
+        axes[0], ("12 readings", "completed", "measured", "exported, in three.js"), strict=True
+    ):
+        axis.set_title(title, fontsize=11)
+    figure.savefig(given.output, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

@@ -12,12 +12,14 @@ import numpy as np
 
 from manifold import disk
 from manifold.batch import Batch, Command, Content, Outcome
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
+from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
 from manifold.colour.difference import VISIBLE
+from manifold.colour.panel import JUDGED
 from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
-from manifold.fit import comparison, fit_samples, pack
+from manifold.fit import comparison, fit_samples
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
@@ -30,12 +32,16 @@ from manifold.library.store import Library
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.places import PlaceLike
-from manifold.plots import figures
+from manifold.plots import figures, html_page
 from manifold.plots.slice_figures import Source
 from manifold.progress import Stages
 from manifold.records import BsdfFile
-from manifold.render import fit_json
+from manifold.render import fit_json, images
 from manifold.render.fitted_brdf import FittedBRDF
+
+_PACK_PAGE, _PACK_BALLS = "index.html", "balls"  # of a pack: the page, and the folder of its pictures
+_PACK_PIXELS, _PACK_SUN_DEG = 64, 45.0
+_PACK_RINGS, _PACK_SPOKES = 32, 32  # of a ball in the studio: fewer leave streaks on matt materials
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +180,7 @@ def export(
         sources = [Source(subject.against, material), Source(f"exported: {target.name}", model)]
         comparison.picture_of_brdfs(subject.name, sources, picture)
     if balls is not None:
-        pack.write_balls(balls, material, model)
+        _write_balls(balls, material, model)
     notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
     if made.errors.ball > VISIBLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
@@ -229,15 +235,43 @@ def exports(
 
 
 def _write_index(target: Target, made: Batch[ExportSource]) -> None:
-    there = [(one.name, one.path, one.content) for one in made.outcomes if one.content is not None]
-    pack.write_index(made.folder, f"{len(there)} measured materials for {target.title}", there)
+    """Write the page of a pack: what was measured beside what is exported, with the differences."""
+    cards = []
+    for one in made.outcomes:
+        if one.content is not None:
+            errors = one.content["errors"]
+            words = f"{errors['ball']:.1f}, in {errors['worst_light']} {errors['worst']:.1f}"
+            picture = f"{_PACK_BALLS}/{one.name}.png"
+            cards.append(html_page.card(picture, f"balls of {one.name}", one.path.name, one.name, words))
+    intro = (
+        "Each picture: measured, exported; measured, exported. Left in the studio, right under a sun "
+        f"{_PACK_SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
+        f"{len(JUDGED)} lights that the fit did not see, and in the worst."
+    )
+    title = f"{len(cards)} measured materials for {target.title}"
+    html_page.write(made.folder / _PACK_PAGE, title, intro, f"<main>{''.join(cards)}</main>")
+
+
+def _write_balls(path: Path, material: EvaluableBRDF, exported: EvaluableBRDF) -> None:
+    """Draw four balls side by side: the material and its export in the studio, then both under a sun."""
+    parts = []
+    draws = (
+        partial(ball_image, size=_PACK_PIXELS, rings=_PACK_RINGS, spokes=_PACK_SPOKES),
+        partial(sun_image, size=_PACK_PIXELS, degrees=_PACK_SUN_DEG),
+    )
+    for draw in draws:
+        for brdf in (material, exported):
+            shown, inside = draw(brdf)
+            parts.append(np.where(inside[..., None], shown, 0.12))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    images.write_display(path, np.concatenate(parts, axis=1))
 
 
 def _export(
     source: ExportSource, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool, is_pack: bool
 ) -> Content:
     picture = path.with_suffix(".png") if with_pictures else None
-    balls = path.parent / pack.BALLS / f"{source.name}.png" if is_pack else None
+    balls = path.parent / _PACK_BALLS / f"{source.name}.png" if is_pack else None
     made = export(source.read(), target, path, is_mapped=is_mapped, picture=picture, balls=balls)
     return made.content or {}
 

@@ -49,7 +49,8 @@ def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
     (made,) = json.loads(result.stdout)["exports"]
     assert made["against"] == "fit"
     assert made["principled_errors"] is None
-    assert made["errors"]["ball"] < 1.0  # a copper of principled is one of glTF
+    # A copper of principled is one of glTF, but for what scatters between facets.
+    assert made["errors"]["ball"] < 1.5
     document, _ = read_glb(tmp_path / "x.glb")
     values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
     found = gltf_parameters(document["materials"][0])

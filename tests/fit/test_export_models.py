@@ -13,7 +13,6 @@ from manifold.errors import UsageError
 from manifold.fit.exports import (
     TARGETS,
     gltf,
-    layers,
     lobes,
     openpbr,
     preview_surface,
@@ -21,7 +20,7 @@ from manifold.fit.exports import (
     unity,
     unreal,
 )
-from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import diffuse, principled
@@ -81,7 +80,7 @@ def test_a_film_in_gltf_has_the_colour_of_the_viewer_s_angle_and_leaves_the_diff
     light = from_spherical(np.array([0.1, 1.3]), np.array([1.0, 3.0]))
     film = dict(zip(gltf.FILM, (1.0, 400.0, 1.7), strict=True))
     black, grey = (gltf.parameters(Principled((c, c, c), roughness=0.6)) for c in (0.0, 0.5))
-    lobe = lobes.specular_joint(Pairs.of(view, light), 0.36, 0.36)[:, None]
+    lobe = lobes.specular_joint(ShadingPairs.of(view, light), 0.36, 0.36)[:, None]
     reflected = gltf.brdf(black | film, view, light) / lobe
     np.testing.assert_allclose(reflected[0], reflected[1], rtol=1e-9)  # whatever the light
     diffuse = [
@@ -153,7 +152,7 @@ def test_a_rough_white_metal_loses_nothing_where_light_scatters_between_facets(n
 
 
 def test_an_anisotropic_lobe_with_joint_masking_is_the_isotropic_one_where_the_alphas_are_equal(rng):
-    pairs = Pairs.of(directions(rng, 100), directions(rng, 100))
+    pairs = ShadingPairs.of(directions(rng, 100), directions(rng, 100))
     np.testing.assert_allclose(
         lobes.specular_joint(pairs, 0.3, 0.3), lobes.specular_correlated(pairs, 0.3, 0.3), rtol=1e-9
     )
@@ -174,7 +173,7 @@ def test_the_parameters_of_a_turned_sample_are_those_of_the_sample_turned(name, 
 def test_the_diffuse_of_unity_is_burley_s_and_its_coat_is_sharp():
     up, grazing = np.array([[0.0, 0.0, 1.0]]), from_spherical(np.array([1.4]), np.array([0.0]))
     plain = unity.DEFAULTS | {"_BaseColor": [1.0] * 3, "_Smoothness": 0.0}
-    light = Pairs.of(up, up)
+    light = ShadingPairs.of(up, up)
     specular = 0.04 * lobes.specular_joint(light, 1.0, 1.0)[0]
     scattered = 1.0 + 0.04 * (1.0 / lobes.single_scattering(1.0, light.cos_v)[0][0, 0] - 1.0)
     found = unity.brdf(plain, up, up)[0, 0] - specular * scattered
@@ -199,7 +198,7 @@ def test_split_sums_are_the_albedo_of_the_lobe():
     light, solid_angle = hemisphere(128)
     for alpha, cosine in ((0.2, 0.9), (0.5, 0.3), (0.9, 0.6)):
         view = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], light.shape)
-        pairs = Pairs.of(view, light)
+        pairs = ShadingPairs.of(view, light)
         lobe = lobes.specular_correlated(pairs, alpha, alpha) * light[:, 2] * solid_angle
         fresnel = (1.0 - pairs.cos_d) ** 5
         a, b = lobes.split_sum(alpha, np.array([cosine]))
@@ -210,10 +209,10 @@ def test_split_sums_are_the_albedo_of_the_lobe():
 def test_fuzz_integrates_to_its_albedo():
     light, solid_angle = hemisphere(128)
     view = np.broadcast_to([0.8, 0.0, 0.6], light.shape)
-    pairs = Pairs.of(view, light)
+    pairs = ShadingPairs.of(view, light)
     black, white = np.zeros((len(light), 3)), np.ones((len(light), 3))
-    lobe = layers.zeltner_layer(pairs, black, 1.0, np.ones(3), 0.5)
-    below = layers.zeltner_layer(pairs, white, 1.0, np.ones(3), 0.5) - lobe
+    lobe = lobes.zeltner_layer(pairs, black, 1.0, np.ones(3), 0.5)
+    below = lobes.zeltner_layer(pairs, white, 1.0, np.ones(3), 0.5) - lobe
     assert np.sum(lobe[:, 0] * light[:, 2]) * solid_angle == pytest.approx(1.0 - below[0, 0], rel=0.02)
 
 
@@ -239,7 +238,7 @@ def test_the_coat_has_the_peak_of_mitsuba_s(rng):
     )
     material = Principled((0.0, 0.0, 0.0), clearcoat=1.0, clearcoat_gloss=0.6)
     alpha = material.coat_alpha
-    coat = 0.04 * lobes.specular_joint(Pairs.of(up, up), alpha, alpha)
+    coat = 0.04 * lobes.specular_joint(ShadingPairs.of(up, up), alpha, alpha)
     assert coat[0] == pytest.approx(both[0, 0], rel=2e-3)
 
 
@@ -247,7 +246,9 @@ def test_sheens_have_mitsuba_s_albedo():
     # The constants of the table in docs/how-to/export.md.
     light, solid_angle = hemisphere(48)
     cosines = np.array([0.2, 0.4, 0.6, 0.8])
-    pairs = [Pairs.of(np.broadcast_to([np.sqrt(1 - c * c), 0.0, c], light.shape), light) for c in cosines]
+    pairs = [
+        ShadingPairs.of(np.broadcast_to([np.sqrt(1 - c * c), 0.0, c], light.shape), light) for c in cosines
+    ]
     black = np.zeros((len(light), 3))
 
     def albedo(lobe):
@@ -260,7 +261,7 @@ def test_sheens_have_mitsuba_s_albedo():
             standard_surface.SHEEN_SCALE * lobes.imageworks_sheen(p, standard_surface.SHEEN_ROUGHNESS)
         ),
         "openpbr": lambda p: (
-            openpbr.FUZZ_SCALE * layers.zeltner_layer(p, black, 1.0, np.ones(3), openpbr.FUZZ_ROUGHNESS)[:, 0]
+            openpbr.FUZZ_SCALE * lobes.zeltner_layer(p, black, 1.0, np.ones(3), openpbr.FUZZ_ROUGHNESS)[:, 0]
         ),
     }
     for name, lobe in sheens.items():

@@ -10,8 +10,7 @@ import numpy as np
 from manifold.analytic.fresnel import fresnel_dielectric
 from manifold.fit.exports import lobes, openpbr
 from manifold.fit.exports.document import Export, Parameter, defaults
-from manifold.fit.exports.layers import zeltner_layer
-from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.lobes import ShadingPairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82, film_over_index_cycles
 from manifold.records import Array
@@ -136,7 +135,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Source: Blender's manual, Principled BSDF, and Cycles 5.0 (svm/closure.h, bsdf_microfacet.h): what is below a layer
     is scaled by one minus the layer's albedo, towards the viewer.
     """
-    pairs = Pairs.of(view, light, 2.0 * np.pi * values["Anisotropic Rotation"])
+    pairs = ShadingPairs.of(view, light, 2.0 * np.pi * values["Anisotropic Rotation"])
     base, tint, m = np.asarray(values["Base Color"]), np.asarray(values["Specular Tint"]), values["Metallic"]
     aspect = float(np.sqrt(1.0 - 0.9 * values["Anisotropic"]))
     alpha_x, alpha_y = min(values["Roughness"] ** 2 / aspect, 1.0), values["Roughness"] ** 2 * aspect
@@ -163,7 +162,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
 
 
 def _interface(
-    pairs: Pairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
+    pairs: ShadingPairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
     tint: Array | float = 1.0, film: tuple[float, float] | None = None,
 ) -> Array:  # fmt: skip
     """A rough dielectric over a BRDF `below` (P, 3), tinted along the normal; `film`: its index and thickness in nm."""
@@ -193,7 +192,7 @@ def _interface(
     return weight * lobe + (1.0 - weight * most) * below
 
 
-def _scattered(pairs: Pairs, mean: Array, alpha_x: float, alpha_y: float) -> tuple[Array, Array]:
+def _scattered(pairs: ShadingPairs, mean: Array, alpha_x: float, alpha_y: float) -> tuple[Array, Array]:
     """The factor for light scattered between facets of mean reflectance (3,); the albedo without Fresnel, (P, 1)."""
     single, average = lobes.single_scattering(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
     multiple = mean * average / (1.0 - mean * (1.0 - average))

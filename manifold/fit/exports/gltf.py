@@ -11,7 +11,7 @@ import numpy as np
 from manifold.directions import from_spherical
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f0
 from manifold.records import Array
@@ -108,7 +108,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     what three.js and Khronos' renderer do otherwise: of the diffuse, Fresnel's share is taken per channel; a thin film
     is seen at the angle of the viewer with the normal, and, as light that scatters between facets, as in three.js.
     """
-    pairs = Pairs.of(view, light, values["anisotropyRotation"])
+    pairs = ShadingPairs.of(view, light, values["anisotropyRotation"])
     base = np.asarray(values["baseColorFactor"])
     alpha = values["roughnessFactor"] ** 2
     along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2
@@ -130,7 +130,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     return f
 
 
-def _filmed(values: Mapping[str, Any], pairs: Pairs, bare: Array, f0: Array) -> Array:
+def _filmed(values: Mapping[str, Any], pairs: ShadingPairs, bare: Array, f0: Array) -> Array:
     """A Fresnel term (P, 3) with the share of the thin film."""
     weight, thickness_nm, ior = (float(values[name]) for name in FILM)
     if not weight:
@@ -138,7 +138,7 @@ def _filmed(values: Mapping[str, Any], pairs: Pairs, bare: Array, f0: Array) -> 
     return bare + weight * (film_over_f0(ior, thickness_nm, f0, pairs.cos_v) - bare)
 
 
-def _sheen(values: Mapping[str, Any], pairs: Pairs, base: Array) -> Array:
+def _sheen(values: Mapping[str, Any], pairs: ShadingPairs, base: Array) -> Array:
     colour: Array = np.asarray(values["sheenColorFactor"])
     if not np.any(colour):
         return base
@@ -150,7 +150,7 @@ def _sheen(values: Mapping[str, Any], pairs: Pairs, base: Array) -> Array:
     return _sheen_lobe(pairs, roughness)[:, None] * colour + scale[:, None] * base
 
 
-def _sheen_lobe(pairs: Pairs, roughness: float) -> Array:
+def _sheen_lobe(pairs: ShadingPairs, roughness: float) -> Array:
     """`D V` of the sheen, (P,)."""
     alpha = max(roughness, 0.05) ** 2
     shadowing = 1.0 + _lambda(pairs.cos_v, alpha) + _lambda(pairs.cos_l, alpha)
@@ -181,5 +181,5 @@ def _sheen_table(roughness: float) -> tuple[Array, Array]:
     albedo = []
     for node in nodes:
         view = np.broadcast_to([np.sqrt(1.0 - node**2), 0.0, node], light.shape)
-        albedo.append(np.mean(_sheen_lobe(Pairs.of(view, light), roughness) * c) * 2.0 * np.pi)
+        albedo.append(np.mean(_sheen_lobe(ShadingPairs.of(view, light), roughness) * c) * 2.0 * np.pi)
     return nodes, np.minimum(albedo, 1.0)

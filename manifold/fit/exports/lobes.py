@@ -1,4 +1,4 @@
-"""Lobes and Fresnel terms of the engines' shading models, evaluated with NumPy.
+"""Lobes, Fresnel terms and layers of the engines' shading models, evaluated with NumPy.
 
 Directions are unit vectors (P, 3) above the horizon, z the normal; values are in 1/sr without cosines.
 """
@@ -13,6 +13,7 @@ import numpy as np
 from manifold.analytic.fresnel import fresnel_dielectric
 from manifold.analytic.ggx import GGX
 from manifold.directions import normalize, rotate_z
+from manifold.fit.exports.principled_values import ior_to_f0
 from manifold.records import Array
 
 _NODES, _SAMPLES = (
@@ -23,7 +24,7 @@ _LEAST_ALPHA = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class ShadingPairs:
     """Directions to the viewer and to the light, with their half vectors.
 
     Attributes:
@@ -41,8 +42,8 @@ class Pairs:
     cos_d: Array
 
     @classmethod
-    def of(cls, view: Array, light: Array, rotation_rad: float = 0.0) -> Pairs:
-        """Pairs of directions, at least a little above the horizon, as a surface turned by an azimuth sees them."""
+    def of(cls, view: Array, light: Array, rotation_rad: float = 0.0) -> ShadingPairs:
+        """Directions, at least a little above the horizon, as a surface turned by an azimuth sees them."""
         if rotation_rad:
             view, light = rotate_z(view, -rotation_rad), rotate_z(light, -rotation_rad)
         half = normalize(view + light)
@@ -59,13 +60,13 @@ def surface(alpha_x: float, alpha_y: float) -> GGX:
     return GGX.anisotropic(max(alpha_x, _LEAST_ALPHA), max(alpha_y, _LEAST_ALPHA))
 
 
-def specular_correlated(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
+def specular_correlated(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array:
     """`D G2 / (4 cos cos)` of GGX, (P,), G2 by the geometric mean of the alphas, as MaterialX has it."""
     mean = float(np.sqrt(alpha_x * alpha_y))
     return surface(alpha_x, alpha_y).D(pairs.half) * surface(mean, mean).masking(pairs.view, pairs.light)
 
 
-def specular_joint(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
+def specular_joint(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array:
     """`D G2 / (4 cos cos)` of GGX, (P,), G2 height-correlated with both alphas."""
     both = surface(alpha_x, alpha_y)
     return both.D(pairs.half) * both.masking(pairs.view, pairs.light)
@@ -155,7 +156,7 @@ def _visible_reflections(alpha: float) -> tuple[Array, Array, Array]:
     return nodes, np.where(lit, weight, 0.0), np.clip(cos_d, 0.0, 1.0)
 
 
-def charlie(pairs: Pairs, roughness: float) -> Array:
+def charlie(pairs: ShadingPairs, roughness: float) -> Array:
     """Distribution of sheen, (P,), alpha the square of roughness. Source: Estevez & Kulla 2017, eq. 2."""
     return _sine_power(pairs.cos_h, max(roughness, 0.05) ** 2)
 
@@ -165,7 +166,74 @@ def _sine_power(cos_h: Array, alpha: float) -> Array:
     return (2.0 + power) * (1.0 - cos_h**2) ** (0.5 * power) / (2.0 * np.pi)
 
 
-def imageworks_sheen(pairs: Pairs, roughness: float) -> Array:
+def imageworks_sheen(pairs: ShadingPairs, roughness: float) -> Array:
     """Sheen of standard_surface, (P,): alpha is roughness itself. Source: MaterialX 1.39, sheen_bsdf."""
     d = _sine_power(pairs.cos_h, roughness)
     return d / (4.0 * (pairs.cos_l + pairs.cos_v - pairs.cos_l * pairs.cos_v))
+
+
+# Layers as in MaterialX 1.39 (pbrlib): what is below is scaled by one minus the layer's albedo.
+
+
+def dielectric_layer(
+    pairs: ShadingPairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
+    tint: Array | float = 1.0, fresnel: Array | None = None,
+) -> Array:  # fmt: skip
+    """A rough dielectric interface over a BRDF `below` (P, 3); a Fresnel term other than its own may be given."""
+    if not weight:
+        return below
+    if fresnel is None:
+        fresnel = fresnel_dielectric(pairs.cos_d, np.array([ior]))
+    a, b = split_sum(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
+    single = (a * ior_to_f0(ior) + b)[:, None]
+    albedo = single * _compensation(pairs, fresnel, alpha_x, alpha_y)
+    return weight * tint * metal(pairs, fresnel, alpha_x, alpha_y) + (1.0 - weight * albedo) * below
+
+
+def metal(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: float) -> Array:
+    """A rough interface with a Fresnel term (P, 3), nothing below."""
+    lobe = specular_correlated(pairs, alpha_x, alpha_y)[:, None]
+    return lobe * fresnel * _compensation(pairs, fresnel, alpha_x, alpha_y)
+
+
+def _compensation(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: float) -> Array:
+    """Scattering between facets, as a factor. Source: Turquin 2019."""
+    a, b = split_sum(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
+    single = (a + b)[:, None]
+    return 1.0 + fresnel * (1.0 - single) / single
+
+
+def imageworks_layer(
+    pairs: ShadingPairs, below: Array, weight: float, colour: Array, roughness: float
+) -> Array:
+    """standard_surface's sheen over a BRDF `below`."""
+    if not weight:
+        return below
+    x, y = pairs.cos_v, roughness
+    up = 13.673 - 68.78018 * x + 799.08825 * y - 905.00061 * x * y + 60.28956 * x * x + 1086.96473 * y * y
+    down = 1.0 + 61.57746 * x + 442.78211 * y + 2597.49308 * x * y + 121.81241 * x * x + 3045.55075 * y * y
+    albedo = np.clip(up / down, 0.0, 1.0)[:, None]
+    return weight * colour * imageworks_sheen(pairs, roughness)[:, None] + (1.0 - weight * albedo) * below
+
+
+def zeltner_layer(pairs: ShadingPairs, below: Array, weight: float, colour: Array, roughness: float) -> Array:
+    """OpenPBR's fuzz over a BRDF `below`: a linearly transformed cosine. Source: Zeltner et al. 2022."""
+    if not weight:
+        return below
+    y, x = min(max(roughness, 0.01), 1.0), pairs.cos_v
+    s = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y))
+    m = y * (-0.193854 + y * (-1.14885 + y * (1.7932 - 0.95943 * y * y))) / (0.046391 + y)
+    o = y * (0.000654023 + (-0.0207818 + 0.119681 * y) * y) / (1.26264 + y * (-1.92021 + y))
+    albedo = np.exp(-0.5 * ((x - m) / s) ** 2) / (s * np.sqrt(2.0 * np.pi)) + o
+    a = (2.58126 * x + 0.813703 * y) * y / (1.0 + 0.310327 * x * x + 2.60994 * x * y)
+    b = np.sqrt(np.maximum(1.0 - x, 0.0)) * (y - 1.0) * y**3
+    b = b / (0.0000254053 + 1.71228 * x - 1.71506 * x * y + 1.34174 * y * y)
+    across = pairs.view[:, :2]
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    tangent = np.where(length > 1e-9, across / np.maximum(length, 1e-9), [1.0, 0.0])
+    along = np.sum(tangent * pairs.light[:, :2], axis=1)
+    aside = tangent[:, 0] * pairs.light[:, 1] - tangent[:, 1] * pairs.light[:, 0]
+    squared = (a * along + b * pairs.cos_l) ** 2 + (a * aside) ** 2 + pairs.cos_l**2
+    density = pairs.cos_l / np.pi * (a / squared) ** 2  # of light, times its cosine
+    lobe: Array = weight * colour * (albedo * density / pairs.cos_l)[:, None]
+    return lobe + (1.0 - weight * albedo[:, None]) * below

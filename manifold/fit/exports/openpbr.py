@@ -10,8 +10,7 @@ from scipy.optimize import brentq
 
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.layers import dielectric_layer, metal, zeltner_layer
-from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, metal, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82_materialx, film_over_index
 from manifold.records import Array
@@ -98,7 +97,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Source: OpenPBR 1.1; layers as MaterialX 1.39 implements them: what is below is scaled by one minus the layer's
     directional albedo seen by the viewer.
     """
-    pairs = Pairs.of(view, light, np.deg2rad(values["geometry_tangent"]))
+    pairs = ShadingPairs.of(view, light, np.deg2rad(values["geometry_tangent"]))
     base = np.asarray(values["base_color"]) * values["base_weight"]
     weight = values["coat_weight"]
     alpha_x, alpha_y = _alphas(

@@ -10,8 +10,7 @@ import numpy as np
 from manifold.analytic.fresnel import fresnel_conductor
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.layers import dielectric_layer, imageworks_layer, metal
-from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, imageworks_layer, metal
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.thin_film import film_over_index
 from manifold.records import Array
@@ -71,7 +70,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         view, light: unit vectors (P, 3).
     Source: Georgiev et al. 2019; layers as MaterialX 1.39 implements them.
     """
-    pairs = Pairs.of(view, light, -2.0 * np.pi * values["specular_rotation"])
+    pairs = ShadingPairs.of(view, light, -2.0 * np.pi * values["specular_rotation"])
     base = np.asarray(values["base_color"]) * values["base"]
     alpha = values["specular_roughness"] ** 2
     aspect = float(np.sqrt(1.0 - min(values["specular_anisotropy"], 0.98)))

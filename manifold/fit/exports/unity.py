@@ -10,7 +10,7 @@ import numpy as np
 from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.records import Array
 
@@ -64,7 +64,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick;
     light scattered between facets as Turquin 2019 has it.
     """
-    pairs = Pairs.of(view, light, np.deg2rad(values["_TangentMap"]))
+    pairs = ShadingPairs.of(view, light, np.deg2rad(values["_TangentMap"]))
     base, m, coat = decode_srgb(np.asarray(values["_BaseColor"])), values["_Metallic"], values["_CoatMask"]
     f0 = _F0 + m * (base - _F0)
     f90 = min(16.5 * float(f0.sum()), 1.0)  # nothing below 2 % is a surface: shadowing
@@ -97,7 +97,7 @@ def _widened(alpha: float, factor: float) -> float:
     return float(np.sqrt(2.0 / (factor * (2.0 / max(alpha, 1e-4) ** 2 - 2.0) + 2.0)))
 
 
-def _burley(pairs: Pairs, roughness: float) -> Array:
+def _burley(pairs: ShadingPairs, roughness: float) -> Array:
     """Burley's diffuse term in 1/sr, (P, 1), with Unity's normalisation."""
     f90 = 0.5 + 2.0 * roughness * pairs.cos_d**2
     at_light = 1.0 + (f90 - 1.0) * (1.0 - pairs.cos_l) ** 5

@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import CURVE_COSINES, Parameter, defaults
-from manifold.fit.exports.lobes import Pairs
+from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.records import Array
 
@@ -76,7 +76,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         view, light: unit vectors (P, 3).
     Source: Karis 2013 (Lambert, GGX, Schlick); the coat attenuates what is below by its Fresnel term, both ways.
     """
-    pairs = Pairs.of(view, light, np.deg2rad(values["Tangent"]))
+    pairs = ShadingPairs.of(view, light, np.deg2rad(values["Tangent"]))
     base, m = _base(values, pairs.cos_v), values["Metallic"]
     alpha, a = values["Roughness"] ** 2, values["Anisotropy"]
     f0 = (1.0 - m) * 0.08 * values["Specular"] + m * base

@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -140,6 +141,10 @@ def _make_materials(*_: object) -> None:
 
 
 os.environ["MANIFOLD_DOCS_WORK"] = str(WORK)
+os.environ["IPYTHONDIR"] = str(WORK / "ipython")  # whose profile begins with shell_cells
+STARTUP = WORK / "ipython" / "profile_default" / "startup"
+STARTUP.mkdir(parents=True, exist_ok=True)
+shutil.copy(HERE / "shell_cells.py", STARTUP)
 os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))  # `manifold`
 
 

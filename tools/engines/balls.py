@@ -153,11 +153,11 @@ def _pixels(light: str, within: float = 1.0) -> tuple[Array, Array]:
 
 
 def exposed(drawn: Mapping[str, Pictures], white: Pictures, name: str) -> dict[str, Pictures]:
-    """Pictures at the exposure in each light at which the one of this name has the mean of `white`."""
-    scale = {
-        key: white[key][_pixels(key, _RIM)].sum() / p[_pixels(key, _RIM)].sum()
-        for key, p in drawn[name].items()
-    }
+    """Pictures at exposures that give the one of this name the mean of `white`: one of each soft light, one of suns."""
+    scale = {}
+    for key, light in LIGHTS.items():
+        like = key if light.towards is None else next(k for k in LIGHTS if LIGHTS[k].towards is not None)
+        scale[key] = white[like][_pixels(like, _RIM)].sum() / drawn[name][like][_pixels(like, _RIM)].sum()
     return {name: {key: scale[key] * p for key, p in pictures.items()} for name, pictures in drawn.items()}
 
 

@@ -180,7 +180,7 @@ def test_the_main_job_step_by_step(run, tmp_path):
     assert status == 0
     assert "synthetic" in out
     assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads((tmp_path / "r.json").read_text())["methods"][0]["rmse"] == [0.0] * 4
+    assert json.loads((tmp_path / "r.json").read_text())["methods"][0]["errors"]["rmse"] == [0.0] * 4
     for path in ("library.zarr", "model.h5", "p_rgb.bsdf"):
         status, out, _ = run("info", path, cwd=tmp_path)
         assert status == 0
@@ -230,7 +230,7 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
     def fail(*_, **__):
         pytest.fail("the work was done first")
 
-    monkeypatch.setattr("manifold.evaluate.report.make_report", fail)
+    monkeypatch.setattr("manifold.evaluate.report.Manifold.load", fail)
     monkeypatch.setattr("manifold.evaluate.selection.Manifold.fit", fail)
     status, out, err = run(*arguments, cwd=folder)
     assert (status, out) == (2, "")
@@ -392,7 +392,7 @@ def test_a_file_is_reconstructed_from_a_library_with_and_without_itself(run, fol
     assert (made["with"]["materials"], made["without"]["materials"]) == (len(NAMES), len(NAMES) - 1)
     assert made["with"]["parts"][0][0] == "syn_satin_gold"
     assert "syn_satin_gold" not in dict(made["without"]["parts"])
-    assert made["with"]["ball"] < 0.1 < made["without"]["ball"]
+    assert made["with"]["errors"]["ball"] < 0.1 < made["without"]["errors"]["ball"]
     assert any("leave it out" in note for note in made["with"]["diagnostics"])
     assert not any("leave it out" in note for note in made["without"]["diagnostics"])
 
@@ -477,7 +477,7 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
     def fail(*_, **__):
         raise RuntimeError("first line\nsecond line")
 
-    monkeypatch.setattr("manifold.evaluate.report.make_report", fail)
+    monkeypatch.setattr("manifold.evaluate.report.Manifold.load", fail)
     status, _, err = run("report", cwd=folder)
     assert status == 1
     assert "RuntimeError: first line second line; run again with --debug" in one_line(err)

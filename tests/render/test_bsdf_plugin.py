@@ -24,6 +24,7 @@ from manifold.estimate import predictions
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.mapping import MAPPINGS
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.combination import Combination
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings, load_model
@@ -33,6 +34,7 @@ from manifold.records import Bands
 from manifold.render import backend, scenes
 from manifold.render.plugin import mixture
 from manifold.render.plugin.bsdf import NAME
+from manifold.render.plugin.evaluation import DrJitMapping
 from manifold.render.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 
 pytestmark = pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
@@ -294,6 +296,21 @@ def test_a_texture_with_a_texel_that_is_no_number_is_refused(models):
     }
     with pytest.raises(Exception, match="latent_1 has texels that are not finite"):
         mi.load_dict({"type": "manifold", "model": str(models["rgb"]), **fields})
+
+
+@pytest.mark.parametrize("mapping", MAPPINGS.values(), ids=MAPPINGS)
+def test_the_plugin_has_every_mapping_both_ways(rng, mapping):
+    mi = backend.mitsuba("rgb")
+    there = DrJitMapping(mi, backend.drjit(), mapping)
+    f, cosines = 10.0 ** rng.uniform(-2.0, 3.0, 50), rng.random(50)
+    mapped = mapping.forward(f[:, None], cosines)[:, 0]
+    for found, expected in (
+        (there.forward(mi.Float(f), mi.Float(cosines)), mapped),
+        (there.inverse(mi.Float(mapped), mi.Float(cosines)), f),
+    ):
+        np.testing.assert_allclose(
+            np.array(found), expected, rtol=1e-4
+        )  # float32, of whose digits exp loses two
 
 
 @pytest.mark.parametrize("kind", ["rgb", "blend", "brushed"])

@@ -209,7 +209,7 @@ class Evaluation:
         self._warps = PackedWarps(
             mi, dr, mi.Float(tables.warps), mi.Float(tables.marginals), tables.most_nodes
         )
-        self._mapping = _DrJitMapping(mi, dr, mixture.mapping)
+        self._mapping = DrJitMapping(mi, dr, mixture.mapping)
         self._is_rgb = mixture.bands.is_rgb
         self._is_clipped = mixture.is_clipped
         if mixture.bands.wavelengths_nm is not None:
@@ -557,7 +557,7 @@ def _turned(mi: Any, w: Any, turn: Any) -> Any:
     return mi.Vector3f(turn.x * w.x - turn.y * w.y, turn.y * w.x + turn.x * w.y, w.z)
 
 
-class _DrJitMapping:
+class DrJitMapping:
     """T and its inverse on Dr.Jit arrays; see `manifold.mapping`."""
 
     def __init__(self, mi: Any, dr: Any, mapping: ValueMapping) -> None:

@@ -41,7 +41,7 @@ def export(
     output: Annotated[
         Path | None,
         options.output_option(
-            "The file: .glb, .mtlx (MaterialX), .usda (USD), .py (Blender), .json; for many materials, a folder. "
+            "The file: {manifold.fit.exports.targets.SUFFIXES}; for many materials, a folder. "
             "[default: the material's name, .glb; or exports]"
         ),
     ] = None,

@@ -33,8 +33,7 @@ def convert(
     output: Annotated[
         Path,
         options.output_option(
-            "What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .brdf or .anisotropicbsdf (Speos), .xompt "
-            "(OpenMATERIAL 3D), .json (BiRD), .astm, or .csv; or a folder.",
+            "What to write: {manifold.convert.targets.SUFFIXES}; or a folder.",
             "OUT",
         ),
     ],

@@ -293,6 +293,9 @@ TARGETS: Registry[Target] = Registry(
     }.items(),
 )
 
+SUFFIXES = ", ".join(f"{suffix} ({name})" for name, target in TARGETS.items() for suffix in target.suffixes)
+"""Suffixes of files and the formats that they stand for, in words."""
+
 
 def target_of(output: Path, to: str | None) -> Target:
     """The format to write: `to`, one of `TARGETS`, or what the suffix of the output stands for."""
@@ -302,7 +305,6 @@ def target_of(output: Path, to: str | None) -> Target:
     suffix = output.suffix.lower()
     if suffix not in by_suffix:
         raise UsageError(
-            f"{output}: suffix '{suffix}', expected one of {', '.join(by_suffix)}; or name one of the formats "
-            + ", ".join(TARGETS)
+            f"{output}: suffix '{suffix}', expected one of {SUFFIXES}; or name one of the formats {TARGETS}"
         )
     return by_suffix[suffix]

@@ -51,7 +51,7 @@ def summary(package, name):
     """The first line of a public object's docstring; of a registry, what it is of."""
     found = getattr(importlib.import_module(package), name)
     if isinstance(found, dict):
-        return f"Every {found.what}, by name: {found}."
+        return f"Every {found.what}, by name."
     return (inspect.getdoc(found) or "").split("\n")[0]
 
 

@@ -154,6 +154,12 @@ _ALL = (
 TARGETS = Registry("target", ((target.name, target) for target in _ALL))
 """The targets by name."""
 
+SUFFIXES = ", ".join(
+    f"{suffix} ({', '.join(name for name, target in TARGETS.items() if target.suffix == suffix)})"
+    for suffix in dict.fromkeys(target.suffix for target in _ALL)
+)
+"""Suffixes of files and the targets that have them, in words."""
+
 
 def target_of(name: str | None, path: Path) -> Target:
     """The target of that name, or the one of a file's suffix.
@@ -169,9 +175,7 @@ def target_of(name: str | None, path: Path) -> Target:
         return target
     fitting = [target for target in _ALL if target.suffix == path.suffix.lower()]
     if not fitting:
-        endings = dict.fromkeys(target.suffix for target in _ALL)
-        known = ", ".join(f"{e} ({', '.join(t.name for t in _ALL if t.suffix == e)})" for e in endings)
-        raise UsageError(f"{path}: {suffix}, expected one of {known}")
+        raise UsageError(f"{path}: {suffix}, expected one of {SUFFIXES}")
     if path.suffix.lower() == ".json":
         names = ", ".join(target.name for target in fitting)
         raise UsageError(f"{path}: several targets are JSON; name one of {names}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import pkgutil
 import re
 
 import pytest
@@ -11,7 +12,7 @@ import typer
 from helpers.paths import REPOSITORY
 
 DOCUMENTS = [
-    *(REPOSITORY / name for name in ("README.md", "ARCHITECTURE.md")),
+    *(REPOSITORY / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")),
     *(
         path
         for path in sorted((REPOSITORY / "docs").rglob("*.md"))
@@ -28,7 +29,7 @@ FOLDERS = ("manifold", "cli", "tests", "benchmarks", "tools", "docs")
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_paths_and_modules_in_documents_exist(document):
     text = document.read_text(encoding="utf-8")
-    paths = re.findall(rf"`((?:{'|'.join(FOLDERS)})/[\w./-]*)`", text)
+    paths = re.findall(rf"`((?!docs/_build)(?:{'|'.join(FOLDERS)})/[\w./-]*)`", text)
     links = re.findall(r"\]\((?!https?:)([^)#]+)\)", text)
     missing = [path for path in paths if not (REPOSITORY / path).exists()]
     missing += [link for link in links if not (document.parent / link).exists()]
@@ -36,6 +37,24 @@ def test_paths_and_modules_in_documents_exist(document):
     for name in re.findall(r"`(manifold(?:\.\w+)+)`", text):
         module, _, last = name.rpartition(".")
         assert hasattr(importlib.import_module(module), last) or importlib.import_module(name), name
+
+
+ARCHITECTURE = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
+
+
+def test_modules_and_functions_in_the_architecture_exist():
+    """There, names of the package stand without it: `model.places.Place`, and all in the picture of the floors."""
+    folders = {path.stem for path in (REPOSITORY / "manifold").iterdir()}
+    named = re.findall(r"`([a-z_]+(?:\.[A-Za-z_]+)+)`", ARCHITECTURE)
+    named = [name for name in named if name.split(".")[0] in folders]
+    drawn = re.findall(
+        r"^.{19} *(\w+(?: · \w+)*)(?: {2,}|$)", ARCHITECTURE.split("```")[1], flags=re.MULTILINE
+    )
+    floors = [name for floor in drawn for name in floor.split(" · ")]
+    assert len(named) > 30
+    assert len(floors) > 25
+    for name in (*named, *floors):
+        pkgutil.resolve_name(f"manifold.{name}")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

@@ -38,7 +38,7 @@ function summary(result) {
     return `error ${ball.toFixed(2)} CIEDE2000, in ${worst_light} ${worst.toFixed(2)}`
       + (principled === null ? "" : `; principled loses ${principled.ball.toFixed(2)}`);
   }
-  if (result?.expected) {
+  if (result?.made_of) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);
     const notes = result.located ? result.diagnostics : []; // of the photograph, too
     return [`expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`, ...notes].join("; ");

@@ -473,7 +473,7 @@ def test_a_highlight_that_the_model_lacks_is_said():
 def test_samples_alone_have_no_ball_and_are_fitted_in_cube_roots():
     samples = samples_of(principled(), {"roughness": 0.4}, grid_pairs(20))
     by_default, by_roots = fit_bsdf(samples), fit_bsdf(samples, metric="cube-root")
-    assert by_default.ball is None
+    assert by_default.errors is None
     assert by_default.values == by_roots.values
 
 

@@ -139,7 +139,7 @@ def test_the_json_names_its_source_and_how_it_was_made(satin, fitted):
     assert content["hyperparameters"]["noise"] == SETTINGS.noise
     assert content["minima"][0]["values"] == content["values"]
     # the latter three are what earlier fits lack
-    assert {*fit_json.schema()["required"], "ball", "rotation_deg", "sha256"} == set(content)
+    assert {*fit_json.schema()["required"], "errors", "rotation_deg", "sha256"} == set(content)
     assert not list(fitted.parent.glob(".*"))
 
 

@@ -204,8 +204,8 @@ def test_an_interruption_cancels_what_waits_and_keeps_what_runs():
     with ThreadPoolExecutor(1) as workers:
         found = work.run(wait_for, ["first", "second"], workers)
         interruption = signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)
-        threading.Timer(0.2, *interruption).start()
-        threading.Timer(0.5, end.set).start()
+        threading.Timer(1.0, *interruption).start()  # when this thread waits
+        threading.Timer(1.5, end.set).start()
         assert next(found) == (0, "first", None)
         with pytest.raises(KeyboardInterrupt):
             next(found)

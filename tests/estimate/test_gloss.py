@@ -23,6 +23,7 @@ from manifold.formats import csv_table, registry
 from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import GLOSS_ANGLES_DEG, MOST_GLOSS
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.records import Bands
 
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}
@@ -253,7 +254,7 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
 def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, tmp_path):
     made = Completion.of(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 20.0}))
     missed = replace(made, gloss_misfits={60.0: 0.9})
-    document = Completed(tmp_path, None, missed, None, {}, SimpleNamespace(), None, (), 0.0).to_json()
+    document = Completed(tmp_path, None, missed, None, Errors(), SimpleNamespace(), None, (), 0.0).to_json()
     assert np.sqrt(np.mean(np.square(document["misfits"]))) < 0.5
     assert document["residual"] == 0.9
 

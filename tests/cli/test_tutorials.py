@@ -90,6 +90,6 @@ def test_a_tutorial_runs_as_it_is_printed(tutorial, begun, tmp_path):
 
 def test_tutorials_make_all_that_they_read():
     for tutorial in TUTORIALS:
-        assert "environ" not in tutorial.read_text(encoding="utf-8"), tutorial.name
+        assert "os.environ" not in tutorial.read_text(encoding="utf-8"), tutorial.name
         assert "remove-" not in tutorial.read_text(encoding="utf-8"), tutorial.name
         assert cells(tutorial)[0].startswith("%%bash\nmanifold corpus "), tutorial.name

@@ -22,9 +22,10 @@ def test_curves_of_readings_are_those_of_completions(atoms):
     assert [curve.key for curve in curves] == ["completion", "nearest", "ma_t12", "ma_t12_gloss"]
     made = leave_out(atoms, 2, atoms.at(*DIRECTIONS), readings(np.ones((12, 3))))
     own = errors_of(atoms, 2, made.on_grid, made.on_ball)
-    np.testing.assert_allclose(curves[-2].errors[0, 2], own, rtol=1e-9)
+    for name in ("ball", "cube_root", "linear"):
+        assert getattr(curves[-2].errors[0], name)[2] == pytest.approx(getattr(own, name), rel=1e-9)
     assert [curve.counts for curve in curves[-2:]] == [(12,), (14,)]
-    assert np.median(curves[-1].errors[0, :, 1]) < np.median(curves[-2].errors[0, :, 1])
+    assert curves[-1].errors[0].median.cube_root < curves[-2].errors[0].median.cube_root
     with pytest.raises(UsageError, match="no method"):
         measure_curves(atoms, (1,), ("magic",))
 
@@ -55,7 +56,7 @@ def test_interrupted_curves_are_continued_and_finished_ones_measured_again(atoms
     assert measured == everything  # another chart shares nothing with it
     nearest = curves()[0]
     assert measured == everything[2:]
-    np.testing.assert_array_equal(nearest.errors[1, :, 2], everything)
+    np.testing.assert_array_equal(nearest.errors[1].linear, everything)
     curves()
     assert measured == everything
 

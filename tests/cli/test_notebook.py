@@ -32,7 +32,8 @@ def model(tmp_path_factory):
 
 def test_using_colours_does_not_change_how_the_callers_arrays_are_printed():
     script = (
-        "import numpy as np; from manifold.colour.reflectances import diffuse_reflectance_names; before = repr(np.float64(0.5))\n"
+        "import numpy as np; before = repr(np.float64(0.5))\n"
+        "from manifold.colour.reflectances import diffuse_reflectance_names\n"
         "diffuse_reflectance_names(); import sys; assert 'colour' in sys.modules\n"
         "assert repr(np.float64(0.5)) == before == 'np.float64(0.5)', repr(np.float64(0.5))"
     )

@@ -183,7 +183,7 @@ def test_a_refused_output_loses_neither_place_nor_errors(run, folder, monkeypatc
     found = json.loads((folder / "found.json").read_text())
     assert found["output"] is None
     assert found["refusal"] in " ".join(err.split())
-    assert found["ball"] >= 0.0
+    assert found["errors"]["ball"] >= 0.0
     assert command == "reconstruct" or len(found["latent"]) == 2
     status, out, err = run(command, FILE, "-o", "bright.bsdf", cwd=folder)
     assert (status, err, (folder / "bright.bsdf").exists()) == (0, "", True)

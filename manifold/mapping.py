@@ -75,7 +75,11 @@ class Identity:
 
 @dataclass(frozen=True)
 class CubeRoot:
-    """`T(f) = f^(1/3)`, signed: close to perceived lightness, and exact at zero."""
+    """`T(f) = f^(1/3)`, signed: close to perceived lightness, and exact at zero.
+
+    >>> MAPPINGS["cube-root"].forward(np.array([0.008, 1.0]))
+    array([0.2, 1. ])
+    """
 
     name = "cube-root"
 
@@ -165,8 +169,4 @@ class LogRelative:
 MAPPINGS: Registry[ValueMapping] = Registry(
     "mapping", ((mapping.name, mapping) for mapping in (Identity(), CubeRoot(), Log(), LogRelative()))
 )
-"""The mappings by name, with their default parameters.
-
->>> MAPPINGS["cube-root"].forward(np.array([0.008, 1.0]))
-array([0.2, 1. ])
-"""
+"""The mappings by name, with their default parameters."""

@@ -37,7 +37,7 @@ _PLATEAU = 4  # pixels of the very same largest value may be clipped
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class Image:
     """A picture in linear values.
 
     Attributes:
@@ -60,7 +60,7 @@ class Picture:
     notes: tuple[str, ...] = ()
 
 
-def read_picture(path: Path) -> Picture:
+def read_picture(path: Path) -> Image:
     """A picture: EXR, HDR, PFM and TIFF are linear, others and TIFF with a profile of sRGB are decoded as sRGB.
 
     PNG of 16 bits that names no colour space is linear, too, as photometric stereo has it. Raw files of cameras are
@@ -79,7 +79,7 @@ def read_picture(path: Path) -> Picture:
         raise _unreadable(path, "a damaged header") from error
 
 
-def _read(path: Path, kind: str) -> Picture:
+def _read(path: Path, kind: str) -> Image:
     import OpenImageIO
 
     OpenImageIO.attribute("threads", 1)  # processes that are forked have no threads
@@ -116,7 +116,7 @@ def _read(path: Path, kind: str) -> Picture:
         notes = (f"{path.name}: taken as sRGB; tone curves and colour settings of a camera are not undone",)
     elif kind == "png":
         notes = (f"{path.name}: 16 bits, and no colour space named: taken as linear",)
-    return Picture(
+    return Image(
         path,
         _upright(values, turn),
         _upright(opaque, turn),
@@ -127,7 +127,7 @@ def _read(path: Path, kind: str) -> Picture:
     )
 
 
-def _read_raw(path: Path) -> Picture:
+def _read_raw(path: Path) -> Image:
     """A raw file, developed without curves."""
     try:
         import rawpy
@@ -153,7 +153,7 @@ def _read_raw(path: Path) -> Picture:
     clipped: Mask = np.any(codes >= _RAW_WHITE * _MOST_CODE, axis=2)
     values = (np.asarray(codes) / _MOST_CODE).astype(np.float32)
     notes = (f"{path.name}: developed with the camera's white balance",)
-    return Picture(path, values, np.full(clipped.shape, True), clipped, False, False, notes)
+    return Image(path, values, np.full(clipped.shape, True), clipped, False, False, notes)
 
 
 def _kind(path: Path) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from manifold import disk
 from manifold.colour.conversion import encode_srgb
-from manifold.colour.pictures import Picture, read_picture
+from manifold.colour.pictures import Image, read_picture
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array
 from manifold.render import backend
@@ -81,7 +81,7 @@ def read_display(path: Path) -> Array:
     return encode_srgb(linear) if picture.is_encoded else tone_map(linear)
 
 
-def _finite(picture: Picture) -> Array:
+def _finite(picture: Image) -> Array:
     if not np.isfinite(picture.values).all():
         raise FileFormatError(f"{picture.path}: pixels that are not finite; render it again")
     return picture.values

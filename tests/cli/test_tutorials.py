@@ -19,7 +19,16 @@ TUTORIALS = [
     for path in sorted((REPOSITORY / "docs" / folder).glob("*.md"))
     if "{code-cell}" in path.read_text(encoding="utf-8")
 ]
-SLOW = ("extend", "inverse-rendering", "merl", "next-readings", "photograph", "rgl-files", "textures")
+SLOW = (
+    "extend",
+    "inverse-rendering",
+    "merl",
+    "next-readings",
+    "photograph",
+    "rgl-files",
+    "spectrophotometer",
+    "textures",
+)
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="cells of commands are for bash")
 

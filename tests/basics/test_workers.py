@@ -195,17 +195,26 @@ def test_a_single_task_starts_no_process():
 
 
 def test_an_interruption_cancels_what_waits_and_keeps_what_runs():
-    end = threading.Event()
+    end, futures = threading.Event(), []
+
+    class Recorded(ThreadPoolExecutor):
+        def submit(self, *arguments, **named):
+            futures.append(super().submit(*arguments, **named))
+            return futures[-1]
 
     def wait_for(name):
         end.wait(60)
         return name
 
-    with ThreadPoolExecutor(1) as workers:
+    def interrupt():
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        while not futures[1].cancelled():
+            time.sleep(0.01)
+        end.set()
+
+    with Recorded(1) as workers:
         found = work.run(wait_for, ["first", "second"], workers)
-        interruption = signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)
-        threading.Timer(1.0, *interruption).start()  # when this thread waits
-        threading.Timer(1.5, end.set).start()
+        threading.Timer(1.0, interrupt).start()  # when this thread waits
         assert next(found) == (0, "first", None)
         with pytest.raises(KeyboardInterrupt):
             next(found)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -194,27 +193,23 @@ def test_a_single_task_starts_no_process():
         assert results(pid_of, [None], workers) == [os.getpid()]
 
 
-def test_an_interruption_cancels_what_waits_and_keeps_what_runs():
-    end, futures = threading.Event(), []
-
-    class Recorded(ThreadPoolExecutor):
-        def submit(self, *arguments, **named):
-            futures.append(super().submit(*arguments, **named))
-            return futures[-1]
+def test_an_interruption_cancels_what_waits_and_keeps_what_runs(monkeypatch):
+    started, end = threading.Event(), threading.Event()
 
     def wait_for(name):
+        started.set()
         end.wait(60)
         return name
 
-    def interrupt():
-        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-        while not futures[1].cancelled():
-            time.sleep(0.01)
-        end.set()
+    def interrupted(waiting):
+        started.wait(60)
+        threading.Timer(1.0, end.set).start()
+        raise KeyboardInterrupt
+        yield
 
-    with Recorded(1) as workers:
+    monkeypatch.setattr(work, "as_completed", interrupted)
+    with ThreadPoolExecutor(1) as workers:
         found = work.run(wait_for, ["first", "second"], workers)
-        threading.Timer(1.0, interrupt).start()  # when this thread waits
         assert next(found) == (0, "first", None)
         with pytest.raises(KeyboardInterrupt):
             next(found)

@@ -32,8 +32,8 @@ from manifold.errors import ManifoldError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.lamps import Lamp, lamp_pairs, read_lamps
 from manifold.estimate.light_probe import find_light
+from manifold.estimate.outlines import Circle, Photograph, read_photograph
 from manifold.estimate.photo_material import PhotoMaterial, find_material
-from manifold.estimate.photograph import Circle, Photograph, read_photograph
 from manifold.estimate.photographs import band_matrix, srgb_responses
 from manifold.estimate.pixels import Camera, blocks_of, frames
 from manifold.estimate.sightings import PhotoRequest, Sighting, see

@@ -31,8 +31,8 @@ from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
+from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.photo_material import PhotoMaterial, errors_of, find_material
-from manifold.estimate.photograph import Circle, Photograph
 from manifold.estimate.photographs import srgb_responses, wiener_matrix
 from manifold.estimate.pixels import Camera, Environment, blocks_of
 from manifold.estimate.sightings import Sighting

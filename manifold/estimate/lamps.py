@@ -19,7 +19,7 @@ from manifold.brdf.measured import BRDF
 from manifold.colour.lights import directions
 from manifold.directions import normalize
 from manifold.errors import FileFormatError, UsageError
-from manifold.estimate.photograph import Circle, Photograph
+from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.pixels import Blocks, Camera, frames, sampled_surface
 from manifold.records import Array
 

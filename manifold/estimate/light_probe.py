@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from manifold.errors import UsageError
 from manifold.estimate.lamps import Lamp
-from manifold.estimate.photograph import Circle, Photograph, outlines_in
+from manifold.estimate.outlines import Circle, Photograph, outlines_in
 from manifold.records import Array, Indices, Mask, evenly_spaced
 
 _SIDES = (24, 64)  # pixels across a ball that are compared, to choose a start and to refine it

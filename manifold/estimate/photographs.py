@@ -26,8 +26,8 @@ from manifold.estimate.completion import for_library, in_srgb
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.lamps import lamp_picture
+from manifold.estimate.outlines import Circle
 from manifold.estimate.photo_material import PhotoMaterial, Seen, find_material
-from manifold.estimate.photograph import Circle
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf

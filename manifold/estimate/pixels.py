@@ -20,7 +20,7 @@ import numpy as np
 from manifold.colour import lights
 from manifold.directions import from_spherical, normalize, rotate_z
 from manifold.errors import UsageError
-from manifold.estimate.photograph import Circle, Cylinder, Photograph, reduced
+from manifold.estimate.outlines import Circle, Cylinder, Photograph, reduced
 from manifold.records import Array, Indices, Mask
 
 _ROWS, _PARTS = 64, 8  # rows of cells, twice as many columns; parts of a cell along a side

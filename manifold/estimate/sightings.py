@@ -24,7 +24,7 @@ from manifold.estimate.lamps import (
     unwrapped,
 )
 from manifold.estimate.light_probe import find_light, given_lamp_notes
-from manifold.estimate.photograph import (
+from manifold.estimate.outlines import (
     Circle,
     Cylinder,
     Photograph,

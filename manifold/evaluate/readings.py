@@ -25,6 +25,7 @@ from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Indices
+from manifold.registry import Registry
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 
@@ -143,12 +144,20 @@ def _principled(task: Task, chosen: Indices) -> Predicted:
     return brdf.eval(grid.wi, grid.wo), brdf.eval(lights.wi, lights.wo)
 
 
-METHODS = (
-    ReadingMethod("completion", "completion, at its directions", _own_order, _completed),
-    ReadingMethod("ridge", "ridge regression, at its directions", _well_conditioned, _ridge),
-    ReadingMethod("ridge_same", "ridge regression, at those of the completion", _own_order, _ridge),
-    ReadingMethod("nearest", "nearest material", _own_order, _nearest),
-    ReadingMethod("principled", "principled, fitted to the readings", _own_order, _principled, least=5),
+METHODS: Registry[ReadingMethod] = Registry(
+    "method",
+    (
+        (method.key, method)
+        for method in (
+            ReadingMethod("completion", "completion, at its directions", _own_order, _completed),
+            ReadingMethod("ridge", "ridge regression, at its directions", _well_conditioned, _ridge),
+            ReadingMethod("ridge_same", "ridge regression, at those of the completion", _own_order, _ridge),
+            ReadingMethod("nearest", "nearest material", _own_order, _nearest),
+            ReadingMethod(
+                "principled", "principled, fitted to the readings", _own_order, _principled, least=5
+            ),
+        )
+    ),
 )
 
 
@@ -207,11 +216,7 @@ def measure_curves(
     Raises:
         UsageError: there is no such method.
     """
-    known = {method.key: method for method in METHODS}
-    missing = [key for key in only if key not in known]
-    if missing:
-        raise UsageError(f"no method '{missing[0]}', expected one of {', '.join(known)}")
-    methods = [known[key] for key in only] if only else list(METHODS)
+    methods = [METHODS[key] for key in only or METHODS]
     N = len(atoms.names)
     errors = {method.key: np.full((len(counts), N, len(_KINDS)), np.nan) for method in methods}
     kept = KeptResults(library, f"readings-3 {atoms.names} {list(counts)} {list(errors)}")

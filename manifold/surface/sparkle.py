@@ -76,7 +76,7 @@ class DrawnFlakes:
 
     @property
     def share(self) -> float:
-        """Of a flake's pixel that reflects as a mirror of four times less than all; the rest is as its surroundings."""
+        """Share of a flake's pixel that its facet covers, which reflects a quarter or, of brighter flakes, more."""
         return min(4.0 * self.flakes.reflectance, 1.0)
 
 

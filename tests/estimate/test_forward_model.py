@@ -13,7 +13,7 @@ from manifold.colour.ball_colours import delta_e
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.errors import UsageError
-from manifold.estimate.photograph import Circle, Photograph
+from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of, direction_pairs
 from manifold.io_rgl import write_bsdf
 from manifold.render.render import render_floating_ball

@@ -15,8 +15,8 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.lamp_plan import ANGLES_DEG, plan_lamps
 from manifold.estimate.lamps import Lamp, clipped_spots, lamp_pairs, lamp_picture, parse_lamp, unwrapped
 from manifold.estimate.light_probe import find_light, given_lamp_notes
+from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.photo_material import strength_of_spots
-from manifold.estimate.photograph import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, Sighting, see
 from manifold.io_rgl import read_bsdf

@@ -13,8 +13,8 @@ from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.estimate import photo_material
 from manifold.estimate.gloss import gloss_units
+from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.photo_material import errors_of, estimate, find_material, seen_instead
-from manifold.estimate.photograph import Circle, Photograph
 from manifold.estimate.photographs import wiener_matrix
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import Sighting

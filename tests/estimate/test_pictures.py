@@ -9,7 +9,7 @@ from PIL import Image
 
 from manifold.colour.conversion import decode_srgb
 from manifold.errors import FileFormatError, UsageError
-from manifold.estimate.photograph import Circle, find_outlines, read_photograph
+from manifold.estimate.outlines import Circle, find_outlines, read_photograph
 from manifold.render import images
 
 

@@ -251,6 +251,25 @@ def test_directions_broadcast(corpus_file, lead, seed):
     np.testing.assert_array_equal(f[one], brdf.eval(wi, wo[one]))
 
 
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 0.0), (np.float32, 1e-6)])
+def test_values_are_written_where_asked(corpus_file, rng, dtype, tolerance):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_satin_gold", False)))
+    wi, wo = (random_directions(rng, 60).reshape(3, 20, 3) for _ in range(2))
+    out = np.full((3, 20, brdf.bands.count), np.nan, dtype)
+    assert brdf.eval(wi, wo, out=out) is out
+    np.testing.assert_allclose(out, brdf.eval(wi, wo), rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float64])
+def test_what_values_do_not_fit_into_is_refused(corpus_file, dtype):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_satin_gold", False)))
+    up = np.array([0.0, 0.0, 1.0])
+    with pytest.raises(ShapeError, match=r"out is float.* expected contiguous float32 or float64 \(195,\)"):
+        brdf.eval(
+            up, up, out=np.empty((2, 195), dtype)[:, 0] if dtype == np.float64 else np.empty(195, dtype)
+        )
+
+
 @pytest.mark.parametrize(
     ("wi", "words"),
     [

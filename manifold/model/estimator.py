@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -36,44 +36,73 @@ def explain(
     Source: docs/explanation/reconstruction.md.
     """
     weights: Array = np.zeros((len(bands), len(bands[0].atoms)))
-    v = weights[0]
+    v = weights[:1]
     with one_blas_thread:
-        for b, seen in enumerate(bands):
-            K, s = (None, None) if kept is None or prior is None else (kept[b], prior[b])
-            fitted = seen.seen if s is None else s @ seen.atoms
+        for atoms, run in _runs_of_atoms(bands):
+            some, rows, of_prior = bands[run], range(*run.indices(len(bands))), None
+            if kept is not None and prior is not None:
+                of_prior = [(kept[b], prior[b]) for b in rows]
+            seen = np.stack([band.seen for band in some])
+            fitted = seen if prior is None else prior[run] @ atoms
+            v = np.repeat(v[-1:], len(some), axis=0)  # neighbouring bands are alike
             for _ in range(_FITS):
-                slopes = seen.slopes(fitted)
-                v = _fit(
-                    seen.atoms * slopes, seen.seen * slopes, v, K, s, usable
-                )  # neighbouring bands are alike
-                fitted = v @ seen.atoms
-            weights[b] = v
+                slopes = np.stack([band.slopes(f) for band, f in zip(some, fitted, strict=True)])
+                v = _fit(atoms, seen, slopes**2, v, of_prior, usable)
+                fitted = v @ atoms
+            weights[run] = v
     return weights
 
 
+def _runs_of_atoms(bands: Sequence[Observation]) -> Iterator[tuple[Array, slice]]:
+    """The bands that follow each other and have the same atoms."""
+    start = 0
+    for stop in range(1, len(bands) + 1):
+        if stop == len(bands) or bands[stop].atoms is not bands[start].atoms:
+            yield bands[start].atoms, slice(start, stop)
+            start = stop
+
+
 def _fit(
-    A: Array, y: Array, start: Array, K: Array | None, prior: Array | None, usable: Mask | None
+    A: Array,
+    y: Array,
+    w: Array,
+    start: Array,
+    prior: Sequence[tuple[Array, Array]] | None,
+    usable: Mask | None,
 ) -> Array:
-    """Weights v >= 0 (n,) that minimise `|v A - y|^2 + (v - s) K (v - s)`; atoms enter a few at a time, by slopes."""
-    square, cross, size = np.sum(A**2, axis=1), A @ y, float(y @ y)
-    if K is not None and prior is not None:
-        of_prior = K @ prior
-        square, cross, size = square + np.diagonal(K), cross + of_prior, size + float(prior @ of_prior)
+    """Weights v >= 0 (B, n) that minimise `w_b (v_b A - y_b)^2`, and what `explain` adds, of bands that share atoms.
+
+    Atoms enter a few at a time, by slopes, which are matrix products for all bands together.
+    """
+    square, cross, size = w @ (A**2).T, (w * y) @ A.T, np.sum(w * y**2, axis=1)
+    for b, (K, s) in enumerate(prior or ()):
+        of_prior = K @ s
+        square[b] += np.diagonal(K)
+        cross[b] += of_prior
+        size[b] += s @ of_prior
     norms = np.sqrt(np.maximum(square, np.finfo(float).tiny))
     limit = _TOLERANCE * np.sqrt(size)
-    used = np.flatnonzero(start)
-    while True:
-        some, v = A[used], np.zeros(len(A))
-        if used.size:
-            inner = some @ some.T if K is None else some @ some.T + K[np.ix_(used, used)]
-            v[used] = nonnegative_weights(inner, cross[None, used])[0]
-        slopes = cross - A @ (v[used] @ some)
-        if K is not None:
-            slopes -= K[:, used] @ v[used]
-        slopes /= norms
-        slopes[used if usable is None else np.union1d(used, np.flatnonzero(~usable))] = 0.0
-        enter = np.argsort(-slopes)[:_AT_ONCE]
-        enter = enter[slopes[enter] > limit]
-        if enter.size == 0:
-            return v
-        used = np.union1d(used, enter)
+    used, v = start > 0.0, np.zeros_like(start)
+    unfinished = np.arange(len(y))
+    while unfinished.size:
+        left = np.empty((len(unfinished), A.shape[1]))  # of what was seen, weighted
+        slopes = cross[unfinished]
+        for row, b in enumerate(unfinished):
+            columns = np.flatnonzero(used[b])
+            some = A[columns]
+            if columns.size:
+                inner = (some * w[b]) @ some.T
+                if prior is not None:
+                    inner += prior[b][0][np.ix_(columns, columns)]
+                v[b, columns] = nonnegative_weights(inner, cross[b][None, columns])[0]
+            left[row] = w[b] * (v[b, columns] @ some)
+            if prior is not None:
+                slopes[row] -= prior[b][0][:, columns] @ v[b, columns]
+        slopes = (slopes - left @ A.T) / norms[unfinished]
+        slopes[used[unfinished] | (False if usable is None else ~usable)] = 0.0
+        enter = np.argsort(-slopes, axis=1)[:, :_AT_ONCE]
+        enters = np.take_along_axis(slopes, enter, axis=1) > limit[unfinished, None]
+        row, place = np.nonzero(enters)
+        used[unfinished[row], enter[row, place]] = True
+        unfinished = unfinished[enters.any(axis=1)]
+    return v

@@ -39,9 +39,9 @@ def explain(
     v = weights[:1]
     with one_blas_thread:
         for atoms, run in _runs_of_atoms(bands):
-            some, rows, of_prior = bands[run], range(*run.indices(len(bands))), None
+            some, of_prior = bands[run], None
             if kept is not None and prior is not None:
-                of_prior = [(kept[b], prior[b]) for b in rows]
+                of_prior = list(zip(kept[run], prior[run], strict=True))
             seen = np.stack([band.seen for band in some])
             fitted = seen if prior is None else prior[run] @ atoms
             v = np.repeat(v[-1:], len(some), axis=0)  # neighbouring bands are alike
@@ -75,11 +75,11 @@ def _fit(
     Atoms enter a few at a time, by slopes, which are matrix products for all bands together.
     """
     square, cross, size = w @ (A**2).T, (w * y) @ A.T, np.sum(w * y**2, axis=1)
-    for b, (K, s) in enumerate(prior or ()):
+    for k, (K, s) in enumerate(prior or ()):
         of_prior = K @ s
-        square[b] += np.diagonal(K)
-        cross[b] += of_prior
-        size[b] += s @ of_prior
+        square[k] += np.diagonal(K)
+        cross[k] += of_prior
+        size[k] += s @ of_prior
     norms = np.sqrt(np.maximum(square, np.finfo(float).tiny))
     limit = _TOLERANCE * np.sqrt(size)
     used, v = start > 0.0, np.zeros_like(start)
@@ -87,7 +87,7 @@ def _fit(
     while unfinished.size:
         left = np.empty((len(unfinished), A.shape[1]))  # of what was seen, weighted
         slopes = cross[unfinished]
-        for row, b in enumerate(unfinished):
+        for k, b in enumerate(unfinished.tolist()):
             columns = np.flatnonzero(used[b])
             some = A[columns]
             if columns.size:
@@ -95,9 +95,9 @@ def _fit(
                 if prior is not None:
                     inner += prior[b][0][np.ix_(columns, columns)]
                 v[b, columns] = nonnegative_weights(inner, cross[b][None, columns])[0]
-            left[row] = w[b] * (v[b, columns] @ some)
+            left[k] = w[b] * (v[b, columns] @ some)
             if prior is not None:
-                slopes[row] -= prior[b][0][:, columns] @ v[b, columns]
+                slopes[k] -= prior[b][0][:, columns] @ v[b, columns]
         slopes = (slopes - left @ A.T) / norms[unfinished]
         slopes[used[unfinished] | (False if usable is None else ~usable)] = 0.0
         enter = np.argsort(-slopes, axis=1)[:, :_AT_ONCE]

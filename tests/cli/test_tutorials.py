@@ -24,6 +24,7 @@ SLOW = (
     "inverse-rendering",
     "merl",
     "next-readings",
+    "one-angle",
     "photograph",
     "rgl-files",
     "spectrophotometer",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from manifold import disk, progress
+from manifold import progress
 from manifold.errors import UsageError
 
 from . import options, terminal
@@ -82,9 +82,8 @@ def export(
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
-    from manifold.fit.exports.targets import TARGETS, target_of
+    from manifold.fit.exports.targets import TARGETS
     from manifold.io_rgl import material_name
-    from manifold.progress import Stages
 
     results = terminal.Results(json)
     if pack is not None and output is not None:
@@ -106,15 +105,9 @@ def export(
         raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
     name = material_name(Path(material.name.removesuffix(".fit.json")))
     path = or_default(output, name + TARGETS[target or "gltf"].suffix)
-    chosen = target_of(target, path)
-    disk.require_writable(path)
+    drawn = path.with_suffix(".png") if picture else None
     with progress.shown("Exporting"):
-        stages = Stages({"": 8, "evaluating the target's model": 2})
-        stages.begin("")
-        subject = exporting.subject_of_source(material, against)
-        stages.begin("evaluating the target's model")
-        drawn = path.with_suffix(".png") if picture else None
-        outcome = exporting.export(subject, chosen, path, is_mapped=mapped, picture=drawn)
+        outcome = exporting.export(material, target, path, against=against, is_mapped=mapped, picture=drawn)
     _show(results, outcome, drawn)
 
 
@@ -130,4 +123,4 @@ def _show(results: terminal.Results, outcome: Outcome[Any], picture: Path | None
         rows["picture"] = picture
     rows |= terminal.numbered("note", outcome.notes)
     results.rows(f"Exported {outcome.path} ({content['target']})", rows)
-    results.document({"exports": [content | {"path": str(outcome.path)}], "failed": []})
+    results.document({"exports": [outcome.to_json()], "failed": []})

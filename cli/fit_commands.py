@@ -120,16 +120,10 @@ def fit(
             f"{source}: {known.name}, which cannot be rendered; leave --picture out, or write a .bsdf with "
             f"`manifold convert` or `manifold complete`"
         )
-    predictions = []
-    outcome: Outcome[Any]
-    if isinstance(source, PlaceSource):
-        with progress.shown("Reading materials"):
-            outcome = fits.fit_prediction(source, output, settings)
-        predictions.append(outcome.source)
-    else:
-        target = or_default(output, f"{settings.name_of(source)}{inputs.FIT}")
-        with progress.shown("Fitting"):
-            outcome = fits.fit_file(source, target, settings)
+    target = or_default(output, f"{sample or source.name}{inputs.FIT}")
+    with progress.shown("Fitting"):
+        outcome = fits.fit(source, target, settings)
+    predictions = [outcome.source] if places else []
     if outcome.content is not None:
         results.rows(f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _rows(outcome.content))
         for prediction in predictions:

@@ -79,6 +79,10 @@ class Outcome(Generic[T]):
     failure: str | None = None
     notes: tuple[str, ...] = ()
 
+    def to_json(self) -> Content:
+        """What is known of it, and where it is."""
+        return {**(self.content or {}), "path": str(self.path)}
+
 
 @dataclass(frozen=True)
 class Command(Generic[S]):

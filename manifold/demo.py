@@ -292,7 +292,7 @@ def _with_mitsuba(folder: Path, model: Path, predicted: Path) -> list[Path]:
             ends = [LibrarySource(folder / "library.zarr", name) for name in (START, END)]
             maps.walk(model, ends[0], ends[1], pictures[-1])
     with progress.shown("Fitting game parameters to the prediction"):
-        fits.fit_file(predicted, folder / FIT, FitSettings())
+        fits.fit(predicted, folder / FIT, FitSettings())
         pictures.append(folder / "predicted.fit.png")
         picture_of_fit(folder / FIT, predicted, pictures[-1])
     with progress.shown("Budgeting three scenes"):

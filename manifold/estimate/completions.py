@@ -17,6 +17,7 @@ from manifold.colour.correction import ColourCorrection
 from manifold.colour.difference import lab_under_d65
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
+from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.estimate.expected import calibrate
@@ -141,9 +142,10 @@ class Completed:
 
 def complete(
     library: Path,
-    readings: Readings,
+    readings: Readings | Path,
     output: Path,
     *,
+    sample: str | None = None,
     correction: ColourCorrection | None = None,
     picture: Path | None = None,
     count: int = 0,
@@ -154,8 +156,9 @@ def complete(
 
     Args:
         library: of measured materials.
-        readings: of the sample.
+        readings: of the sample, or their file.
         output: the file to write; its name becomes the material's.
+        sample: which of a file with several.
         correction: what `instruments.read` learned, to be reported.
         picture: of the ball, to render.
         count: how many further readings to suggest.
@@ -166,6 +169,8 @@ def complete(
         UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.
     """
     start = time.perf_counter()
+    if isinstance(readings, Path):
+        readings, correction = instruments.read([readings], sample)
     if count:
         directions_left(count, readings, instrument)
     require_bsdf_output(output)

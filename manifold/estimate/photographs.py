@@ -35,7 +35,7 @@ from manifold.library.store import Library
 from manifold.model import diagnostics, located
 from manifold.model.comparison import brdf_errors
 from manifold.model.located import Located
-from manifold.model.manifold import Manifold
+from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.plots import figures
@@ -203,7 +203,7 @@ def locate(
     if output is not None:
         require_bsdf_output(output)
     stages = _stages(picture, request)
-    loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
+    loaded = load_model(model, library)
     balls, material, notes = _found(request, loaded.library, None, {}, stages)
     seen = ClippedBRDF(material.brdf)
     place = located.locate_brdf(loaded, seen)

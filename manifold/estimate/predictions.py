@@ -21,7 +21,7 @@ from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_c
 from manifold.model.comparison import brdf_errors
 from manifold.model.diagnostics import DiagnosedPrediction, diagnose
 from manifold.model.located import Located, Reconstruction
-from manifold.model.manifold import Manifold
+from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import (
     DEFAULT_OPTIONS,
     OutputOptions,
@@ -69,8 +69,7 @@ def predict(
     """
     output = Path(output)
     require_bsdf_output(output)
-    if not isinstance(model, Manifold):
-        model = Manifold.load(model, library)
+    model = load_model(model, library)
     place = place_of(latent, model)
     if colour != NEAREST or place.path is not None:
         model.prepare()
@@ -163,7 +162,7 @@ def locate(
     if output is not None:
         require_bsdf_output(Path(output))
     file = _read(path)
-    loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
+    loaded = load_model(model, library)
     loaded.prepare()
     found = located.locate(loaded, file)
     if output is None:

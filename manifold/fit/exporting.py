@@ -23,14 +23,14 @@ from manifold.fit import comparison, fit_samples
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
-from manifold.fit.exports.targets import Target, TargetBRDF
+from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
-from manifold.model.manifold import Manifold
+from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
 from manifold.plots import figures, html_page
 from manifold.plots.slice_figures import Source
@@ -103,7 +103,7 @@ def subject_of_prediction(
     ) -> Subject:  # fmt: skip
     """The material that a model predicts at a latent, fitted."""
     stages = Stages({"reading materials": 3, "fitting": 7})
-    loaded = Manifold.load(model, library)
+    loaded = load_model(model, library)
     place = loaded.place(latent)
     stages.begin("reading materials")
     loaded.prepare()
@@ -135,23 +135,32 @@ def subject_in_library(library: Library, name: str) -> Subject:
 
 
 def export(
-    subject: Subject, target: Target, path: Path, *, is_mapped: bool = False, picture: Path | None = None,
-    balls: Path | None = None, textures: Callable[[Sequence[float]], TextureFiles] | None = None,
+    subject: Subject | MaterialSource, target: Target | str | None, path: Path, *, against: Path | None = None,
+    is_mapped: bool = False, picture: Path | None = None, balls: Path | None = None,
+    textures: Callable[[Sequence[float]], TextureFiles] | None = None,
 ) -> Outcome[Subject]:  # fmt: skip
     """Write a material for a target.
 
     Args:
-        subject: the material.
-        target: where to.
+        subject: the material; of a source see `subject_of_source`.
+        target: where to, or its name; None where the suffix of the file says it.
         path: the file.
+        against: as of `subject_of_source`.
         is_mapped: compute the target's parameters from those of `principled`, instead of fitting its own model to the
             material from there on.
         picture: of the material beside the target's model, drawn there; none if None.
         balls: of both in two lights, drawn there; none if None.
         textures: writes textures for the base colour that was found, linear sRGB; None for one material everywhere.
     """
+    target = target if isinstance(target, Target) else target_of(target, path)
+    disk.require_writable(path)
     if picture is not None:
         figures.require_writable(picture)
+    if not isinstance(subject, Subject):
+        stages = Stages({"": 8, "evaluating the target's model": 2})
+        stages.begin("")
+        subject = subject_of_source(subject, against)
+        stages.begin("evaluating the target's model")
     rotation_deg = subject.fit.get("rotation_deg", 0.0)
     principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"], rotation_deg)
     parameters, fitted = target.parameters(principled), FittedBRDF(subject.fit)

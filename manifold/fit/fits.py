@@ -15,7 +15,14 @@ from manifold.brdf.measured import BRDF
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import FIT, Input, is_rgl
-from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource, read_source, source_file
+from manifold.estimate.sources import (
+    FileSource,
+    LibrarySource,
+    MaterialSource,
+    PlaceSource,
+    read_source,
+    source_file,
+)
 from manifold.fit import fit_samples
 from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fit_samples import FitSamples
@@ -95,14 +102,21 @@ def read_family(path: Path) -> BsdfFamily:
     return fit_json.family_of(disk.read_json(path, "a JSON description of a BSDF"), str(path))
 
 
-def fit_file(source: Path | Measured, target: Path, settings: FitSettings) -> Outcome[Measured]:
-    """Fit a file or a material of a library and write the JSON, unless an earlier run has.
+def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | None = None) -> Outcome[Any]:
+    """Fit a material and write the JSON; of what was measured not where an earlier run has.
 
+    Args:
+        source: a file or another material; what an outcome has as its source is the prediction where this is a place.
+        target: the JSON.
+        settings: how; the usual ones by default.
     Returns:
-        The fit, or why there is none.
+        The fit, or why there is none of what was measured.
     """
     backend.imported()
     disk.require_writable(target)
+    settings = settings or FitSettings()
+    if isinstance(source, PlaceSource):
+        return _fit_prediction(source, target, settings)
     measured = FileSource(source) if isinstance(source, Path) else source
     name = settings.name_of(measured)
     try:
@@ -138,12 +152,7 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     )  # fmt: skip
 
 
-def fit_prediction(
-    place: PlaceSource, output: Path | None, settings: FitSettings
-) -> Outcome[DiagnosedPrediction]:
-    """Fit the material that a model predicts at a place; arguments as in `fit_file`."""
-    path = Path("predicted.fit.json") if output is None else output
-    disk.require_writable(path)
+def _fit_prediction(place: PlaceSource, path: Path, settings: FitSettings) -> Outcome[DiagnosedPrediction]:
     stages = Stages({"reading materials": 3, "fitting": 7})
     loaded = load_model(place.model, place.library)
     stages.begin("reading materials")
@@ -164,7 +173,7 @@ def fit_prediction(
 
 def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictures: bool) -> Content:
     if isinstance(source.source, PlaceSource):
-        content = fit_prediction(source.source, target, settings).content or {}
+        content = _fit_prediction(source.source, target, settings).content or {}
     else:
         settings = replace(settings, sample=source.sample)
         content, _ = _fitted(source.name, source.source, target, settings)

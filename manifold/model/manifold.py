@@ -302,16 +302,22 @@ class Manifold(LatentMap):
 @lru_cache(maxsize=4)
 def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold, str]:
     """A model, kept open since scenes are loaded often, and the hash of its library's content when it was opened."""
-    loaded = Manifold.load(path, library)
+    with warnings.catch_warnings(action="ignore", category=LibraryChangedWarning):  # see `load_model`
+        loaded = Manifold.load(path, library)
     return loaded, loaded.library.content_hash
 
 
-def load_model(path: Path, library: Path | None = None) -> Manifold:
-    """A model, read again only where its file or its library has changed."""
+def load_model(model: Manifold | Path | str, library: Path | str | None = None) -> Manifold:
+    """A model, read again only where its file or its library has changed; one that is given stays itself."""
+    if isinstance(model, Manifold):
+        return model
+    path = Path(model).absolute()
     changed = path.stat().st_mtime_ns if path.exists() else 0
-    key = path.absolute(), changed, None if library is None else library.absolute()
+    key = path, changed, None if library is None else Path(library).absolute()
     loaded, content_hash = _model(*key)
     if loaded.library.content_hash != content_hash:
         _model.cache_clear()
         loaded, _ = _model(*key)
+    for note in loaded.notes:
+        warnings.warn(note, LibraryChangedWarning, stacklevel=2)
     return loaded

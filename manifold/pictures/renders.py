@@ -86,14 +86,14 @@ def settings_key(settings: RenderSettings) -> dict[str, Any]:
 
 
 def render(
-    source: MaterialSource, output: Path, settings: RenderSettings, *, direct: bool = False,
+    source: MaterialSource, output: Path, settings: RenderSettings | None = None, *, direct: bool = False,
     ) -> Rendered:  # fmt: skip
     """Render the ball of a material into a picture.
 
     Args:
         source: an RGL file, the JSON of a fit, a material of a library, or a place; see `ball_material`.
         output: the picture.
-        settings: how.
+        settings: how; the usual ones by default.
         direct: evaluate the measured materials of a prediction while rendering.
     Raises:
         UsageError: the picture cannot be written, an RGB material meets another light than D65, or `direct` without a
@@ -101,6 +101,7 @@ def render(
         FileFormatError: the file is neither.
     """
     images.require_image_path(output)
+    settings = settings or RenderSettings()
     stages = Stages({"": 1, "rendering": 1})
     stages.begin("")
     with ball_material(source, direct=direct) as (material, made):

@@ -48,7 +48,7 @@ def satin(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def fitted(satin, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("fits") / "satin.fit.json"
-    fits.fit_file(satin, path, SETTINGS)
+    fits.fit(satin, path, SETTINGS)
     return path
 
 
@@ -90,7 +90,7 @@ def test_a_second_run_keeps_a_fit_unless_file_settings_or_program_changed(satin,
     def kept(settings=SETTINGS, **changes):
         content = json.loads(fitted.read_text(encoding="utf-8")) | changes
         target.write_text(json.dumps(content), encoding="utf-8")
-        return fits.fit_file(satin, target, settings).was_there
+        return fits.fit(satin, target, settings).was_there
 
     assert kept()
     assert not kept(FitSettings(SETTINGS.family, metric="log"))
@@ -147,10 +147,10 @@ def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
     path = tmp_path / "white.bsdf"
     write_bsdf(path, goniometer.measure(Lambert(np.full(3, 0.9), Bands(None)), "white", resolution=32))
     target = tmp_path / "white.fit.json"
-    made = fits.fit_file(path, target, FitSettings())
+    made = fits.fit(path, target, FitSettings())
     assert made.content is not None
     assert made.content["mitsuba"]["type"] == "diffuse"
-    assert fits.fit_file(path, target, FitSettings()).was_there
+    assert fits.fit(path, target, FitSettings()).was_there
     wi = np.array([[0.0, 0.6, 0.8]])
     assert FittedBRDF.read(target).eval(wi, wi) == pytest.approx(0.9 / np.pi, rel=0.01)
 
@@ -158,7 +158,7 @@ def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
 def test_a_prediction_names_its_model_and_latent(tmp_path):
     model = small_model(tmp_path)
     target = tmp_path / "between.fit.json"
-    made = fits.fit_prediction(fits.PlaceSource(model, [0.1, -0.2]), target, SETTINGS)
+    made = fits.fit(fits.PlaceSource(model, [0.1, -0.2]), target, SETTINGS)
     source = fit_json.read(target)["source"]
     assert source["latent"] == [0.1, -0.2]
     assert source["model_sha256"] == hashlib.sha256(model.read_bytes()).hexdigest()
@@ -308,7 +308,7 @@ def test_what_is_no_json_is_one_clear_error_and_no_fit_to_keep(satin, tmp_path, 
     with pytest.raises(FileFormatError, match=r"bad\.json"):
         fits.read_family(path)
     plain = FitSettings(principled(["base_color"]))
-    assert fits.fit_file(satin, path, plain).failure is None
+    assert fits.fit(satin, path, plain).failure is None
     assert fit_json.read(path)["source"]["name"] == "satin"
 
 

@@ -12,8 +12,9 @@ from matplotlib.image import imread
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.estimate.sources import FileSource, PlaceSource, source_file
+from manifold.fit import fits
 from manifold.fit.comparison import picture_of_fit
-from manifold.fit.fits import FitSettings, fit_file, fit_prediction
+from manifold.fit.fits import FitSettings
 from manifold.io_rgl import write_bsdf
 from manifold.pictures.renders import compare
 from manifold.pictures.slices import sources
@@ -32,7 +33,7 @@ def fitted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
     material = folder / "satin_rgb.bsdf"
     write_bsdf(material, measured("syn_satin_gold"))
-    outcome = fit_file(material, folder / "satin.fit.json", FIT)
+    outcome = fits.fit(material, folder / "satin.fit.json", FIT)
     return material, outcome.path
 
 
@@ -85,7 +86,7 @@ def test_a_fitted_brdf_is_what_mitsuba_evaluates(fitted):
 def test_fits_of_predictions_are_drawn_too(tmp_path):
     model = small_model(tmp_path)
     place = PlaceSource(model, "0.1,0.1")
-    outcome = fit_prediction(place, tmp_path / "p.fit.json", FIT)
+    outcome = fits.fit(place, tmp_path / "p.fit.json", FIT)
     with source_file(place) as path:
         made = picture_of_fit(outcome.path, path, tmp_path / "p.fit.png", SETTINGS)
     assert np.isfinite(made).all()

@@ -54,7 +54,7 @@ def prepare(base: Path) -> None:
     import_files(base / "small.zarr", [base / "small"])
     small_model(base / "whole")
     file = next((base / "whole" / "files").glob("*.bsdf"))
-    fits.fit_file(file, base / "a.fit.json", fits.FitSettings(bsdf_parameters.principled(["base_color"])))
+    fits.fit(file, base / "a.fit.json", fits.FitSettings(bsdf_parameters.principled(["base_color"])))
     (base / "scene").mkdir()
     shutil.copy(file, base / "scene" / "a_rgb.bsdf")
     (base / "scene" / "s.xml").write_text(

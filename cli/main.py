@@ -15,7 +15,7 @@ from typing import Any
 import typer
 
 from manifold import __version__
-from manifold.errors import ManifoldError, UsageError
+from manifold.errors import ManifoldError, UsageError, in_words
 from manifold.names import printable
 from manifold.progress import display_with
 
@@ -74,7 +74,6 @@ def run(arguments: list[str] | None = None) -> None:
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
     terminal.begin(strict)
     display_with(terminal.display)
-    terminal.end_with_listener()
     if strict:
         warnings.simplefilter("always", UserWarning)  # also what this process was warned of before
     if strict or not debug:
@@ -112,18 +111,11 @@ def _is_interruption(error: BaseException | None) -> bool:
 
 
 def _message(error: Exception) -> str:
-    if isinstance(error, ManifoldError):
-        return str(error)
     if isinstance(error, _Mistyped):
         command = getattr(error.ctx, "command_path", "manifold")
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
         return f"{found}; see `{command} --help`"
-    if isinstance(error, MemoryError):
-        return "out of memory; close other programs, or use a smaller library"
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror or error}; check the path, its permissions and the free space"
-    return f"internal error: {type(error).__name__}: {error}; run again with --debug and report it"
+    return in_words(error)
 
 
 def _one_line(message: object) -> str:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import select
-import signal
-import stat
 import sys
 import textwrap
 import threading
@@ -28,7 +24,6 @@ from rich.progress import (
 
 from manifold import __version__, disk, text_tables
 from manifold.names import first_few, printable
-from manifold.progress import PROGRESS_VARIABLE
 from manifold.progress import Progress as Listener
 
 _is_strict = False
@@ -61,14 +56,7 @@ def is_strict() -> bool:
 
 @contextmanager
 def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
-    """A progress bar on stderr, or a line there every ten seconds where it is no terminal.
-
-    Where another program asked for it, JSON lines into its descriptor instead.
-    """
-    listening = _listening()
-    if listening is not None:
-        yield _json_lines_to(listening)
-        return
+    """A progress bar on stderr, or a line there every ten seconds where it is no terminal."""
     if not sys.stderr.isatty():
         with _lines(title) as line:
             yield line
@@ -87,30 +75,6 @@ def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
             bar.update(task, completed=done, total=total, what=printable(what))
 
         yield step
-
-
-def end_with_listener() -> None:
-    """Terminate this process, and those it starts, once the program that asked for progress is gone or killed."""
-    listening = _listening()
-    try:
-        if listening is None or not stat.S_ISFIFO(os.fstat(listening).st_mode):
-            return
-    except OSError:  # it is not open
-        return
-
-    def wait() -> None:
-        poll = select.poll()
-        poll.register(listening, 0)  # which tells only that the other end was closed
-        poll.poll()
-        (os.killpg if os.getpgrp() == os.getpid() else os.kill)(os.getpid(), signal.SIGTERM)
-
-    threading.Thread(target=wait, daemon=True).start()
-
-
-def _listening() -> int | None:
-    """The descriptor into which another program asked for progress."""
-    given = os.environ.get(PROGRESS_VARIABLE, "")
-    return int(given) if given.isdecimal() and len(given) < 6 else None  # descriptors are small numbers
 
 
 @contextmanager
@@ -137,16 +101,6 @@ def _lines(title: str) -> Iterator[Listener]:
     finally:
         finished.set()
         thread.join()
-
-
-def _json_lines_to(descriptor: int) -> Listener:
-    """Steps as JSON lines into an open file; nothing once the reader is gone."""
-
-    def step(done: int, total: int, what: str) -> None:
-        with suppress(OSError):
-            os.write(descriptor, f"{json.dumps([done, total, what])}\n".encode())
-
-    return step
 
 
 class Results:

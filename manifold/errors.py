@@ -84,3 +84,15 @@ class UnknownNameError(UsageError, KeyError):
 
 class LatentError(UsageError, ShapeError):
     """A latent coordinate has the wrong number of values, or values that are not finite."""
+
+
+def in_words(error: Exception) -> str:
+    """What a user is told of an error that ends a command."""
+    if isinstance(error, ManifoldError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "out of memory; close other programs, or use a smaller library"
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}; check the path, its permissions and the free space"
+    return f"internal error: {type(error).__name__}: {error}; run again with --debug and report it"

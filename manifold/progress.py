@@ -13,9 +13,6 @@ from typing import Protocol, TypeVar
 Progress = Callable[[int, int, str], None]
 """Called with how much is done, of how much in all, and the name of what was done last."""
 
-PROGRESS_VARIABLE = "MANIFOLD_PROGRESS"
-"""Names the file descriptor into which a program that runs a command wants its progress, as JSON lines."""
-
 T = TypeVar("T")
 
 _listener: ContextVar[Progress | None] = ContextVar("listener", default=None)

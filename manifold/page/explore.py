@@ -10,9 +10,10 @@ from typing import Any
 from manifold import disk
 from manifold.errors import UsageError
 from manifold.fit.exports import TARGETS
+from manifold.library.identity import require_outside_libraries
 from manifold.model.blend_space import require_blends
 from manifold.model.manifold import Manifold
-from manifold.page.actions import Context
+from manifold.page.commands import Context
 from manifold.page.page import make_page
 from manifold.page.page_data import tabulate, to_document
 from manifold.page.server import ExplorerServer
@@ -53,6 +54,7 @@ def server(
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder")
+    require_outside_libraries(folder, into=True)
     loaded = _load(model, library)
     context = Context(
         folder.resolve(), model.resolve(), loaded.library.path.resolve(), loaded.names, loaded.X.shape[1],

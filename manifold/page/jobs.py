@@ -1,47 +1,46 @@
-"""Job queue of a served page: one command at a time, each in its own process, cancellable."""
+"""Job queue of a served page: one command at a time, in a worker process, cancellable."""
 
 from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import IO, Any, cast
 
-from manifold.page.actions import Action
-from manifold.progress import PROGRESS_VARIABLE
+from manifold.page.commands import Call
 
 # -P: modules are not imported from the working folder, which holds files from elsewhere.
-MANIFOLD = (sys.executable, "-P", "-m", "manifold")
-_MOST_OUTPUT = 4000  # characters of a command's output that are passed on
+WORKER = (sys.executable, "-P", "-W", "ignore", "-m", "manifold.page.worker")
 
 
 @dataclass(eq=False)
 class Job:
-    """One command.
+    """One call of a command.
 
     Attributes:
         number: its own.
-        action: what it does.
+        call: what it does.
         state: `waiting`, `running`, `done`, `failed` or `cancelled`.
-        message: its output, or why it failed.
-        result: its JSON, where it prints one.
+        message: why it failed.
+        result: what is known of what it made.
         share: of the work that is done, where the command reports it.
         stage: what it is at.
         started, ended: on the monotonic clock, in seconds.
     """
 
     number: int
-    action: Action
+    call: Call
     state: str = "waiting"
     message: str = ""
     result: dict[str, Any] | None = None
@@ -49,7 +48,6 @@ class Job:
     stage: str = ""
     started: float | None = None
     ended: float | None = None
-    process: subprocess.Popen[str] | None = field(default=None, repr=False)
 
     @property
     def seconds(self) -> float:
@@ -59,47 +57,50 @@ class Job:
     @property
     def has_picture(self) -> bool:
         """Whether it has made a picture that is still there."""
-        picture = self.action.picture
+        picture = self.call.picture
         return self.state == "done" and picture is not None and picture.is_file()
 
     def to_json(self) -> dict[str, Any]:
         """The plain values that the page shows."""
         return {
-            "number": self.number, "title": self.action.title, "state": self.state, "message": self.message,
-            "result": self.result, "seconds": round(self.seconds, 1),
-            "share": self.share, "stage": self.stage, "picture": self.has_picture,
+            "number": self.number, "command": self.call.command, "subject": self.call.subject,
+            "state": self.state, "message": self.message, "result": self.result, "picture": self.has_picture,
+            "seconds": round(self.seconds, 1), "share": self.share, "stage": self.stage,
         }  # fmt: skip
 
 
 class Queue:
-    """Runs actions one after the other.
+    """Runs calls one after the other.
 
     Attributes:
         jobs: all of them, oldest first.
+        inputs: temporary folder of the files that commands read.
     """
 
-    def __init__(self, folder: Path, command: tuple[str, ...] = MANIFOLD) -> None:
-        """A queue without actions.
+    def __init__(self, command: tuple[str, ...] = WORKER) -> None:
+        """A queue without calls, whose worker starts, since it takes seconds to import what it needs.
 
         Args:
-            folder: working folder of the commands.
-            command: what runs `manifold`.
+            command: starts a worker, see `worker.serve`.
         """
         self.jobs: list[Job] = []
-        self._folder, self._command = folder, command
+        self._temporary = TemporaryDirectory(prefix="manifold-explore-")
+        self.inputs = Path(self._temporary.name)
+        self._command = command
         self._lock = threading.Lock()
-        self._worker = ThreadPoolExecutor(1)
+        self._thread = ThreadPoolExecutor(1)
+        self._worker = self._start()
 
-    def add(self, action: Action) -> Job:
-        """Queue an action."""
-        job = Job(len(self.jobs) + 1, action)
+    def add(self, call: Call) -> Job:
+        """Queue a call."""
+        job = Job(len(self.jobs) + 1, call)
         self.jobs.append(job)
-        self._worker.submit(self._run, job)
+        self._thread.submit(self._run, job)
         return job
 
     def is_writing(self, output: Path) -> bool:
         """Whether a job that is not done will write a file."""
-        return any(output in (j.action.output, j.action.picture) and j.ended is None for j in self.jobs)
+        return any(output in (j.call.output, j.call.picture) and j.ended is None for j in self.jobs)
 
     def cancel(self, number: int) -> bool:
         """Stop a job, or take it from the queue; whether there was anything to stop."""
@@ -107,56 +108,71 @@ class Queue:
             job = next((j for j in self.jobs if j.number == number and j.ended is None), None)
             if job is None:
                 return False
-            job.state = "cancelled"
-            if job.process is None:
-                job.ended = time.monotonic()
+            if job.state == "running":
+                self._kill()
             else:
-                with suppress(ProcessLookupError):  # it has just ended
-                    os.killpg(job.process.pid, signal.SIGTERM)  # with the processes that it started
+                job.ended = time.monotonic()
+            job.state = "cancelled"
             return True
 
     def close(self) -> None:
-        """Cancel everything and wait for the command that runs to end."""
+        """Cancel everything, end the worker, and remove what was sent."""
         for job in self.jobs:
             self.cancel(job.number)
-        self._worker.shutdown()
+        self._thread.shutdown()
+        self._kill()
+        _close_pipes(self._worker)
+        self._temporary.cleanup()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            self._command, cwd=self.inputs, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            start_new_session=True, env=os.environ | {"TMPDIR": str(self.inputs)},
+        )  # fmt: skip
+
+    def _kill(self) -> None:
+        """Kill the worker, with the processes that it started; files are written by renaming."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._worker.pid, signal.SIGKILL)
+        self._worker.wait()
 
     def _run(self, job: Job) -> None:
-        read_end, write_end = os.pipe()
-        with open(read_end, encoding="utf-8") as progress:
-            with self._lock:
-                if job.state != "cancelled":
-                    job.state, job.started = "running", time.monotonic()
-                    job.process = subprocess.Popen(
-                        [*self._command, *job.action.arguments], cwd=self._folder, stdin=subprocess.DEVNULL,
-                        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8",
-                        start_new_session=True, pass_fds=[write_end],
-                        env=os.environ | {PROGRESS_VARIABLE: str(write_end)},
-                    )  # fmt: skip
-            os.close(write_end)
-            if job.process is not None:
-                follower = threading.Thread(target=_follow, args=(job, progress), daemon=True)
-                follower.start()
-                self._finish(job, *job.process.communicate())
-                follower.join()
-        if job.action.inputs is not None:
-            shutil.rmtree(job.action.inputs)
-
-    def _finish(self, job: Job, stdout: str, stderr: str) -> None:
-        assert job.process is not None
         with self._lock:
-            job.ended = time.monotonic()
-            if job.state == "cancelled":
-                return
-            job.state = "done" if job.process.returncode == 0 else "failed"
-            job.message = (stdout if job.state == "done" else stderr).strip()[-_MOST_OUTPUT:]
-            if "--json=-" in job.action.arguments and job.state == "done":
-                with suppress(ValueError):
-                    job.result, job.message = json.loads(stdout), stderr.strip()[-_MOST_OUTPUT:]
+            if job.state != "cancelled":
+                if self._worker.poll() is not None:
+                    _close_pipes(self._worker)
+                    self._worker = self._start()
+                job.state, job.started = "running", time.monotonic()
+        if job.state == "running":
+            reply = self._reply(job)
+            with self._lock:
+                job.ended = time.monotonic()
+                if job.state == "running":
+                    job.result, job.message = reply.get("result"), reply.get("failure", "")
+                    job.state = "failed" if job.message else "done"
+        if job.call.inputs is not None:
+            shutil.rmtree(job.call.inputs)
+
+    def _reply(self, job: Job) -> dict[str, Any]:
+        """Have the worker run a job, keep what it reports of its progress, and give its result or failure."""
+        sends, replies = cast(IO[bytes], self._worker.stdin), cast(IO[bytes], self._worker.stdout)
+        with suppress(OSError, ValueError):  # of a worker that ended, as it wrote or before
+            pickle.dump((job.call.command, job.call.arguments), sends)
+            sends.flush()
+            for line in replies:
+                reply = json.loads(line)
+                if isinstance(reply, dict):
+                    return reply
+                done, total, job.stage = reply
+                job.share = done / max(total, 1)
+        self._kill()
+        return {
+            "failure": f"the worker process ended (status {self._worker.returncode}; out of memory?); "
+            "close other programs, and request it again"
+        }
 
 
-def _follow(job: Job, lines: Iterable[str]) -> None:
-    """Keep what a command reports of its progress, until it ends."""
-    for line in lines:
-        done, total, job.stage = json.loads(line)
-        job.share = done / max(total, 1)
+def _close_pipes(worker: subprocess.Popen[bytes]) -> None:
+    for pipe in (worker.stdin, worker.stdout):
+        with suppress(OSError):  # of what it did not read
+            cast(IO[bytes], pipe).close()

@@ -4,7 +4,9 @@ import { percent } from "./elements.js";
 import { Photo, isPicture } from "./photo.js";
 import { isBetween } from "./state.js";
 
-const POLL = 600, LONGEST = 30_000; // ms between requests for the state of the jobs; at most, while the server does not answer
+// ms between requests for the state of the jobs: after a command was requested, in the end, and at most, while the server does
+// not answer
+const SOON = 100, POLL = 600, LONGEST = 30_000;
 
 /** Connect the controls of actions; null where the page is a file. */
 export function serve(explorer, { served }) {
@@ -13,6 +15,7 @@ export function serve(explorer, { served }) {
   return new Actions(explorer, token, served.targets);
 }
 
+const LOCATING = new Set(["locate", "photograph"]); // commands that find a place
 const OPEN = new Set(["waiting", "running"]); // states of unfinished jobs
 const MAGIC = "tensor_file"; // of RGL's .bsdf files
 const isPairOfNumbers = (line) => /^\s*[-+.\deE]+[\s,;]+[-+.\deE]+\s*$/.test(line);
@@ -30,15 +33,17 @@ const latentOf = (state) => (isBetween(state) ? [state.path.from, state.path.to,
 const plainName = (file) =>
   file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "").slice(0, 60);
 
-/** The error of an export, or of a completed material, as text. */
-function summary(result) {
-  const made = result?.exports?.[0];
-  if (made) {
-    const principled = made.principled_errors, {ball, worst, worst_light} = made.errors;
-    return `error ${ball.toFixed(2)} CIEDE2000, in ${worst_light} ${worst.toFixed(2)}`
-      + (principled === null ? "" : `; principled loses ${principled.ball.toFixed(2)}`);
+const headingOf = ({ command, subject }) => `${command} ${subject}`;
+
+/** The error of a fit, of an export, or of a completed material, as text. */
+function summary({ command, result }) {
+  if (command === "fit" || command === "export") {
+    const principled = result.principled_errors, { ball, worst, worst_light } = result.errors;
+    return `error ${ball.toFixed(2)} CIEDE2000`
+      + (worst_light ? `, in ${worst_light} ${worst.toFixed(2)}` : "")
+      + (principled ? `; principled loses ${principled.ball.toFixed(2)}` : "");
   }
-  if (result?.made_of) {
+  if (result.made_of) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);
     const notes = result.located ? result.diagnostics : []; // of the photograph, too
     return [`expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`, ...notes].join("; ");
@@ -51,7 +56,7 @@ class Actions {
     this.explorer = explorer;
     this.token = token;
     this.items = new Map();
-    this.requested = new Set(); // titles of what this page has asked to locate
+    this.requested = new Map(); // names of what this page has asked to locate, by the number of the job
     this.wait = POLL;
     const byId = (id) => explorer.byId(id);
     this.list = byId("jobs");
@@ -129,38 +134,40 @@ class Actions {
   }
 
   async locate(file) {
-    const headers = { "Content-Type": "application/octet-stream", "X-Name": plainName(file) || "file" };
-    this.requested.add(`locate ${headers["X-Name"]}`);
-    await this.post("/do/locate", { body: file, headers });
+    await this.requestOf("locate", file, { name: plainName(file) || "file" });
   }
 
   /** The light, where it is a file, follows the photograph. */
   async locatePhoto(file, request, light) {
-    const name = plainName(file) || "photo";
-    const headers = { "Content-Type": "application/octet-stream", "X-Name": name,
-      "X-Request": JSON.stringify({ ...request, replace: this.replaces }) };
-    this.requested.add(`locate ${name}`);
-    if (await this.post("/do/photograph", { body: new Blob(light ? [file, light] : [file]), headers })) this.explorer.showTab("export");
+    const sent = new Blob(light ? [file, light] : [file]);
+    request = { ...request, name: plainName(file) || "photo", replace: this.replaces };
+    if (await this.requestOf("photograph", sent, request)) this.explorer.showTab("export");
   }
 
   /** The completed file has the name of the readings, as far as the server accepts it. */
   async complete(file) {
-    const sample = encodeURIComponent(this.explorer.byId("sample").value.trim());
-    const headers = { "Content-Type": "application/octet-stream", "X-Name": plainName(file) || "completed", "X-Sample": sample,
-      "X-Replace": String(this.replaces) };
-    await this.post("/do/complete", { body: file, headers });
+    const sample = this.explorer.byId("sample").value.trim();
+    await this.requestOf("complete", file, { name: plainName(file) || "completed", sample, replace: this.replaces });
   }
 
-  /** Whether a request was accepted; if not, the page says why. */
-  async post(path, options) {
+  /** Request a command of a file. */
+  async requestOf(kind, file, request) {
+    const headers = { "Content-Type": "application/octet-stream", "X-Request": encodeURIComponent(JSON.stringify(request)) };
+    return this.post(`/do/${kind}`, { body: file, headers }, kind === "complete" ? null : request.name);
+  }
+
+  /** Whether a request was accepted; if not, the page says why. What is to be located has a name. */
+  async post(path, options, name = null) {
     try {
-      await this.send(path, { method: "POST", ...options });
+      const { number } = await (await this.send(path, { method: "POST", ...options })).json();
+      if (name !== null) this.requested.set(number, name);
       this.explorer.problem("");
       return true;
     } catch (error) {
       this.explorer.problem(error.message);
       return false;
     } finally {
+      this.wait = SOON;
       this.poll();
     }
   }
@@ -171,10 +178,10 @@ class Actions {
       const { jobs } = await (await this.send("/jobs")).json();
       for (const job of jobs) this.show(job);
       if (this.wait > POLL) this.explorer.problem("");
-      this.wait = POLL;
+      this.wait = Math.min(1.2 * this.wait, POLL);
     } catch (error) {
       this.explorer.problem(`manifold explore does not respond: ${error.message}`);
-      this.wait = Math.min(2 * this.wait, LONGEST);
+      this.wait = Math.min(2 * Math.max(this.wait, POLL), LONGEST);
     }
     if ([...this.list.children].some((item) => OPEN.has(item.dataset.state))) {
       this.timer = setTimeout(() => this.poll(), this.wait);
@@ -183,13 +190,13 @@ class Actions {
 
   show(job) {
     const item = this.items.get(job.number) ?? this.addItem(job);
-    const isOpen = OPEN.has(job.state), [details] = item.children;
+    const isOpen = OPEN.has(job.state), [details] = item.children, heading = headingOf(job);
     const [title, bar, cancel, text] = details.children;
-    const detail = job.state === "failed" ? job.message : job.state === "done" ? summary(job.result) : "";
+    const detail = job.state === "failed" ? job.message : job.state === "done" ? summary(job) : "";
     const isKnown = job.state === "running" && job.share !== null;
     const share = isKnown ? `, ${percent(job.share)}${job.stage && `, ${job.stage}`}` : "";
     const seconds = job.state === "waiting" ? "" : `, ${job.seconds.toFixed(0)} s`;
-    title.textContent = `${job.title}: ${job.state}${share}${seconds}`;
+    title.textContent = `${heading}: ${job.state}${share}${seconds}`;
     text.textContent = detail;
     if (isKnown) bar.value = job.share;
     else bar.removeAttribute("value");
@@ -197,12 +204,12 @@ class Actions {
     if (item.dataset.state === job.state) return;
     item.dataset.state = job.state;
     details.open = isOpen || job.state === "failed"; // what is done collapses
-    if (job.state !== "running") this.explorer.announce([`${job.title}: ${job.state}`, detail].filter((part) => part).join(", "));
+    if (job.state !== "running") this.explorer.announce([`${heading}: ${job.state}`, detail].filter((part) => part).join(", "));
     if (job.state === "done" && job.picture) this.showPicture(details, job);
     const [seen] = job.result?.photographs ?? [];
-    if (job.state === "done" && seen && this.requested.has(job.title)) this.photo.showFound(seen);
-    const located = job.result?.located ?? job.result;
-    if (job.state === "done" && located?.latent) this.showPlace(details, job.title, located);
+    if (job.state === "done" && seen && this.requested.has(job.number)) this.photo.showFound(seen);
+    const found = job.result?.located ?? job.result;
+    if (job.state === "done" && LOCATING.has(job.command) && found.latent) this.showPlace(details, job, found);
   }
 
   addItem(job) {
@@ -211,7 +218,7 @@ class Actions {
     cancel.type = "button";
     cancel.textContent = "Cancel";
     cancel.addEventListener("click", () => this.request("cancel", { number: job.number }));
-    bar.setAttribute("aria-label", `progress of ${job.title}`);
+    bar.setAttribute("aria-label", `progress of ${headingOf(job)}`);
     details.append(title, bar, cancel, text);
     item.append(details);
     this.items.set(job.number, item);
@@ -223,18 +230,18 @@ class Actions {
     const picture = await (await this.send(`/picture/${job.number}`)).blob();
     const image = document.createElement("img");
     image.src = URL.createObjectURL(picture);
-    image.alt = job.title;
+    image.alt = headingOf(job);
     item.append(image);
   }
 
   /** What was located stands on the map, in its own colours; where another tab located it, after a click. */
-  showPlace(item, title, result) {
+  showPlace(item, job, result) {
     const { latent, nearest } = result, button = document.createElement("button");
-    const show = () => this.explorer.addGuest({ ...result, name: title.replace(/^locate /, "") });
+    const show = () => this.explorer.addGuest({ ...result, name: this.requested.get(job.number) ?? job.subject });
     button.type = "button";
     button.textContent = `Show at ${latent.map((v) => v.toFixed(2)).join(", ")}, near ${nearest[0][0]}`;
     button.addEventListener("click", show);
     item.append(button);
-    if (this.requested.delete(title)) show();
+    if (this.requested.has(job.number)) show();
   }
 }

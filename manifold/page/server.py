@@ -15,18 +15,19 @@ from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from tempfile import TemporaryDirectory, mkdtemp
+from tempfile import mkdtemp
 from typing import Any, cast
 from urllib.parse import parse_qs, unquote
 
 from manifold.errors import UsageError
-from manifold.page.actions import Context, action, complete, locate, photograph, plain_name
+from manifold.page.commands import COMMANDS, Context, call_of
 from manifold.page.jobs import Job, Queue
 
 LOOPBACK = "127.0.0.1"
 MOST_JSON = 1 << 20  # bytes
 MOST_FILE = 1 << 28
 _BLOCK = 1 << 16
+_LONGEST_NAME = 40  # characters of a command's name
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -50,8 +51,7 @@ class ExplorerServer(ThreadingHTTPServer):
 
     Attributes:
         token: what requests must carry.
-        queue: of actions.
-        inputs: temporary folder of the files that the commands read.
+        queue: of calls.
         naming: held from the choice of a free name until its job is queued.
     """
 
@@ -68,17 +68,14 @@ class ExplorerServer(ThreadingHTTPServer):
             ) from None
         self.page, self.context = page.encode(), context
         self.token = secrets.token_urlsafe(24)
-        self.queue = Queue(context.folder) if queue is None else queue
+        self.queue = Queue() if queue is None else queue
         self.naming = threading.Lock()
-        self._inputs = TemporaryDirectory(prefix="manifold-explore-")
-        self.inputs = Path(self._inputs.name)
 
     def server_close(self) -> None:
         """Stop listening, cancel everything, and remove what was dropped."""
         super().server_close()
         if hasattr(self, "queue"):  # the base class closes a server that could not listen
             self.queue.close()
-            self._inputs.cleanup()
 
     @property
     def address(self) -> str:
@@ -105,7 +102,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(self._get)
 
     def do_POST(self) -> None:
-        """Actions."""
+        """Calls of commands."""
         self._answer(self._post)
 
     def _answer(self, method: Callable[[], None]) -> None:
@@ -124,7 +121,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", self._explorer.page)
         elif path == "/jobs":
             self._send_json(HTTPStatus.OK, {"jobs": [job.to_json() for job in jobs]})
-        elif pictures := [j.action.picture for j in jobs if j.has_picture and path == f"/picture/{j.number}"]:
+        elif pictures := [j.call.picture for j in jobs if j.has_picture and path == f"/picture/{j.number}"]:
             self._send(HTTPStatus.OK, "image/png", cast(Path, pictures[0]).read_bytes())
         else:
             raise _RequestError(HTTPStatus.NOT_FOUND, "no such address")
@@ -133,48 +130,33 @@ class _Handler(BaseHTTPRequestHandler):
         self._require_page(self.headers.get("X-Token", ""))
         if self.headers.get("Origin") != f"http://{self.headers.get('Host')}":
             raise _RequestError(HTTPStatus.FORBIDDEN, "the request comes from another page")
-        server, kind = self._explorer, self.path.removeprefix("/do/")
-        if kind == "cancel":
+        server, name = self._explorer, self.path.removeprefix("/do/")
+        if name == "cancel":
             is_cancelled = server.queue.cancel(self._json_body().get("number", 0))
             self._send_json(HTTPStatus.OK, {"cancelled": is_cancelled})
             return
-        job = (
-            self._file_action(kind)
-            if kind in ("locate", "complete", "photograph")
-            else self._latent_action(kind)
-        )
+        name = name[:_LONGEST_NAME]
+        job = self._file_call(name) if COMMANDS[name].takes_file else self._call(name, self._json_body())
         self._send_json(HTTPStatus.ACCEPTED, {"number": job.number})
 
-    def _latent_action(self, kind: str) -> Job:
-        """Queue an action of the latent that the page shows."""
-        server, request = self._explorer, self._json_body()
+    def _call(self, name: str, request: dict[str, Any], file: Path | None = None) -> Job:
+        """Queue a call of a command."""
+        server = self._explorer
         with server.naming:
-            return server.queue.add(action(kind, request, server.context, server.inputs, self._is_taken))
+            return server.queue.add(call_of(name, request, server.context, self._is_taken, file))
 
-    def _file_action(self, kind: str) -> Job:
-        """Queue an action of a file that was dropped; nothing is left of one that is refused."""
-        folder = Path(mkdtemp(dir=self._explorer.inputs))
+    def _file_call(self, name: str) -> Job:
+        """Queue a call about the body, a file in a folder of its own; nothing is left of one that is refused."""
+        request = _json_object(unquote(self.headers.get("X-Request", ""), errors="replace"))
+        COMMANDS[name].check(request)
+        folder = Path(mkdtemp(dir=self._explorer.queue.inputs))
         try:
-            return self._upload_action(kind, folder)
+            with (folder / request["name"]).open("wb") as stream:
+                stream.writelines(self._blocks(MOST_FILE))
+            return self._call(name, request, folder / request["name"])
         except BaseException:  # also of a connection that ends early
             shutil.rmtree(folder)
             raise
-
-    def _upload_action(self, kind: str, folder: Path) -> Job:
-        """Queue an action of the body, as a file in a folder of its own."""
-        server, path = self._explorer, folder / plain_name(self.headers.get("X-Name"))
-        with path.open("wb") as stream:
-            stream.writelines(self._blocks(MOST_FILE))
-        if kind == "locate":
-            return server.queue.add(locate(path, server.context))
-        if kind == "photograph":
-            request = _json_object(self.headers.get("X-Request", ""))
-            with server.naming:
-                return server.queue.add(photograph(path, request, server.context, self._is_taken))
-        sample = unquote(self.headers.get("X-Sample", ""), errors="replace")
-        replace = self.headers.get("X-Replace") == "true"
-        with server.naming:
-            return server.queue.add(complete(path, sample, server.context, self._is_taken, replace=replace))
 
     def _is_taken(self, path: Path) -> bool:
         return path.exists() or self._explorer.queue.is_writing(path)

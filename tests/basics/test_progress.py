@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import time
 
 import pytest
@@ -13,7 +9,11 @@ from helpers.small_library import small_model
 
 from manifold import progress
 from manifold.cli import terminal
-from manifold.progress import PROGRESS_VARIABLE, Stages
+from manifold.estimate.sources import PlaceSource
+from manifold.fit import exporting
+from manifold.pictures import renders
+from manifold.progress import Stages
+from manifold.render.render import RenderSettings
 
 
 def test_shares_of_stages_add_up():
@@ -49,37 +49,27 @@ def test_a_loop_that_ends_early_or_fails_leaves_the_listener_as_it_was():
 
 
 @pytest.mark.parametrize(
-    ("command", "stages"),
+    ("name", "stages"),
     [
-        (["render", "-o", "a.png", "--size", "32"], ["rendering"]),
-        (["export", "-o", "a.glb"], ["reading materials", "fitting: refinement", "evaluating the target's model"]),
+        ("render", ["rendering"]),
+        ("export", ["reading materials", "fitting: refinement", "evaluating the target's model"]),
     ],
-    ids=lambda value: value[0],
-)  # fmt: skip
-def test_commands_tell_what_they_are_at(tmp_path, command, stages):
+    ids=lambda value: str(value)[:6],
+)
+def test_commands_tell_what_they_are_at(tmp_path, name, stages):
     pytest.importorskip("mitsuba")
-    small_model(tmp_path)
-    reads, writes = os.pipe()
-    command = [sys.executable, "-m", "manifold", *command, "--latent=0.1,0.2"]
-    subprocess.run(
-        command, cwd=tmp_path, check=True, capture_output=True, pass_fds=[writes],
-        env=os.environ | {PROGRESS_VARIABLE: str(writes)},
-    )  # fmt: skip
-    os.close(writes)
-    with open(reads, encoding="utf-8") as lines:
-        heard = [json.loads(line) for line in lines]
+    model, heard = small_model(tmp_path), []
+    place = PlaceSource(model, [0.1, 0.2])
+    with progress.listen(lambda *step: heard.append(step)):
+        if name == "render":
+            renders.render(place, tmp_path / "a.png", RenderSettings(size=32))
+        else:
+            exporting.export(place, None, tmp_path / "a.glb")
     shares = [done / total for done, total, _ in heard]
     assert shares == sorted(shares)
     assert len(set(shares)) >= 4
     for stage in stages:
         assert any(what.startswith(stage) for _, _, what in heard), stage
-
-
-def test_numbers_that_are_no_descriptor_are_no_listener(monkeypatch, capsys):
-    monkeypatch.setenv(PROGRESS_VARIABLE, "9" * 5000)
-    with terminal.display("Working", in_bytes=False) as step:
-        step(1, 2, "first half")
-    assert not capsys.readouterr().err
 
 
 def test_where_stderr_is_no_terminal_a_line_tells_now_and_then_that_a_command_works(monkeypatch, capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import http.client
+import inspect
 import json
 import os
 import signal
@@ -13,31 +14,34 @@ import sys
 import threading
 import time
 from pathlib import Path
+from pkgutil import resolve_name
+from urllib.parse import quote
 
 import pytest
 from helpers.browser import chromium, control, visit
-from helpers.small_library import NAMES, small_model
+from helpers.small_library import NAMES, small_library, small_model
 
 from manifold.batch import batch
 from manifold.errors import UsageError
 from manifold.fit import exporting
 from manifold.fit.exports import TARGETS
 from manifold.page import explore
-from manifold.page.actions import Action, Context, action
+from manifold.page.commands import COMMANDS, Context, call_of
 from manifold.page.jobs import Queue
 from manifold.page.server import MOST_FILE, MOST_JSON, ExplorerServer
 
-SLEEPS = (sys.executable, "-c", "import time; time.sleep(60)")
-WRITES = (
-    sys.executable, "-c",
-    "import sys; out = [a for a in sys.argv if a.startswith('--output=')][0][9:]; open(out, 'wb').write(b'made')",
-)  # fmt: skip
-REPORTS = (
-    sys.executable, "-c",
-    "import os, time\n"
-    "os.write(int(os.environ['MANIFOLD_PROGRESS']), b'[1, 4, \"reading\"]\\n')\n"
-    "time.sleep(60)",
-)  # fmt: skip
+
+def worker(body):
+    """A worker whose commands all are these lines."""
+    lines = "".join(f"    {line}\n" for line in body.splitlines())
+    imports = "import os, time\nfrom manifold import progress\nfrom manifold.page.worker import serve\n"
+    return (sys.executable, "-c", f"{imports}def run(command, given):\n{lines}serve(run)")
+
+
+SLEEPS = worker("time.sleep(60)")
+WRITES = worker("(given.get('output') or given['path']).write_bytes(b'made')\nreturn {}")
+PID = worker("given['path'].write_text(str(os.getpid()))\ntime.sleep(60)")
+REPORTS = worker("progress.report(1, 4, 'reading')\ntime.sleep(60)")
 HERE = {"name": "here", "latent": [0.1, -0.2]}
 
 
@@ -53,7 +57,7 @@ def serve(context):
     started = []
 
     def start(command):
-        server = ExplorerServer("<p>the page</p>", context, queue=Queue(context.folder, command))
+        server = ExplorerServer("<p>the page</p>", context, queue=Queue(command))
         threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
         started.append(server)
         return server
@@ -103,6 +107,11 @@ def post(server, path, body, **headers):
     return finished(server.queue.jobs[json.loads(content)["number"] - 1])
 
 
+def upload(server, path, body, asked):
+    """The finished job of a request about a file."""
+    return post(server, path, body, X_Request=quote(json.dumps(asked)))
+
+
 def files(context):
     return sorted(path.name for path in context.folder.parent.rglob("*") if path.is_file())
 
@@ -110,8 +119,8 @@ def files(context):
 def test_a_request_of_the_page_runs_its_command(served, context):
     assert post(served, "/do/predict", HERE).state == "done"
     assert files(context) == ["here_rgb.bsdf"]
-    jobs = json.loads(request(served, "GET", "/jobs")[1])["jobs"]
-    assert [(job["title"], job["state"]) for job in jobs] == [("predict here_rgb.bsdf", "done")]
+    (job,) = json.loads(request(served, "GET", "/jobs")[1])["jobs"]
+    assert (job["command"], job["subject"], job["state"]) == ("predict", "here_rgb.bsdf", "done")
 
 
 def test_a_name_that_is_taken_gets_a_number_unless_its_file_may_be_replaced(served, context):
@@ -121,14 +130,14 @@ def test_a_name_that_is_taken_gets_a_number_unless_its_file_may_be_replaced(serv
     post(served, "/do/render", HERE | {"replace": True})
     assert files(context) == ["here-2.png", "here.png"]
     assert (context.folder / "here.png").read_bytes() == b"made"
-    for replace in ("false", "false", "true"):
-        post(served, "/do/complete", b"readings", X_Name="here", X_Replace=replace)
+    for replace in (False, False, True):
+        upload(served, "/do/complete", b"readings", {"name": "here", "replace": replace})
     assert files(context) == ["here-2.png", "here-2_rgb.bsdf", "here.png", "here_rgb.bsdf"]
 
 
 def test_a_job_reports_its_progress_and_can_be_cancelled(context):
-    queue = Queue(context.folder, REPORTS)
-    job = queue.add(action("predict", HERE, context, context.folder, Path.exists))
+    queue = Queue(REPORTS)
+    job = queue.add(call_of("predict", HERE, context, Path.exists))
     while job.share is None:
         time.sleep(0.02)
     shown = job.to_json()
@@ -146,24 +155,62 @@ def test_waiting_jobs_can_be_cancelled_and_requests_at_once_get_names_of_their_o
         thread.start()
     for thread in threads:
         thread.join()
-    assert len({job.action.output for job in server.queue.jobs}) == 20
+    assert len({job.call.output for job in server.queue.jobs}) == 20
     for job in reversed(server.queue.jobs):
         assert request(server, "POST", "/do/cancel", {"number": job.number})[1] == b'{"cancelled": true}'
     assert all(finished(job).state == "cancelled" for job in server.queue.jobs)
     assert files(context) == []
 
 
-def test_a_module_in_the_output_folder_is_not_imported(context):
+def test_a_module_in_the_output_folder_is_not_imported(context, monkeypatch):
     """A page, or somebody else, may have put it there."""
-    (context.folder / "random.py").write_text("open('was_run', 'w')")
+    monkeypatch.chdir(context.folder)
+    Path("random.py").write_text("open('was_run', 'w')")
     dropped = context.folder.parent / "dropped"
     dropped.write_bytes(b"no material")
-    queue = Queue(context.folder)
-    job = finished(queue.add(Action("locate", ("locate", str(dropped), f"--model={context.model}"))))
+    queue = Queue()
+    job = finished(queue.add(call_of("locate", {"name": "dropped"}, context, Path.exists, dropped)))
     queue.close()
     assert job.state == "failed"
     assert "11 bytes" in job.message
-    assert not (context.folder / "was_run").exists()
+    assert not Path("was_run").exists()
+
+
+def test_a_worker_stays_until_it_is_cancelled_or_dies_and_the_next_job_has_another(context):
+    queue = Queue(
+        worker(
+            "if command == 'render': os.kill(os.getpid(), 9)\n"
+            "if command == 'fit': raise MemoryError\n"
+            "if command == 'export': print('noise'); return {'pid': float('nan')}\n"
+            "return {'pid': os.getpid()}"
+        )
+    )
+
+    def run(name, **more):
+        return finished(queue.add(call_of(name, HERE | more, context, Path.exists)))
+
+    first = run("predict").result["pid"]
+    assert run("predict").result["pid"] == first
+    assert "ValueError" in run("export", target="gltf").message
+    assert run("predict").result["pid"] == first
+    pids = {first}
+    for name, why in (("render", "the worker process ended (status -9"), ("fit", "out of memory")):
+        assert why in run(name).message
+        pids.add(run("predict").result["pid"])
+    os.kill(queue._worker.pid, signal.SIGKILL)  # while it is idle
+    queue._worker.wait()
+    assert len(pids | {run("predict").result["pid"]}) == 4
+    queue.close()
+
+
+def test_functions_of_commands_take_the_arguments_of_requests(context):
+    dropped = context.folder / "dropped"
+    fields = {**HERE, "srgb": "#123456", "target": "gltf", "suffix": ".png", "light": "sky"}
+    for name, command in COMMANDS.items():
+        dropped.touch()
+        taken = {key: value for key, value in fields.items() if key in command.schema["properties"]}
+        asked = call_of(name, taken, context, Path.exists, dropped)
+        inspect.signature(resolve_name(command.function)).bind(**asked.arguments)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +230,7 @@ def test_a_module_in_the_output_folder_is_not_imported(context):
 def test_what_is_not_the_page_is_refused(served, context, headers, expected):
     assert request(served, "POST", "/do/predict", HERE, **headers)[0] == expected
     assert served.queue.jobs == []
-    assert files(context) == list(served.inputs.iterdir()) == []
+    assert files(context) == list(served.queue.inputs.iterdir()) == []
 
 
 def test_the_page_itself_needs_the_token(served):
@@ -212,7 +259,7 @@ def test_the_page_itself_needs_the_token(served):
 def test_hostile_requests_are_refused(served, context, changed):
     assert request(served, "POST", "/do/predict", HERE | changed)[0] == 400
     assert served.queue.jobs == []
-    assert files(context) == list(served.inputs.iterdir()) == []
+    assert files(context) == list(served.queue.inputs.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -233,7 +280,7 @@ def test_bodies_that_are_no_request_are_refused(served, body):
 
 
 @pytest.mark.parametrize("path", ["/do/", "/do/embed", "/do/../predict", "/do/predict/x", "/", "/do/serve"])
-def test_other_actions_are_refused(served, path):
+def test_other_commands_are_refused(served, path):
     assert request(served, "POST", path, HERE)[0] == 400
 
 
@@ -241,78 +288,78 @@ def test_a_place_between_two_materials_is_passed_on(context):
     named = dataclasses.replace(context, names=("lab:red", "lab:blue"))
     for names, known in ((NAMES, context), (named.names, named)):
         place = f"{names[0]}:{names[1]}:0.25"
-        asked = action("predict", HERE | {"latent": place}, known, context.folder, Path.exists)
-        assert f"--latent={place}" in asked.arguments
+        asked = call_of("predict", HERE | {"latent": place}, known, Path.exists)
+        assert asked.arguments["latent"] == place
 
 
 def test_an_export_is_named_after_its_target(served, context):
     for target in ("gltf", "unity", "unreal"):
         job = post(served, "/do/export", HERE | {"target": target, "direct": True})
     assert files(context) == ["here-2.json", "here.glb", "here.json"]
-    assert {"--target=unreal", "--json=-"} < set(job.action.arguments)
+    assert (job.call.arguments["target"], job.call.arguments["is_mapped"]) == ("unreal", False)
 
 
 def test_a_fit_of_the_page_is_found_by_an_export_of_its_folder(context):
-    action("fit", HERE, context, context.folder, Path.exists).output.write_text("{}")
+    call_of("fit", HERE, context, Path.exists).output.write_text("{}")
     (outcome,) = batch(
         exporting.exports(TARGETS["gltf"]), exporting.export_sources(context.folder), context.folder / "out"
     ).outcomes
     assert "here.fit.json" in outcome.failure  # which says that it is no fit
 
 
+def asking(**fields):
+    """The header of a request about a file."""
+    return {"X_Request": quote(json.dumps(fields))}
+
+
 @pytest.mark.parametrize(
     "headers",
     [
-        *({"X_Name": name} for name in (None, "", "../out", "/etc/passwd", "a\\b", "--force", "x" * 61, "\xe9", "a b")),
-        *({"X_Name": "fine", "X_Sample": sample} for sample in ("a%0Ab", "%00", "x" * 201)),
-        {"X_Name": "fine", "Content_Length": str(MOST_FILE + 1)},
+        *(asking(name=name) for name in (None, "", "../out", "/etc/passwd", "a\\b", "--force", "x" * 61, "\xe9")),
+        *(asking(name="fine", sample=sample) for sample in ("a\nb", "\0", "x" * 201, 7)),
+        asking(name="fine", library="/etc"), asking(), {}, {"X_Request": "%ff"}, {"X_Request": "[]"},
+        asking(name="fine") | {"Content_Length": str(MOST_FILE + 1)},
     ],
     ids=str,
 )  # fmt: skip
 def test_files_need_plain_names_and_have_a_limit(served, context, headers):
     assert request(served, "POST", "/do/complete", b"Geometry,400\n", **headers)[0] in (400, 413)
     assert served.queue.jobs == []
-    assert files(context) == list(served.inputs.iterdir()) == []
+    assert files(context) == list(served.queue.inputs.iterdir()) == []
 
 
 def test_dropped_readings_are_completed_under_their_name_and_removed(served, context):
     (context.folder / "sample_rgb.png").write_bytes(b"of somebody")
-    job = post(served, "/do/complete", b"Geometry,400\n", X_Name="sample", X_Sample="r%C3%A9d%20--force")
+    job = upload(served, "/do/complete", b"Geometry,400\n", {"name": "sample", "sample": "réd --force"})
     assert job.state == "done"
     assert files(context) == ["sample-2_rgb.bsdf", "sample_rgb.png"]
-    assert {"--picture", "--sample=réd --force"} < set(job.action.arguments)
-    served.queue.close()
-    assert list(served.inputs.iterdir()) == []
+    assert job.call.arguments["sample"] == "réd --force"
+    wait_until(lambda: not list(served.queue.inputs.iterdir()))
 
 
 def test_a_dropped_photograph_and_its_light_are_located(serve):
-    script = (
-        "import sys; from pathlib import Path\n"
-        "value = {a.split('=')[0]: a.split('=', 1)[1] for a in sys.argv if '=' in a}\n"
-        "print(*(Path(value[key]).name + ' ' + Path(value[key]).read_text() for key in ('--photo', '--light')))"
+    server = serve(
+        worker(
+            "from pathlib import Path\n"
+            "paths = [*given['request'].photographs, *map(Path, given['request'].lights)]\n"
+            "return {path.name: path.read_text() for path in paths}"
+        )
     )
-    server = serve((sys.executable, "-c", script))
     taken = {"suffix": ".jpg", "light_suffix": ".exr", "light_bytes": 5, "circle": "10,20.5,8", "turn": -30}
-    job = post(server, "/do/photograph", b"pixelslight", X_Name="ball", X_Request=json.dumps(taken))
-    assert job.message == "ball.jpg pixels ball-light.exr light"
-    assert {"--circle=10,20.5,8", "--turn=-30", "--json=-"} < set(job.action.arguments)
-    assert job.action.output.name == "ball_photo.png"
-    server.queue.close()
-    assert not job.action.inputs.exists()
+    job = upload(server, "/do/photograph", b"pixelslight", taken | {"name": "ball"})
+    assert job.result == {"ball.jpg": "pixels", "ball-light.exr": "light"}
+    asked = job.call.arguments["request"]
+    assert (asked.circles, asked.turns_deg, asked.exposure) == (["10,20.5,8"], [-30], 1.0)
+    assert job.call.output.name == "ball_photo.png"
+    wait_until(lambda: not job.call.inputs.exists())
 
 
 @pytest.mark.parametrize("lamp", ["found", "flash", "0.5,-0.25,1", "0,0,1,12.5", "found,10"])
-def test_a_photograph_under_a_lamp_is_located(serve, lamp):
-    server = serve((sys.executable, "-c", "print('done')"))
-    job = post(
-        server,
-        "/do/photograph",
-        b"pixels",
-        X_Name="ball",
-        X_Request=json.dumps({"suffix": ".jpg", "lamp": lamp}),
-    )
-    assert f"--lamp={lamp}" in job.action.arguments
-    assert not any(argument.startswith("--light") for argument in job.action.arguments)
+def test_a_photograph_under_a_lamp_is_located(context, lamp):
+    (context.folder / "ball").write_bytes(b"pixels")
+    taken = {"name": "ball", "suffix": ".jpg", "lamp": lamp}
+    asked = call_of("photograph", taken, context, Path.exists, context.folder / "ball").arguments["request"]
+    assert (asked.lamps, asked.lights, asked.exposure) == ([lamp], [], None)
 
 
 @pytest.mark.parametrize(
@@ -326,22 +373,23 @@ def test_a_photograph_under_a_lamp_is_located(serve, lamp):
     ids=str,
 )  # fmt: skip
 def test_hostile_photographs_are_refused(served, context, changed):
-    asked = json.dumps({"suffix": ".png", "light": "sky"} | changed)
-    assert request(served, "POST", "/do/photograph", b"pixels", X_Name="ball", X_Request=asked)[0] == 400
-    for light in ({"light_suffix": ".exr", "light_bytes": 6}, {"light_suffix": ".exr", "light_bytes": 0}):
-        asked = json.dumps({"suffix": ".png"} | light)
-        assert request(served, "POST", "/do/photograph", b"pixels", X_Name="ball", X_Request=asked)[0] == 400
+    asked = {"name": "ball", "suffix": ".png", "light": "sky"} | changed
+    known = {key: value for key, value in asked.items() if value is not None}
+    for body in (
+        known,
+        *({"name": "ball", "suffix": ".png", "light_suffix": ".exr", "light_bytes": n} for n in (6, 0)),
+    ):
+        assert request(served, "POST", "/do/photograph", b"pixels", **asking(**body))[0] == 400
     assert served.queue.jobs == []
-    assert files(context) == list(served.inputs.iterdir()) == []
+    assert files(context) == list(served.queue.inputs.iterdir()) == []
 
 
-def test_a_spectrum_reaches_the_command_as_a_file(serve):
-    script = "import sys; p = [a for a in sys.argv if a.startswith('--reflectance=')][0][14:]; print(open(p).read())"
-    server = serve((sys.executable, "-c", script))
-    job = post(server, "/do/predict", HERE | {"spectrum": [[400, 0.25], [700, 1]]})
-    assert job.message == "400.0 0.25\n700.0 1.0"
-    server.queue.close()
-    assert list(server.inputs.iterdir()) == []
+def test_a_spectrum_is_checked_and_reaches_the_command(served):
+    job = post(served, "/do/predict", HERE | {"spectrum": [[400, 0.25], [700, 1]]})
+    spectrum = job.call.arguments["colour"].reflectance
+    assert (spectrum.wavelengths_nm, spectrum.values) == ((400.0, 700.0), (0.25, 1.0))
+    for rows in ([[700, 0.25], [400, 1]], [[400, 0.25], [700, 2]], [[400, 0.25], [410, 1]]):
+        assert request(served, "POST", "/do/predict", HERE | {"spectrum": rows})[0] == 400
 
 
 def test_a_connection_that_sends_no_more_leaves_the_server_alive(served):
@@ -352,13 +400,17 @@ def test_a_connection_that_sends_no_more_leaves_the_server_alive(served):
 
 
 def test_an_upload_that_breaks_off_leaves_nothing(served):
-    head = {"Host": f"127.0.0.1:{served.server_port}", "X-Token": served.token, "X-Name": "sample"}
+    head = {
+        "Host": f"127.0.0.1:{served.server_port}",
+        "X-Token": served.token,
+        "X-Request": quote('{"name": "sample"}'),
+    }
     head |= {"Origin": f"http://{head['Host']}", "Content-Length": "100"}
     lines = ["POST /do/complete HTTP/1.1", *(f"{name}: {value}" for name, value in head.items()), "", "begun"]
     with socket.create_connection(("127.0.0.1", served.server_port)) as upload:
         upload.sendall("\r\n".join(lines).encode())
-        wait_until(lambda: list(served.inputs.rglob("sample")))
-    wait_until(lambda: not list(served.inputs.iterdir()))
+        wait_until(lambda: list(served.queue.inputs.rglob("sample")))
+    wait_until(lambda: not list(served.queue.inputs.iterdir()))
     assert served.queue.jobs == []
 
 
@@ -373,6 +425,11 @@ def test_slow_connections_do_not_block_others(served):
         connection.close()
 
 
+def test_files_of_a_page_do_not_go_into_a_library(tmp_path):
+    with pytest.raises(UsageError, match="in the library"):
+        explore.server(small_model(tmp_path), folder=small_library(tmp_path))
+
+
 def test_a_taken_port_is_named(served, context):
     with pytest.raises(UsageError, match=f"port {served.server_port} cannot be listened on"):
         ExplorerServer("", context, served.server_port)
@@ -383,17 +440,16 @@ def test_the_command_that_runs_ends_with_the_server(tmp_path, number):
     script = f"""
 import sys, time
 from pathlib import Path
-from manifold.page.actions import Action, Context
+from manifold.page.commands import Call, Context
 from manifold.page.jobs import Queue
 from manifold.page.server import ExplorerServer
 from manifold.page.explore import serve_until_interrupted
 folder = Path({str(tmp_path)!r})
-sleeps = (sys.executable, "-c", "import os, time; open('pid', 'w').write(str(os.getpid())); time.sleep(60)")
-server = ExplorerServer("", Context(folder, folder, folder, (), 2, True), queue=Queue(folder, sleeps))
-server.queue.add(Action("sleep", ()))
+server = ExplorerServer("", Context(folder, folder, folder, (), 2, True), queue=Queue({PID!r}))
+server.queue.add(Call("sleep", "", {{"path": folder / "pid"}}))
 while not (folder / "pid").exists() or not (folder / "pid").read_text():
     time.sleep(0.01)
-serve_until_interrupted(server, lambda address: print(server.inputs, flush=True))
+serve_until_interrupted(server, lambda address: print(server.queue.inputs, flush=True))
 """
     process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     inputs = process.stdout.readline().strip()
@@ -405,17 +461,20 @@ serve_until_interrupted(server, lambda address: print(server.inputs, flush=True)
         os.kill(int((tmp_path / "pid").read_text()), 0)
 
 
-def test_a_command_ends_when_what_listens_to_its_progress_is_killed(tmp_path):
-    """As a server that is killed leaves it; with the processes that it has started."""
-    reads, writes = os.pipe()
-    command = subprocess.Popen(
-        [sys.executable, "-m", "manifold", "corpus", "files"], cwd=tmp_path, pass_fds=[writes],
-        env=os.environ | {"MANIFOLD_PROGRESS": str(writes)}, start_new_session=True,
-    )  # fmt: skip
-    os.close(writes)
-    assert os.read(reads, 1)  # it works
-    os.close(reads)
-    assert command.wait(20) == -signal.SIGTERM
+def test_the_worker_ends_when_the_server_is_killed(tmp_path):
+    """With the processes that it has started."""
+    script = f"""
+from pathlib import Path
+from manifold.page.commands import Call
+from manifold.page.jobs import Queue
+queue = Queue({PID!r})
+queue.add(Call("sleep", "", {{"path": Path({str(tmp_path / "pid")!r})}}))
+"""
+    server = subprocess.Popen([sys.executable, "-c", script])
+    wait_until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
+    server.kill()
+    server.wait()
+    wait_until(lambda: not Path(f"/proc/{(tmp_path / 'pid').read_text()}").exists())
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from manifold.colour.difference import delta_e_2000
 from manifold.colour.reflectances import read_reflectance
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
-from manifold.page.actions import Context
+from manifold.page.commands import Context
 from manifold.page.jobs import Queue
 from manifold.page.page import make_page
 from manifold.page.server import ExplorerServer
@@ -60,12 +60,18 @@ def elsewhere(browser, address):
     return visit(browser, address)
 
 
+def answering(result):
+    """A worker whose commands all have this result."""
+    script = f"from manifold.page.worker import serve\nserve(lambda command, arguments: {result!r})"
+    return (sys.executable, "-c", script)
+
+
 @pytest.fixture(scope="module")
 def served(document, tmp_path_factory):
     """A server whose commands do nothing."""
     folder = tmp_path_factory.mktemp("served")
     context = Context(folder, folder / "model.h5", folder / "library.zarr", NAMES, 2, True)
-    queue = Queue(folder, (sys.executable, "-c", "print('{}')"))
+    queue = Queue(answering({"errors": {"ball": 1.0}}))
     server = ExplorerServer(
         make_page(document | {"served": {"targets": [["gltf", "glTF 2.0"]]}}), context, queue=queue
     )
@@ -344,8 +350,8 @@ def test_dropped_files_are_located_completed_or_a_colour_by_what_they_hold(serve
         page.locator("#jobs li[data-state=done]", has_text=title).wait_for()
     control(page, "#do-export").press("Enter")
     page.locator("#jobs li[data-state=done]", has_text="export here.glb").wait_for()
-    titles = {job.action.title for job in served.queue.jobs}
-    assert titles == {"locate b-", "complete my-sheet_rgb.bsdf", "export here.glb"}
+    called = {(job.call.command, job.call.subject) for job in served.queue.jobs}
+    assert called == {("locate", "b-"), ("complete", "my-sheet_rgb.bsdf"), ("export", "here.glb")}
     assert served_page.errors == []
 
 
@@ -387,10 +393,11 @@ def test_the_circle_of_a_dropped_photograph_is_dragged_and_its_light_chosen(serv
     page.locator("#photo-light").select_option("sky")
     page.locator("#photo-turn").fill("-30")
     page.locator("#photo-find").click()
-    page.locator("#jobs li[data-state=done]", has_text="locate my-ball").wait_for()
-    arguments = served.queue.jobs[-1].action.arguments
-    assert {"--light=sky", "--turn=-30", f"--circle={','.join(f'{v:.1f}' for v in circle)}"} < set(arguments)
-    assert arguments[1].endswith("/my-ball.png")
+    page.locator("#jobs li[data-state=done]", has_text="photograph my-ball_photo.png").wait_for()
+    asked = served.queue.jobs[-1].call.arguments["request"]
+    assert (asked.lights, asked.turns_deg) == (["sky"], [-30])
+    assert asked.circles == [",".join(f"{v:.1f}" for v in circle)]
+    assert [path.name for path in asked.photographs] == ["my-ball.png"]
     assert served_page.errors == []
 
 
@@ -416,10 +423,10 @@ def test_a_lamp_s_highlight_is_drawn_on_the_photograph_and_dragged(served_page, 
     lamp = [float(v) for v in page.locator("#photo-lamp").input_value().split(",")]
     assert lamp == pytest.approx([np.sin(np.pi / 3), 0.0, np.cos(np.pi / 3)], abs=0.05)
     page.locator("#photo-find").click()
-    page.locator("#jobs li[data-state=done]", has_text="locate lit").wait_for()
-    arguments = served.queue.jobs[-1].action.arguments
-    assert f"--lamp={','.join(f'{v:.3f}' for v in lamp)}" in arguments
-    assert not any(argument.startswith(("--light", "--turn")) for argument in arguments)
+    page.locator("#jobs li[data-state=done]", has_text="photograph lit_photo.png").wait_for()
+    asked = served.queue.jobs[-1].call.arguments["request"]
+    assert asked.lamps == [",".join(f"{v:.3f}" for v in lamp)]
+    assert (asked.lights, asked.turns_deg) == ([], [0.0])
     assert served_page.errors == []
 
 
@@ -430,10 +437,9 @@ def test_pictures_that_no_browser_shows_are_located_with_a_picture_of_their_ligh
     page.locator("#photo-unseen").wait_for()
     page.locator("#photo-light-file").set_input_files(raw | {"name": "probe.hdr", "buffer": b"123"})
     page.locator("#photo-find").click()
-    page.locator("#jobs li[data-state=done]", has_text="locate raw").wait_for()
-    picture, light = served.queue.jobs[-1].action.arguments[1:3]
-    assert picture.endswith("/raw.exr")
-    assert light.endswith("/raw-light.hdr")
+    page.locator("#jobs li[data-state=done]", has_text="photograph raw_photo.png").wait_for()
+    asked = served.queue.jobs[-1].call.arguments["request"]
+    assert [Path(path).name for path in (*asked.photographs, *asked.lights)] == ["raw.exr", "raw-light.hdr"]
     assert served_page.errors == []
 
 
@@ -770,15 +776,17 @@ def test_a_dropped_material_stands_on_the_map_in_its_own_colours_until_it_is_rem
 
 def test_a_located_file_is_shown_and_a_finished_job_collapses(browser, served, served_page, model):
     page, queue = served_page.page, served.queue
-    answer = json.dumps(located(model, NAMES[2]) | {"nearest": [[NAMES[2], 0.0]]})
-    command, queue._command = queue._command, (sys.executable, "-c", f"print({answer!r})")
+    usual = queue._command
+    queue._command = answering(located(model, NAMES[2]) | {"nearest": [[NAMES[2], 0.0]]})
+    queue._kill()
     try:
         control(page, "#locate-file").set_input_files(
             {"name": "mine.bsdf", "mimeType": "application/octet-stream", "buffer": b"tensor_file"}
         )
         page.locator("#caption", has_text="mine").wait_for()
     finally:
-        queue._command = command
+        queue._command = usual
+        queue._kill()
     job = page.locator("#jobs li[data-state=done]", has_text="locate mine")
     job.wait_for()
     assert job.locator("details").get_attribute("open") is None
@@ -802,8 +810,7 @@ def test_commands_are_requested_for_all_kept_looks(served, served_page):
     control(page, "#do-predict").click()
     for k in (1, 2):
         page.locator("#jobs li[data-state=done]", has_text=f"predict both-{k}_rgb.bsdf").wait_for()
-    arguments = [job.action.arguments for job in served.queue.jobs[-2:]]
-    latents = [next(a for a in one if a.startswith("--latent")) for one in arguments]
-    assert len(set(latents)) == 2
+    first, second = (job.call.arguments["latent"] for job in served.queue.jobs[-2:])
+    assert first != second
     page.evaluate("explorer.reset()")
     assert served_page.errors == []

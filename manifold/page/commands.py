@@ -1,0 +1,282 @@
+"""Commands that a served page may call, and what a request for each may hold; all else is refused.
+
+Nothing of a request becomes a path but a plain name.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jsonschema import Draft202012Validator
+
+from manifold.colour.lights import ENVIRONMENTS
+from manifold.colour.pictures import SUFFIXES
+from manifold.colour.reflectances import ReflectanceSpectrum
+from manifold.errors import UsageError
+from manifold.estimate.inputs import FIT
+from manifold.estimate.sightings import PhotoRequest
+from manifold.estimate.sources import FileSource, PlaceSource
+from manifold.fit.exports import TARGETS
+from manifold.model.colours import ColourChoice
+from manifold.model.places import parse_path
+from manifold.registry import Registry
+
+Request = Mapping[str, Any]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
+_MOST_ROWS = 5000  # of a spectrum
+_MOST_SAMPLE = 200  # characters of a sample's name
+_NO_CONTROLS = r"\A[^\x00-\x1f\x7f-\x9f]*\Z"
+_PIXELS = r"[0-9]{1,6}(\.[0-9]{1,6})?"
+_COORDINATE = r"-?[0-9]{1,3}(\.[0-9]{1,6})?"
+_NUMBER = {"type": "number", "minimum": -sys.float_info.max, "maximum": sys.float_info.max}
+
+
+@dataclass(frozen=True)
+class Context:
+    """What requests are about.
+
+    Attributes:
+        folder: where files are written.
+        model: path of the model.
+        library: path of its library.
+        names: of the materials.
+        latent_dim: Q.
+        is_rgb: whether the library is linear sRGB.
+    """
+
+    folder: Path
+    model: Path
+    library: Path
+    names: Sequence[str]
+    latent_dim: int
+    is_rgb: bool
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that the page may call: a public function, and its arguments from a request.
+
+    Attributes:
+        function: `module:name`, which the worker imports; what it returns has `to_json`.
+        arguments: of it, from a valid request, the context, the output, and the file that was sent.
+        schema: of a request, JSON.
+        ending: of the output's name, from a request and the context; None of a command that writes nothing.
+        has_picture: whether there is a picture where the output is, or beside it.
+        takes_file: whether a file is sent, behind a request in a header.
+    """
+
+    function: str
+    arguments: Callable[[Request, Context, Path, Path], dict[str, Any]]
+    schema: dict[str, Any]
+    ending: Callable[[Request, Context], str] | None = None
+    has_picture: bool = False
+    takes_file: bool = False
+
+    def check(self, request: Request) -> None:
+        """Raise UsageError unless a request has the fields of this command, of the right types and within range."""
+        for error in Draft202012Validator(self.schema).iter_errors(request):
+            raise UsageError(f"request: {'.'.join(map(str, error.path))}: {error.message:.200}")
+        if not isinstance(request["name"], str) or not _NAME.fullmatch(request["name"]):
+            raise UsageError("name: expected letters, digits, - and _, 60 at most, a letter or digit first")
+
+    def output(self, request: Request, context: Context, is_taken: Callable[[Path], bool]) -> Path | None:
+        """A path in the folder; unless it may be replaced, a number is added to a name that is taken."""
+        if self.ending is None:
+            return None
+        ending = self.ending(request, context)
+        numbered = (f"{request['name']}{f'-{k}' if k > 1 else ''}{ending}" for k in itertools.count(1))
+        for path in (context.folder / name for name in numbered):
+            written = {path, path.with_suffix(".png")} if self.has_picture else {path}
+            if request.get("replace", False) or not any(map(is_taken, written)):
+                return path
+        raise AssertionError
+
+
+@dataclass(frozen=True)
+class Call:
+    """A command with its arguments.
+
+    Attributes:
+        command: its name in `COMMANDS`.
+        subject: what it reads or writes, for people.
+        arguments: of its function; can be pickled.
+        output: the file that it writes, if any.
+        picture: the picture among what it writes, if any.
+        inputs: temporary folder of what it reads, removed at its end.
+    """
+
+    command: str
+    subject: str
+    arguments: dict[str, Any]
+    output: Path | None = None
+    picture: Path | None = None
+    inputs: Path | None = None
+
+
+def call_of(
+    name: str, request: Request, context: Context, is_taken: Callable[[Path], bool], file: Path | None = None
+) -> Call:
+    """The call that a request asks for.
+
+    Args:
+        name: of a command.
+        request: its fields: `name` of what is written, without an ending; `replace`, whether a file of that name may
+            be replaced; `latent`, which may be `FROM:TO:T` between two materials, and of colours at most one of
+            `like`, `srgb` and `spectrum`, rows of wavelength in nm and reflectance; others as the command line's.
+        context: of the page.
+        is_taken: whether something is, or will be, at a path.
+        file: what was sent, alone in its folder.
+    """
+    command = COMMANDS[name]
+    command.check(request)
+    output = command.output(request, context, is_taken)
+    arguments = command.arguments(request, context, output or Path(), file or Path())
+    subject = request["name"] if output is None else output.name
+    picture = output.with_suffix(".png") if output is not None and command.has_picture else None
+    return Call(name, subject, arguments, output, picture, None if file is None else file.parent)
+
+
+def _place(request: Request, context: Context) -> PlaceSource:
+    """The prediction that a request shows."""
+    latent, like, rows = request["latent"], request.get("like"), request.get("spectrum")
+    if isinstance(latent, str):
+        path = parse_path(latent, context.names)
+        if path is None or not set(path[:2]) <= set(context.names):
+            raise UsageError("latent: expected FROM:TO:T, of two materials of this model")
+    elif len(latent) != context.latent_dim:
+        raise UsageError(f"latent: found {len(latent)} numbers, expected {context.latent_dim}")
+    else:
+        latent = [float(v) for v in latent]
+    if like is not None and like not in context.names:
+        raise UsageError(f"like: no material of this model is called '{like:.60}'")
+    spectrum = None
+    if rows is not None:
+        nm, values = zip(*rows, strict=True)
+        spectrum = ReflectanceSpectrum(nm, values)
+    colour = ColourChoice(like, spectrum, request.get("srgb"))
+    return PlaceSource(context.model, latent, context.library, colour)
+
+
+def _predict(request: Request, context: Context, output: Path, file: Path) -> dict[str, Any]:
+    place = _place(request, context)
+    return {
+        "model": place.model, "latent": place.place, "output": output, "library": place.library,
+        "colour": place.colour,
+    }  # fmt: skip
+
+
+def _photographed(request: Request, context: Context, output: Path, file: Path) -> dict[str, Any]:
+    """A photograph, which is followed by its light where `light_bytes` says so."""
+    photograph, light = file.with_suffix(request["suffix"]), request.get("light")
+    file.rename(photograph)
+    if "light_bytes" in request:
+        size = photograph.stat().st_size - int(request["light_bytes"])  # 100.0 is an integer in JSON
+        if size < 1:
+            raise UsageError("light_bytes: expected less than what was sent")
+        light = file.with_name(f"{file.name}-light{request['light_suffix']}")
+        with photograph.open("r+b") as stream:
+            stream.seek(size)
+            light.write_bytes(stream.read())
+            stream.truncate(size)
+    is_free = "exposure" in request or "lamp" in request
+    asked = PhotoRequest(
+        [photograph], [] if light is None else [str(light)], [request["circle"]] if "circle" in request else [],
+        [request.get("turn", 0.0)], request.get("elevation", 0.0), request.get("distance", math.inf),
+        None if is_free else 1.0, lamps=[request["lamp"]] if "lamp" in request else [],
+    )  # fmt: skip
+    return {"model": context.model, "request": asked, "library": context.library, "picture": output}
+
+
+def _schema(fields: dict[str, Any], required: Sequence[str] = (), **rules: Any) -> dict[str, Any]:
+    """The schema of a request that also has a name, which `Command.check` reads."""
+    properties = {"name": {}, "replace": {"type": "boolean"}, **fields}
+    return {"properties": properties, "required": ["name", *required], "additionalProperties": False, **rules}
+
+
+_ROW = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
+_SHOWN = {
+    "latent": {"type": ["array", "string"], "items": _NUMBER},
+    "like": {"type": "string"},
+    "srgb": {"type": "string", "pattern": r"\A#[0-9a-fA-F]{6}\Z"},
+    "spectrum": {"type": "array", "items": _ROW, "minItems": 2, "maxItems": _MOST_ROWS},
+}
+_PHOTO = {
+    "suffix": {"enum": list(SUFFIXES)},
+    "light": {"enum": list(ENVIRONMENTS)},
+    "lamp": {
+        "type": "string",
+        "pattern": rf"\A(found|flash|{_COORDINATE}(,{_COORDINATE}){{2}})(,{_PIXELS})?\Z",
+    },
+    "light_suffix": {"enum": list(SUFFIXES)},
+    "light_bytes": {"type": "integer", "minimum": 1},
+    "circle": {"type": "string", "pattern": rf"\A{_PIXELS},{_PIXELS},{_PIXELS}\Z"},
+    "turn": {"type": "number", "minimum": -360, "maximum": 360},
+    "elevation": {"type": "number", "minimum": -89, "maximum": 89},
+    "distance": {"type": "number", "exclusiveMinimum": 1, "maximum": 1e6},
+    "exposure": {"enum": ["free"]},
+}
+
+
+def _bsdf_ending(request: Request, context: Context) -> str:
+    return f"_{'rgb' if context.is_rgb else 'spec'}.bsdf"
+
+
+COMMANDS: Registry[Command] = Registry("command of the page", {
+    "predict": Command(
+        "manifold.estimate.predictions:predict", _predict, _schema(_SHOWN, ["latent"]), _bsdf_ending,
+    ),
+    "render": Command(
+        "manifold.pictures.renders:render",
+        lambda request, context, output, file: {"source": _place(request, context), "output": output},
+        _schema(_SHOWN, ["latent"]), lambda request, context: ".png", has_picture=True,
+    ),
+    "fit": Command(
+        "manifold.fit.fits:fit",
+        lambda request, context, output, file: {"source": _place(request, context), "target": output},
+        _schema(_SHOWN, ["latent"]), lambda request, context: FIT,
+    ),
+    "export": Command(
+        "manifold.fit.exporting:export",
+        lambda request, context, output, file: {
+            "subject": _place(request, context), "target": request["target"], "path": output,
+            "is_mapped": not request.get("direct", True),
+        },
+        _schema(
+            {**_SHOWN, "target": {"enum": list(TARGETS)}, "direct": {"type": "boolean"}}, ["latent", "target"]
+        ),
+        lambda request, context: TARGETS[request["target"]].suffix,
+    ),
+    "complete": Command(
+        "manifold.estimate.completions:complete",
+        lambda request, context, output, file: {
+            "library": context.library, "readings": file, "output": output,
+            "sample": request.get("sample") or None, "picture": output.with_suffix(".png"),
+        },
+        _schema({"sample": {"type": "string", "maxLength": _MOST_SAMPLE, "pattern": _NO_CONTROLS}}),
+        _bsdf_ending, has_picture=True, takes_file=True,
+    ),
+    "locate": Command(
+        "manifold.estimate.predictions:locate",
+        lambda request, context, output, file: {
+            "model": context.model, "path": FileSource(file), "library": context.library
+        },
+        _schema({}), takes_file=True,
+    ),
+    "photograph": Command(
+        "manifold.estimate.photographs:locate", _photographed,
+        _schema(
+            _PHOTO, ["suffix"], oneOf=[{"required": [key]} for key in ("light", "light_bytes", "lamp")],
+            dependentRequired={"light_bytes": ["light_suffix"], "light_suffix": ["light_bytes"]},
+        ),
+        lambda request, context: "_photo.png", has_picture=True, takes_file=True,
+    ),
+}.items())  # fmt: skip
+"""By the names that the page calls them."""

@@ -1,0 +1,70 @@
+"""The process in which the commands of a served page run, one after the other; what they import stays loaded.
+
+A call comes pickled on stdin, a command's name and arguments. Lines of JSON go out on stdout: `[done, total, what]` as
+it works, then `{"result": ...}` or `{"failure": ...}`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import select
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pkgutil import resolve_name
+from typing import Any
+
+from manifold import progress
+from manifold.errors import in_words
+
+
+def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
+    """Answer calls until there are no more; without an answer where memory is short.
+
+    Args:
+        run: calls a command by its name with arguments; plain values.
+    """
+    replies = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print is no reply
+    threading.Thread(target=_end_with_server, args=(replies.fileno(),), daemon=True).start()
+
+    def reply(content: Any) -> None:
+        print(json.dumps(content, allow_nan=False), file=replies, flush=True)
+
+    while True:
+        try:
+            command, arguments = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        try:
+            with progress.listen(lambda *step: reply(step)):
+                result = run(command, arguments)
+            reply({"result": result})
+        except MemoryError:
+            return
+        except Exception as error:
+            reply({"failure": in_words(error)})
+
+
+def _end_with_server(replies: int) -> None:
+    """Terminate this process, and those it starts, once nothing reads its replies: the server was killed."""
+    poll = select.poll()
+    poll.register(replies, 0)  # which tells only that the other end was closed
+    poll.poll()
+    os.killpg(os.getpgrp(), signal.SIGTERM)
+
+
+def _main() -> None:
+    from manifold.page.commands import COMMANDS
+
+    for command in COMMANDS.values():  # imported while nobody waits
+        if not select.select([sys.stdin], [], [], 0.0)[0]:
+            resolve_name(command.function)
+    serve(lambda name, arguments: resolve_name(COMMANDS[name].function)(**arguments).to_json())
+
+
+if __name__ == "__main__":
+    _main()

@@ -165,7 +165,7 @@ class Adjusted:
         """The same with what a BRDF has, of which gloss units by angle in degrees were asked."""
         wanted, found = self.lch[0], lab_of(brdf)
         gloss = {angle: (units[angle], reached) for angle, reached in gloss_units(brdf, units).items()}
-        difference = float(delta_e_2000_lab(_lab(wanted), found))
+        difference = float(delta_e_2000_lab(_from_lch(wanted), found))
         return replace(self, gloss=gloss, lch=(wanted, _to_lch(found)), difference=difference)
 
     @property
@@ -212,7 +212,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     wanted = attributes.lch(_to_lch(lab_of(present)))
     factor, is_tinted = factor_of(present), bool(attributes.lightness or attributes.chroma or attributes.hue)
     if is_tinted:
-        factor = tinted(factor, _lab(wanted), model.bands)
+        factor = tinted(factor, _from_lch(wanted), model.bands)
     units = attributes.units(gloss_units(present, attributes.gloss))
     latent = search.nearest(place.latent, factor, units)
     colours = search.colours(latent, factor) if units or is_tinted else chosen.colours
@@ -322,7 +322,7 @@ def _to_lch(lab: Array) -> Array:
     return np.array([lab[0], np.hypot(lab[1], lab[2]), np.rad2deg(np.arctan2(lab[2], lab[1])) % 360.0])
 
 
-def _lab(lch: Array) -> Array:
+def _from_lch(lch: Array) -> Array:
     hue = np.deg2rad(lch[2])
     return np.array([lch[0], lch[1] * np.cos(hue), lch[1] * np.sin(hue)])
 

@@ -1,7 +1,7 @@
 // Sliders of what people think in: gloss, lightness, chroma and hue; methods of the page.
 
 import { lookOf } from "./state.js";
-import { hexOf, labOf, labOfLch, lchOf, linearOf, wordsFor } from "./colour.js";
+import { fromLch, hexOf, labOfFactor, toLch, wordsFor } from "./colour.js";
 
 const LCH = ["lightness", "chroma", "hue"];
 const TURNS = 4; // of the search for a gloss: that of blended colours is not that of the chosen ones
@@ -43,7 +43,7 @@ export const attributes = {
     this.searchWords ??= [...this.data.names, ...this.data.others.names].map((name, k) => {
       if (k >= this.data.names.length) return { name, words: name.toLowerCase(), text: name };
       const prediction = this.materials.predict(this.data.X[k]), gloss = prediction.gloss();
-      const words = wordsFor(lchOf(labOf(linearOf(prediction.factor(), this.data.toSrgb.D65))), gloss);
+      const words = wordsFor(toLch(labOfFactor(prediction.factor(), this.data.toSrgb.D65)), gloss);
       return { name, words: [name.toLowerCase(), ...words].join(" "), text: `${name}: ${words.join(", ")}, ${Number(gloss.toPrecision(2))} GU` };
     });
     return this.searchWords;
@@ -53,7 +53,7 @@ export const attributes = {
   showAttributes() {
     if (this.tab !== "colour") return;
     const { state, prediction, data } = this;
-    const found = lchOf(labOf(linearOf(prediction.factor(), data.toSrgb.D65))), gloss = prediction.gloss();
+    const found = toLch(labOfFactor(prediction.factor(), data.toSrgb.D65)), gloss = prediction.gloss();
     const asked = state.colour === "lch" ? state.lch : found;
     this.attributesShown = { lch: asked, gloss };
     const show = (name, value, text) => {
@@ -64,7 +64,7 @@ export const attributes = {
     LCH.forEach((name, k) => show(name, asked[k], `${asked[k].toFixed(0)}${name === "hue" ? "°" : ""}`));
     show("gloss", Math.log10(Math.max(gloss, 1e-3)), `${Number(gloss.toPrecision(2))} GU`);
     const missed = [];
-    const apart = Math.hypot(...labOfLch(asked).map((v, k) => v - labOfLch(found)[k]));
+    const apart = Math.hypot(...fromLch(asked).map((v, k) => v - fromLch(found)[k]));
     if (apart > 2) missed.push(`colour: L ${found[0].toFixed(0)}, C ${found[1].toFixed(0)}, h ${found[2].toFixed(0)}° reached`);
     if (this.glossFrom && Math.abs(Math.log(gloss / this.glossWanted)) > 0.05) {
       missed.push(`gloss: ${gloss.toPrecision(2)} reached, ${this.glossWanted.toPrecision(2)} asked`);

@@ -5,6 +5,7 @@
 // nearest to the normal, which make sharp highlights, are summed for every pixel of the disc.
 
 import { BlendRenderer } from "./blend.js";
+import { COLOUR } from "./colour.js";
 import { DIFFERENCE } from "./difference.js";
 import { floorOf, groundPicture, GROUND_REACH, SHAPES_ON_GROUND } from "./ground.js";
 import { NORMALS, SHAPES } from "./shapes.js";
@@ -207,7 +208,7 @@ void main() {
   result = vec4(sum, 1.0);
 }`;
 
-const SHOW = `${COMMON}
+const SHOW = `${COMMON}${COLOUR}
 uniform sampler2D disc, normals, ground;
 uniform vec2 corner;
 uniform float exposure, side;
@@ -216,11 +217,6 @@ uniform vec3 lamp; // towards the lamp: right, up, towards the viewer
 uniform vec3 onFloor; // reflectance of the floor
 uniform vec2 standing; // height of the shape's middle, and radius of the ball whose shadow stands for its own
 uniform mat3 turned; // from the world to the environment
-
-vec3 encoded(vec3 linear) {
-  vec3 c = clamp(linear, 0.0, 1.0);
-  return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
-}
 
 // What the floor shows at a place of the picture (right and up, radii).
 vec3 floorAt(vec2 place) {
@@ -243,7 +239,7 @@ void main() {
   vec4 normal = isInside ? texelFetch(normals, within, 0) : vec4(0.0);
   result = vec4(0.0);
   vec3 behind = vec3(0.0);
-  if (isOnGround && normal.a < 1.0) behind = encoded(floorAt(((gl_FragCoord.xy - corner) / side * 2.0 - 1.0) * 1.02) * exposure);
+  if (isOnGround && normal.a < 1.0) behind = encodeSrgb(floorAt(((gl_FragCoord.xy - corner) / side * 2.0 - 1.0) * 1.02) * exposure);
   if (normal.a <= 0.0) {
     if (isOnGround) result = vec4(behind + dither(), 1.0);
     return;
@@ -261,8 +257,8 @@ void main() {
   } else {
     linear = textureLod(disc, normal.xy / 1.02 * 0.5 + 0.5, 0.0).rgb;
   }
-  result = vec4(mix(behind, encoded(linear * exposure), normal.a) + (isOnGround ? dither() : 0.0), 1.0);
-  if (!isOnGround) result = vec4(encoded(linear * exposure) * normal.a, normal.a);
+  result = vec4(mix(behind, encodeSrgb(linear * exposure), normal.a) + (isOnGround ? dither() : 0.0), 1.0);
+  if (!isOnGround) result = vec4(encodeSrgb(linear * exposure) * normal.a, normal.a);
 }`;
 
 const PROGRAMS = { faces: FACES, light: LIGHT, material: MATERIAL, sum: SUM, disc: DISC, normals: NORMALS, show: SHOW };

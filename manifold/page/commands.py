@@ -68,7 +68,7 @@ class Command:
         function: `module:name`, which the worker imports; what it returns has `to_json`.
         arguments: of it, from a valid request, the context, the output, and the file that was sent.
         schema: of a request, JSON.
-        ending: of the output's name, from a request and the context; None of a command that writes nothing.
+        ending: of the output's name, with `{bands}` and `{target}`; None of a command that writes nothing.
         has_picture: whether there is a picture where the output is, or beside it.
         takes_file: whether a file is sent, behind a request in a header.
     """
@@ -76,7 +76,7 @@ class Command:
     function: str
     arguments: Callable[[Request, Context, Path, Path], dict[str, Any]]
     schema: dict[str, Any]
-    ending: Callable[[Request, Context], str] | None = None
+    ending: str | None = None
     has_picture: bool = False
     takes_file: bool = False
 
@@ -91,13 +91,15 @@ class Command:
         """A path in the folder; unless it may be replaced, a number is added to a name that is taken."""
         if self.ending is None:
             return None
-        ending = self.ending(request, context)
-        numbered = (f"{request['name']}{f'-{k}' if k > 1 else ''}{ending}" for k in itertools.count(1))
-        for path in (context.folder / name for name in numbered):
-            written = {path, path.with_suffix(".png")} if self.has_picture else {path}
-            if request.get("replace", False) or not any(map(is_taken, written)):
-                return path
-        raise AssertionError
+        target = TARGETS[request["target"]].suffix if "target" in request else ""
+        ending = self.ending.format(bands="rgb" if context.is_rgb else "spec", target=target)
+        names = (f"{request['name']}{f'-{k}' if k > 1 else ''}{ending}" for k in itertools.count(1))
+
+        def is_free(path: Path) -> bool:
+            return not is_taken(path) and not (self.has_picture and is_taken(path.with_suffix(".png")))
+
+        paths = (context.folder / name for name in names)
+        return next(path for path in paths if request.get("replace", False) or is_free(path))
 
 
 @dataclass(frozen=True)
@@ -225,23 +227,21 @@ _PHOTO = {
 }
 
 
-def _bsdf_ending(request: Request, context: Context) -> str:
-    return f"_{'rgb' if context.is_rgb else 'spec'}.bsdf"
-
+_BSDF = "_{bands}.bsdf"
 
 COMMANDS: Registry[Command] = Registry("command of the page", {
     "predict": Command(
-        "manifold.estimate.predictions:predict", _predict, _schema(_SHOWN, ["latent"]), _bsdf_ending,
+        "manifold.estimate.predictions:predict", _predict, _schema(_SHOWN, ["latent"]), _BSDF,
     ),
     "render": Command(
         "manifold.pictures.renders:render",
         lambda request, context, output, file: {"source": _place(request, context), "output": output},
-        _schema(_SHOWN, ["latent"]), lambda request, context: ".png", has_picture=True,
+        _schema(_SHOWN, ["latent"]), ".png", has_picture=True,
     ),
     "fit": Command(
         "manifold.fit.fits:fit",
         lambda request, context, output, file: {"source": _place(request, context), "target": output},
-        _schema(_SHOWN, ["latent"]), lambda request, context: FIT,
+        _schema(_SHOWN, ["latent"]), FIT,
     ),
     "export": Command(
         "manifold.fit.exporting:export",
@@ -252,7 +252,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
         _schema(
             {**_SHOWN, "target": {"enum": list(TARGETS)}, "direct": {"type": "boolean"}}, ["latent", "target"]
         ),
-        lambda request, context: TARGETS[request["target"]].suffix,
+        "{target}",
     ),
     "complete": Command(
         "manifold.estimate.completions:complete",
@@ -261,7 +261,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
             "sample": request.get("sample") or None, "picture": output.with_suffix(".png"),
         },
         _schema({"sample": {"type": "string", "maxLength": _MOST_SAMPLE, "pattern": _NO_CONTROLS}}),
-        _bsdf_ending, has_picture=True, takes_file=True,
+        _BSDF, has_picture=True, takes_file=True,
     ),
     "locate": Command(
         "manifold.estimate.predictions:locate",
@@ -276,7 +276,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
             _PHOTO, ["suffix"], oneOf=[{"required": [key]} for key in ("light", "light_bytes", "lamp")],
             dependentRequired={"light_bytes": ["light_suffix"], "light_suffix": ["light_bytes"]},
         ),
-        lambda request, context: "_photo.png", has_picture=True, takes_file=True,
+        "_photo.png", has_picture=True, takes_file=True,
     ),
 }.items())  # fmt: skip
 """By the names that the page calls them."""

@@ -2,7 +2,7 @@
 
 import { squareIn } from "./ball.js";
 import { fixed } from "./elements.js";
-import { interpolate, parseSpectrum } from "./numerics.js";
+import { interp, readReflectance } from "./numerics.js";
 import { isPicture } from "./photo.js";
 import { fromFragment, lampWithin, toFragment } from "./state.js";
 
@@ -311,7 +311,7 @@ export const controls = {
     if (!file) return;
     try {
       if (file.size > 1e6) throw new Error("expected a text file of at most 1 MB");
-      const { nm, values } = parseSpectrum(await file.text());
+      const { nm, values } = readReflectance(await file.text());
       const rows = nm.map((v, k) => [v, values[k]]), reflectance = this.spectrumAtNodes(nm, values);
       const spectrum = this.spectra.push({ name: file.name, rows, reflectance }) - 1;
       this.problem("");
@@ -323,8 +323,8 @@ export const controls = {
 
   spectrumAtNodes(nm, values) {
     const { wavelengths, fileSpectra } = this.data;
-    if (wavelengths) return wavelengths.map((w) => interpolate(w, nm, values));
-    const sampled = fileSpectra.wavelengths.map((w) => interpolate(w, nm, values));
+    if (wavelengths) return wavelengths.map((w) => interp(w, nm, values));
+    const sampled = fileSpectra.wavelengths.map((w) => interp(w, nm, values));
     return [0, 1, 2].map((c) => {
       const linear = sampled.reduce((sum, v, k) => sum + v * fileSpectra.toSrgb[k][c], 0);
       return Math.min(Math.max(linear, 0), 1);

@@ -10,7 +10,7 @@ import { controls } from "./controls.js";
 import { documents } from "./documents.js";
 import { facts } from "./facts.js";
 import { attributes } from "./attributes.js";
-import { labOfLch } from "./colour.js";
+import { decodeSrgb, fromLch } from "./colour.js";
 import { guests } from "./guests.js";
 import { makeTabs } from "./tabs.js";
 import { keptLooks } from "./kept_looks.js";
@@ -151,10 +151,7 @@ export class Explorer {
     if (colour === "like") return data.reflectances[data.names.indexOf(like)];
     if (colour === "file") return this.spectra[spectrum].reflectance;
     if (colour !== "picked") return null;
-    const linear = [1, 3, 5].map((k) => {
-      const v = parseInt(srgb.slice(k, k + 2), 16) / 255;
-      return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
-    });
+    const linear = [1, 3, 5].map((k) => decodeSrgb(parseInt(srgb.slice(k, k + 2), 16) / 255));
     return data.fromSrgb[0].map((_, j) =>
       Math.min(Math.max(linear.reduce((sum, v, c) => sum + v * data.fromSrgb[c][j], 0), 0), 1));
   }
@@ -162,7 +159,7 @@ export class Explorer {
   /** The prediction of a state or pin: a step of a walk, unless a colour is chosen. */
   predicted(state) {
     if (state.colour === "own") return this.materials.predictIn(state.x, this.guests[state.guest]);
-    if (state.colour === "lch") return this.materials.predictTinted(state.x, labOfLch(state.lch));
+    if (state.colour === "lch") return this.materials.predictTinted(state.x, fromLch(state.lch));
     return isBetween(state) ? this.materials.between(state.path) : this.materials.predict(state.x, this.requestedReflectance(state));
   }
 

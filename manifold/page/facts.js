@@ -1,6 +1,6 @@
 // Descriptions of the shown latent as text; methods of the page.
 
-import { deepestValley, fieldAt } from "./numerics.js";
+import { highlightValley, fieldAt } from "./numerics.js";
 import { fixed, percent } from "./elements.js";
 
 const NEAREST = 6;
@@ -28,7 +28,7 @@ export const facts = {
       found.push("not supported by the data; choose a latent nearer to the materials");
     }
     const isShown = prediction === this.prediction;
-    const valley = Math.max(...(isShown ? this.slices : prediction.slices("D65")).map(deepestValley));
+    const valley = Math.max(...(isShown ? this.slices : prediction.slices("D65")).map(highlightValley));
     if (valley > VALLEY) found.push(`dark hole or ring near the mirror direction: ${percent(valley)} deep`);
     if (prediction.residual > RESIDUAL) {
       found.push(`requested reflectance cannot be reached at this structure: error up to ${prediction.residual.toFixed(2)}`);

@@ -1,9 +1,10 @@
-// Predictions as the package makes them: (sum_i v_i f_i^(1/3))^3 in every band. No page is touched here.
+// Predictions as the package makes them: (sum_i v_i f_i^(1/3))^3 in every band. Formulas are named as in Python. No page is
+// touched here.
 
-import { tinted } from "./colour.js";
+import { luminance, tinted } from "./colour.js";
 
-const NEGLIGIBLE = 1e-6; // as in manifold/latent/blending.py
-const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/latent/colour_paths.py
+const NEGLIGIBLE = 1e-6, NEIGHBOURS = 128; // as in manifold/model/blending.py
+const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/model/colour_paths.py
 const LEAST_COMPONENT = 2e-5; // of a chosen colour: a weight that no picture shows
 const SHAPE_KEPT = 4, MOST_EXCESS = 3; // as in manifold/model/walks.py
 const WAYS = 6, BISECTIONS = 8, TANGENTS = 12, GLOSS_KEPT = 0.01; // steps of a search; of log gloss: as good as reached
@@ -20,16 +21,29 @@ export function blendWeights(x, X, lengthScale) {
     const most = log.reduce((a, b) => Math.max(a, b));
     u = log.map((v) => Math.exp(v - most));
   }
-  u = u.map((v) => Math.max(v - NEGLIGIBLE, 0));
+  const next = u.length > NEIGHBOURS ? [...u].sort((a, b) => b - a)[NEIGHBOURS] : 0;
+  u = u.map((v) => Math.max(v - Math.max(next, NEGLIGIBLE), 0));
   const total = u.reduce((a, b) => a + b);
   return u.map((v) => v / total);
 }
 
-/** `D G / (4 cos(theta_i) cos(theta_o))` of GGX, as in manifold/latent/lobes.py. */
-function microfacetLobe(alpha, ci, co, cd) {
+/** `D G / (4 cos(theta_i) cos(theta_o))` of GGX, by cosines of theta_i, theta_o and theta_d. */
+export function microfacetLobe(alpha, ci, co, cd) {
   const a2 = alpha * alpha, cosine2 = Math.min(((ci + co) / (2 * cd)) ** 2, 1);
   const masked = ci * Math.sqrt(a2 + (1 - a2) * co * co) + co * Math.sqrt(a2 + (1 - a2) * ci * ci);
   return a2 / (Math.PI * (1 - (1 - a2) * cosine2) ** 2 * 2 * masked);
+}
+
+/** The roughness at a position, in equal ratios; the first two are given. */
+export const roughnessAt = (position, [first, second]) => first * (second / first) ** position;
+
+/** The position of the roughness at a share of the end: the peak of the average lobe goes in equal ratios. */
+export function positionsBetween(start, end, share, [first, second]) {
+  const mean = (a, b) => (1 - share) * a + share * b;
+  const rise = Math.log(mean(start.strength, end.strength)) - mean(Math.log(start.strength), Math.log(end.strength));
+  const found = mean(start.position, end.position) + (0.5 * rise) / Math.log(second / first);
+  const [low, high] = [start.position, end.position].sort((a, b) => a - b);
+  return Math.min(Math.max(found, low), high);
 }
 
 const REACH = 0.24; // of the materials' extent beyond them; the field of errors ends at 0.25
@@ -47,7 +61,7 @@ export function reachOf(X) {
 export const within = (reach, x) => x.map((v, q) => Math.min(Math.max(v, reach[q][0]), reach[q][1]));
 
 /** Linear interpolation of y over increasing x, constant beyond the ends. */
-export function interpolate(at, x, y) {
+export function interp(at, x, y) {
   if (!(at > x[0])) return y[0];
   const last = x.length - 1;
   if (at >= x[last]) return y[last];
@@ -240,9 +254,9 @@ export class Materials {
     const table = [];
     for (const t of grid) table.push(Math.max(reached(t), table[table.length - 1] ?? -Infinity));
     const coordinates = reflectance.map((requested) => {
-      let at = interpolate(requested, table, grid);
+      let at = interp(requested, table, grid);
       for (let step = 0; step < NEWTON_STEPS; step++) {
-        const rise = interpolate(at + PROBE, grid, table) - interpolate(at - PROBE, grid, table);
+        const rise = interp(at + PROBE, grid, table) - interp(at - PROBE, grid, table);
         const slope = rise / (2 * PROBE);
         const move = slope > 1e-6 ? (requested - reached(at)) / slope : 0;
         at = Math.min(Math.max(at + Math.min(Math.max(move, -LARGEST_STEP), LARGEST_STEP), 0), last);
@@ -308,14 +322,14 @@ export class Materials {
   glossAt(x) {
     const { toSrgb, basis } = this.data;
     const roots = this.wholeComponents(this.weights(x)).map((w) => this.combine(w, this.glossStart, this.spotStart));
-    const luminance = new Float32Array(this.spotStart - this.glossStart);
+    const total = new Float32Array(this.spotStart - this.glossStart);
     basis.forEach((row, j) => {
-      const [r, g, b] = toSrgb.D65[j], share = 0.2126 * r + 0.7152 * g + 0.0722 * b;
-      for (let p = 0; p < luminance.length; p++) {
-        luminance[p] += share * Math.max(row.reduce((sum, w, m) => sum + w * roots[m][p], 0), 0) ** 3;
+      const share = luminance(toSrgb.D65[j]);
+      for (let p = 0; p < total.length; p++) {
+        total[p] += share * Math.max(row.reduce((sum, w, m) => sum + w * roots[m][p], 0), 0) ** 3;
       }
     });
-    return this.glossOf(luminance);
+    return this.glossOf(total);
   }
 
   /** The place nearest to a start, on the way to some material, whose blend has a gloss; else that with the nearest gloss. */
@@ -366,7 +380,7 @@ export class Materials {
   walkShare(a, b, t) {
     if (a < b) return 1 - this.walkShare(b, a, 1 - t);
     const shares = [0, ...this.data.walks.shares[a][b], 1], last = shares.length - 1;
-    return interpolate(t * last, shares.map((_, k) => k), shares);
+    return interp(t * last, shares.map((_, k) => k), shares);
   }
 
   /** The step of the walk between two materials, as of `Manifold.interpolate`. */
@@ -380,22 +394,14 @@ export class Materials {
     return new Prediction(this, u, { outputs: null, toNodes: this.data.basis, coordinates: null, residual: 0, walked, values });
   }
 
-  /** Position of the roughness of an average, as `positions_between` in manifold/model/walks.py. */
-  _positionBetween(parts) {
-    const { positions, strengths, roughnesses } = this.data.walks, own = parts.map(([i]) => positions[i]);
-    const mean = (of) => parts.reduce((sum, [i, share]) => sum + share * of(i), 0);
-    const rise = Math.log(mean((i) => strengths[i])) - mean((i) => Math.log(strengths[i]));
-    const found = mean((i) => positions[i]) + (0.5 * rise) / Math.log(roughnesses[1] / roughnesses[0]);
-    return Math.min(Math.max(found, Math.min(...own)), Math.max(...own));
-  }
-
   /** Components (R, P) of the average of materials whose highlights have another roughness. */
   _average(parts) {
     const { basis, walks } = this.data, P = this.nPairs, R = this.nComponents;
     const out = Array.from({ length: R }, () => new Float32Array(P));
     const own = parts.map(([i]) => out.map((_, r) => this._unpack(i, r, 0, P, new Float32Array(P), 0, 1)));
-    const roughness = (k) => walks.roughnesses[0] * (walks.roughnesses[1] / walks.roughnesses[0]) ** k;
-    const position = this._positionBetween(parts), alpha = roughness(position);
+    const roughness = (k) => roughnessAt(k, walks.roughnesses);
+    const [start, end] = parts.map(([i]) => ({ position: walks.positions[i], strength: walks.strengths[i] }));
+    const position = positionsBetween(start, end, parts[1][1], walks.roughnesses), alpha = roughness(position);
     const kept = parts.map(([i]) => Math.max(1 - Math.abs(position - walks.positions[i]) / SHAPE_KEPT, 0));
     for (let p = 0; p < P; p++) {
       const [ci, co, cd] = [0, 1, 2].map((row) => this.cosines[row * P + p]);
@@ -439,7 +445,7 @@ export class Prediction {
 
   /** Luminance of f times cosines under an illuminant at the pairs beside the grid but the sphere's. */
   luminance(illuminant) {
-    const rows = this.materials.data.toSrgb[illuminant].map(([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b);
+    const rows = this.materials.data.toSrgb[illuminant].map(luminance);
     const out = new Float32Array(this.materials.sphereStart);
     this.toNodes.forEach((row, j) => {
       for (let p = 0; p < out.length; p++) {
@@ -486,16 +492,18 @@ export class Prediction {
   }
 }
 
-/** The deepest valley of a profile within 20 degrees of the mirror direction, as a share of its lower side. */
-export function deepestValley({ incidence, angles, f }) {
-  const near = f.filter((_, k) => Math.abs(angles[k] - incidence) <= 20);
+/** Depth of the deepest minimum of a profile, relative to the lower of the maxima on its two sides. */
+export function valleyDepth(f) {
   let deepest = 0;
-  for (let k = 1; k < near.length - 1; k++) {
-    const side = Math.min(Math.max(...near.slice(0, k)), Math.max(...near.slice(k + 1)));
-    if (side > 0) deepest = Math.max(deepest, 1 - near[k] / side);
+  for (let k = 1; k < f.length - 1; k++) {
+    const side = Math.min(Math.max(...f.slice(0, k)), Math.max(...f.slice(k + 1)));
+    if (side > 0) deepest = Math.max(deepest, 1 - f[k] / side);
   }
   return deepest;
 }
+
+/** The valley of a slice within 20 degrees of the mirror direction. */
+export const highlightValley = ({ incidence, angles, f }) => valleyDepth(f.filter((_, k) => Math.abs(angles[k] - incidence) <= 20));
 
 /** A regular grid over the map, linear between its nodes; null outside of it. */
 export function fieldAt(field, x) {
@@ -534,7 +542,7 @@ function firstNumbers(line) {
 }
 
 /** Wavelengths and reflectances of a text of two columns, as `manifold --reflectance` reads it. Throws an Error with a message for the user. */
-export function parseSpectrum(text) {
+export function readReflectance(text) {
   const rows = [];
   for (const line of text.split(/\r\n|\r|\n/)) {
     const numbers = firstNumbers(line);

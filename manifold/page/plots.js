@@ -1,6 +1,6 @@
 // Curves as SVG: slices over angles, and reflectances.
 
-import { interpolate } from "./numerics.js";
+import { interp } from "./numerics.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const CHANNELS = ["red", "green", "blue"];
@@ -52,7 +52,7 @@ const peaks = (slices) => slices.map(({ incidence, angles, f }) => {
 
 /** Reflectances as text: of three channels, or at a few wavelengths. */
 const reflectances = (wavelengths, values) => (wavelengths
-  ? [450, 550, 650].map((nm) => `${interpolate(nm, wavelengths, values).toFixed(2)} at ${nm} nm`)
+  ? [450, 550, 650].map((nm) => `${interp(nm, wavelengths, values).toFixed(2)} at ${nm} nm`)
   : CHANNELS.map((name, c) => `${name} ${values[c].toFixed(2)}`)).join(", ");
 
 const withOther = (text, other, name) => (other ? `${text}; ${name}: ${other}` : text);

@@ -59,13 +59,6 @@ def ball_of_page(page, places):
     return np.array(page.evaluate(script, places.tolist())) / 255.0
 
 
-def test_weights_are_those_of_python(visited, model, rng):
-    places = np.vstack([rng.normal(size=(50, 2)) * 2.0, model.X, model.X + 1e-7])
-    script = "(places) => places.map((x) => window.explorer.materials.weights(x))"
-    found = np.array(visited.page.evaluate(script, places.tolist()))
-    assert np.allclose(found, model.weights(places), rtol=0, atol=1e-5)
-
-
 def table_of_page(page, x, *, refine=True):
     """Cube roots of colours that the shader has summed on the grid at a place, at rest or moving, (P, 3)."""
     script = """([x, refine]) => {

@@ -17,16 +17,11 @@ from PIL import Image
 
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.colour.reflectances import read_reflectance
 from manifold.directions import from_spherical
-from manifold.errors import FileFormatError
 from manifold.page.commands import Context
 from manifold.page.jobs import Queue
 from manifold.page.page import make_page
 from manifold.page.server import ExplorerServer
-from manifold.records import Bands
-
-ENDS = Bands((400.0, 700.0))
 
 
 @pytest.fixture(scope="module")
@@ -125,39 +120,6 @@ def test_each_state_keeps_the_spectrum_that_it_was_shown_in(page):
     settle(page)
     assert page.locator("#caption").text_content().endswith("red.txt")
     assert page.evaluate("window.explorer.reflectance") == red
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("nm,R,deviation\n400,0.5,a\n700,0.25,b\n", [0.5, 0.25]),
-        ("400 0.5\r700 0.25\r", [0.5, 0.25]),
-        ("# of a lamp\n700\t0.25\n\n400\t0.5", [0.5, 0.25]),
-        ("400;0,5\n700;0,25", [0.5, 0.25]),
-        ('"400,0" 0.5\n700 , 0,25 0,1', [0.5, 0.25]),
-        ("400,0,5\n700,0,25", "at least two rows"),
-        ("400,0.5\n700,0,25", "in the line “700,0,25”"),
-        ("400 50\n700 40", "percent"),
-        ("0.4 0.5\n700 0.25", "wavelengths in nm"),
-        ("400 0.5\n700 nan", "in the line “700 nan”"),
-    ],
-)
-def test_a_spectrum_is_read_as_the_command_reads_it(page, tmp_path, text, expected):
-    (tmp_path / "spectrum.txt").write_bytes(text.encode())
-    found = page.evaluate(
-        """async (text) => {
-          await window.explorer.takeSpectrum(new File([text], "spectrum.txt"));
-          const said = document.getElementById("problem-text").textContent;
-          return window.explorer.spectrum?.rows.map((row) => row[1]) ?? said;
-        }""",
-        text,
-    )
-    if isinstance(expected, str):
-        assert expected in found
-        with pytest.raises(FileFormatError):
-            read_reflectance(tmp_path / "spectrum.txt", ENDS)
-    else:
-        assert found == expected == read_reflectance(tmp_path / "spectrum.txt", ENDS).tolist()
 
 
 def test_a_coordinate_that_is_no_number_or_out_of_reach_is_put_right(page):

@@ -98,6 +98,7 @@ export class Explorer {
   change(changes, done = true) {
     if ("x" in changes && !("path" in changes)) changes.path = null;
     if ("x" in changes && !("colour" in changes) && this.state.colour === "own") changes.colour = "blend";
+    if (("x" in changes || changes.path) && !("without" in changes)) changes.without = false;
     if ("x" in changes && !("at" in changes)) changes.at = this.data.names[this.materials.materialAt(changes.x)];
     Object.assign(this.state, changes);
     if (done) this.commit();
@@ -158,9 +159,10 @@ export class Explorer {
 
   /** The prediction of a state or pin: a step of a walk, unless a colour is chosen. */
   predicted(state) {
-    if (state.colour === "own") return this.materials.predictIn(state.x, this.guests[state.guest]);
-    if (state.colour === "lch") return this.materials.predictTinted(state.x, fromLch(state.lch));
-    return isBetween(state) ? this.materials.between(state.path) : this.materials.predict(state.x, this.requestedReflectance(state));
+    const { materials } = this, without = state.without ? materials.materialAt(state.x) : -1;
+    if (state.colour === "own") return materials.predictIn(state.x, this.guests[state.guest]);
+    if (state.colour === "lch") return materials.predictTinted(state.x, fromLch(state.lch), without);
+    return isBetween(state) ? materials.between(state.path) : materials.predict(state.x, this.requestedReflectance(state), without);
   }
 
   // -- pictures ----------------------------------------------------------------------------------------------

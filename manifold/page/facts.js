@@ -11,7 +11,8 @@ const RESIDUAL = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
 export const facts = {
   /** Expected error of a look, 0 at a material; null where it is unknown. */
-  error({ x, colour, guest } = this.state) {
+  error({ x, colour, guest, without } = this.state) {
+    if (without) return null;
     if (colour === "own") return this.guests[guest].expected?.ball ?? null;
     const isMaterial = this.materials.materialAt(x) >= 0;
     return isMaterial ? 0 : fieldAt(this.data.error, x);
@@ -61,7 +62,7 @@ export const facts = {
 
   showFacts() {
     const { data, state } = this, error = this.error();
-    const beyond = data.error ? "outside the map" : "not computed above three dimensions";
+    const beyond = state.without ? "that of a measured material, compared here" : data.error ? "outside the map" : "not computed above three dimensions";
     this.byId("error-value").textContent = error === null ? beyond : this.errorText(error);
     const found = this.diagnostics();
     this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {

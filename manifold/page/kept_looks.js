@@ -12,6 +12,7 @@ export const keptLooks = {
     this.byId("keep").addEventListener("click", () => this.change({ variants: [...this.state.variants, lookOf(this.state)] }));
     this.byId("pin").addEventListener("click", () => this.change({ pin: lookOf(this.state) }));
     this.byId("unpin").addEventListener("click", () => this.change({ pin: null }));
+    this.byId("leave-out").addEventListener("click", () => this.leaveOut());
     this.byId("pinned").addEventListener("change", (event) => {
       const k = this.data.names.indexOf(event.target.value);
       const at = { x: [...(this.data.X[k] ?? [])], at: this.data.names[k], colour: "blend", path: null };
@@ -67,6 +68,13 @@ export const keptLooks = {
     return this.pictures.get(key) ?? null;
   },
 
+  /** Pin the material that is shown, and show what the others predict at its place, in its colours. */
+  leaveOut() {
+    const { at } = this.state;
+    const pin = { ...lookOf(this.state), colour: "blend", path: null, without: false };
+    this.change({ pin, colour: "like", like: at, path: null, without: true });
+  },
+
   /** The looks that commands are about: that on the page or, where asked for, all that are kept. */
   looks() {
     return this.byId("all-looks").checked && this.state.variants.length ? this.state.variants : [lookOf(this.state)];
@@ -76,6 +84,7 @@ export const keptLooks = {
   showWipe() {
     const { pin, view, wipe } = this.state, isWiped = Boolean(pin) && view === "wipe";
     for (const id of ["wipe", "wipe-line"]) this.byId(id).hidden = !isWiped;
+    this.byId("leave-out").disabled = !this.state.at;
     for (const input of this.radios("view")) input.checked = input.value === view;
     if (!isWiped) return;
     const { clientWidth: width, clientHeight: height } = this.byId("ball"), side = squareIn(width, height, 1);
@@ -96,10 +105,10 @@ export const keptLooks = {
 
   /** The name of a look. */
   describe(look) {
-    const { x, at, colour, like, srgb, spectrum, guest, lch, path } = look;
+    const { x, at, colour, like, srgb, spectrum, guest, lch, path, without } = look;
     if (isBetween(look)) return `${percent(path.t)} of the way from ${path.from} to ${path.to}`;
     if (colour === "own") return this.guests[guest]?.name ?? "";
-    const place = at ?? x.map((v) => fixed(v, 2)).join(", ");
+    const place = (at ?? x.map((v) => fixed(v, 2)).join(", ")) + (without ? " predicted by the others" : "");
     if (colour === "lch") return `${place}, L ${fixed(lch[0], 0)} C ${fixed(lch[1], 0)} h ${fixed(lch[2], 0)}°`;
     const named = { like: `like ${like}`, picked: srgb, file: this.spectra[spectrum]?.name }[colour];
     return named ? `${place}, ${named}` : place;

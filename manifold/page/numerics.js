@@ -167,8 +167,10 @@ export class Materials {
     return out;
   }
 
-  weights(x) {
-    return blendWeights(x, this.data.X, this.data.lengthScale);
+  /** Weights at a place of all materials, or of all but one. */
+  weights(x, without = -1) {
+    const { X, lengthScale } = this.data, u = blendWeights(x, X.filter((_, i) => i !== without), lengthScale);
+    return without < 0 ? u : [...u.slice(0, without), 0, ...u.slice(without)];
   }
 
   index(name) {
@@ -291,10 +293,10 @@ export class Materials {
     return { outputs, toNodes, coordinates, residual: 0 };
   }
 
-  /** The prediction of a place, in a reflectance (J) or as materials blend. */
-  predict(x, reflectance = null) {
-    const u = this.weights(x);
-    const isOwn = reflectance && this.materialAt(x) >= 0 && reflectance === this.data.reflectances[this.materialAt(x)];
+  /** The prediction of a place, in a reflectance (J) or as materials blend, without one of them. */
+  predict(x, reflectance = null, without = -1) {
+    const u = this.weights(x, without);
+    const isOwn = without < 0 && reflectance && this.materialAt(x) >= 0 && reflectance === this.data.reflectances[this.materialAt(x)];
     return new Prediction(this, u, this.combination(u, isOwn ? null : reflectance));
   }
 
@@ -305,8 +307,8 @@ export class Materials {
   }
 
   /** The prediction of a place that has a CIELAB colour in the geometry 45/0: the blend's reflectance, smoothly tinted. */
-  predictTinted(x, lab) {
-    const u = this.weights(x), { toSrgb, fromSrgb } = this.data;
+  predictTinted(x, lab, without = -1) {
+    const u = this.weights(x, without), { toSrgb, fromSrgb } = this.data;
     const blended = new Prediction(this, u, this.combination(u, null));
     const { coordinates } = this.coordinatesOf(u, tinted(blended.factor(), lab, toSrgb.D65, fromSrgb), this.spot);
     return new Prediction(this, u, this._onPath(u, coordinates));

@@ -89,6 +89,10 @@ class Actions {
   async requestAll(kind, options = {}) {
     const looks = this.explorer.looks(), name = this.explorer.byId("action-name").value;
     for (const [k, look] of looks.entries()) {
+      if (look.without) {
+        this.explorer.problem("commands predict of all materials; choose another place");
+        return;
+      }
       if (look.colour === "own") {
         this.explorer.problem("the colours of a dropped file are in `manifold locate FILE --output NEW`; choose others here");
       } else if (!await this.request(kind, { ...this.place(look), ...options, name: looks.length > 1 ? `${name}-${k + 1}` : name })) {

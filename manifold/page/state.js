@@ -11,6 +11,7 @@ export function initialState(data) {
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
   return {
     x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, guest: null, lch: null, path: null,
+    without: false, // the material of the place, which others predict
     light: "studio", turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, view: "wipe", wipe: 0.5,
     variants: [],
   };
@@ -31,8 +32,8 @@ export function lampWithin([x, y]) {
 export const isBetween = ({ colour, path }) => colour === "blend" && Boolean(path) && path.t > 0 && path.t < 1;
 
 /** What a look is made of: a place and its colours, whatever the light. */
-export function lookOf({ x, at, colour, like, srgb, spectrum, guest, lch, path }) {
-  return structuredClone({ x, at, colour, like, srgb, spectrum, guest, lch, path });
+export function lookOf({ x, at, colour, like, srgb, spectrum, guest, lch, path, without }) {
+  return structuredClone({ x, at, colour, like, srgb, spectrum, guest, lch, path, without });
 }
 
 /** A state as the fragment of a link, without what is as at the start; of dropped files places alone. */
@@ -52,12 +53,13 @@ export function toFragment(state) {
 
 const written = (x) => x.map((v) => String(Number(v.toFixed(4)))).join(",");
 
-function lookParts({ x, at, colour, like, srgb, lch, path }) {
+function lookParts({ x, at, colour, like, srgb, lch, path, without }) {
   const parts = new URLSearchParams({ x: at ?? written(x) });
   if (colour === "like") parts.set("like", like);
   if (colour === "picked") parts.set("srgb", srgb);
   if (colour === "lch") parts.set("lch", written(lch));
   if (path) parts.set("path", JSON.stringify([path.from, path.to, path.t]));
+  if (without) parts.set("without", "1");
   return parts;
 }
 
@@ -69,7 +71,7 @@ function readLook(parts, data) {
   const known = (name) => data.names.includes(name), found = {};
   const [text, like, srgb] = ["x", "like", "srgb"].map((key) => parts.get(key));
   if (known(text)) {
-    Object.assign(found, { at: text, x: [...data.X[data.names.indexOf(text)]] });
+    Object.assign(found, { at: text, x: [...data.X[data.names.indexOf(text)]], without: parts.has("without") });
   } else {
     const x = numbers(text, data.X[0].length);
     if (x) found.x = within(reachOf(data.X), x);

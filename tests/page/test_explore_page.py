@@ -18,6 +18,7 @@ from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.estimate.attributes import Attributes, Wanted, adjust, lab_of
 from manifold.estimate.gloss import gloss_units
+from manifold.model.blending import blend_weights
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.page.page import make_page
@@ -198,6 +199,29 @@ def test_a_chosen_colour_gives_the_reflectance_that_python_gives(visited, model,
     visited.page.evaluate("([x, mode]) => window.explorer.change({ x, ...mode })", [x.tolist(), mode])
     found = shown(visited.page, "window.explorer.reflectance")
     assert np.allclose(found, expected, atol=0.01)  # spheres of 200 and of 1024 nodes
+
+
+def test_a_measured_material_is_compared_with_what_the_others_predict(visited, model, document):
+    page, k = visited.page, 3
+    page.evaluate(f"window.explorer.goTo({k})")
+    control(page, "#leave-out").click()
+    u = np.array(shown(page, "[...window.explorer.prediction.u]"))
+    others = np.delete(model.X, k, axis=0)
+    assert u[k] == 0.0
+    assert np.allclose(
+        np.delete(u, k), blend_weights(model.X[k : k + 1], others, document["lengthScale"]), atol=1e-5
+    )
+    assert page.evaluate("window.explorer.pinned.prediction.u")[k] == 1.0
+    assert np.allclose(page.evaluate("window.explorer.reflectance"), document["reflectances"][k], atol=0.05)
+    assert f"{NAMES[k]} predicted by the others" in page.locator("#caption").inner_text()
+    link = page.evaluate("location.hash")
+    control(page, "#unpin").click()
+    page.evaluate("window.explorer.goTo(1)")
+    assert not state(page)["without"]
+    assert page.locator("#pin-caption").inner_text() == ""
+    follow(page, link)
+    assert state(page)["without"]
+    assert not state(page)["pin"]["without"]
 
 
 def test_dragging_and_keys_move_the_point(visited):

@@ -776,3 +776,12 @@ def test_commands_are_requested_for_all_kept_looks(served, served_page):
     assert first != second
     page.evaluate("explorer.reset()")
     assert served_page.errors == []
+
+
+def test_no_command_predicts_without_a_material_that_it_would_use(served, served_page):
+    page, before = served_page.page, len(served.queue.jobs)
+    page.evaluate("explorer.reset(); explorer.goTo(1); explorer.leaveOut()")
+    control(page, "#do-predict").click()
+    page.locator("#problem", has_text="commands predict of all materials").wait_for()
+    assert len(served.queue.jobs) == before
+    page.evaluate("explorer.reset(); explorer.problem('')")

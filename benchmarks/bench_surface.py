@@ -8,6 +8,9 @@ of a picture; median and 90th percentile over pictures) and structural similarit
 Rendered: the completed BRDF on the slopes, times the albedo, under the instrument's lamps: its mean beside the twelve
 readings, each pixel beside the real picture, and the sparkle of its flakes beside that of the pictures.
 
+Hidden: spectra of one to five of the pictures' geometries are hidden, and the rest completed with and without the
+colours of the pictures there; CIEDE2000 at the hidden spectra, median and 90th percentile.
+
 Known: reliefs of known BRDF, slopes, colours and flakes are rendered by Mitsuba in the instrument's geometry, with
 shadows and interreflections, and recovered (`tests/surface/surface_twins.py`); and how much one pixel's roughness is
 determined by its pictures.
@@ -24,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +36,15 @@ from scipy.ndimage import gaussian_filter
 
 from manifold.brdf.measured import EvaluableBRDF, MeasuredBRDF
 from manifold.colour.conversion import file_to_srgb, srgb_to_xyz, to_srgb
-from manifold.colour.difference import delta_e_2000
+from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_values
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.completion import Completion
 from manifold.estimate.completions import complete
+from manifold.estimate.picture_colours import reading_at, with_picture_colours
+from manifold.formats.registry import read_readings
+from manifold.formats.sample_pictures import picture_directions, picture_geometry
 from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
 from manifold.records import Array, Bands
 from manifold.render.bsdf_parameters import principled
 from manifold.render.fitted_brdf import FittedBRDF
@@ -123,6 +133,37 @@ def left_out(folder: Path) -> Iterator[tuple[str, str, str, tuple[float, float, 
             for name, method in METHODS.items():
                 made = method(others, pictures.lamps[j], mean)
                 yield path.stem, pictures.labels[j], name, errors(made, pictures.values[j])
+
+
+def hidden(folder: Path, library: Path) -> dict[str, Any]:
+    """Differences at hidden spectra, by their number; up to six choices of each."""
+    atoms, rng = LibraryAtoms.of_library(Library(library)), np.random.default_rng(0)
+    apart: dict[str, dict[str, list[float]]] = {}
+    for path in sorted(folder.glob("*.xlsx")):
+        readings = read_readings(path)
+        angles = [picture_geometry(caption) for caption in readings.texture["images"]]
+        seen = [
+            reading_at(readings, *picture_directions(*pair))
+            for pair in angles
+            if pair and np.isfinite(pair[1])
+        ]
+        for count in range(1, len(seen)):
+            choices = list(combinations(seen, count))
+            for k in rng.permutation(len(choices))[:6]:
+                away = np.array(choices[k])
+                rest = readings.select_pairs(np.setdiff1d(np.arange(len(readings)), away))
+                for name, used in (("without", rest), ("with", with_picture_colours(rest))):
+                    f = Completion.of(atoms, used).brdf.eval(readings.wi[away], readings.wo[away])
+                    lab = (
+                        lab_values(v, readings.bands, readings.viewing) for v in (f, readings.values[away])
+                    )
+                    apart.setdefault(f"{count}", {}).setdefault(name, []).extend(delta_e_2000_lab(*lab))
+    found = {
+        count: {name: [float(np.percentile(e, share)) for share in (50, 90)] for name, e in both.items()}
+        for count, both in apart.items()
+    }
+    print(json.dumps(found))
+    return found
 
 
 def rendered(folder: Path, library: Path) -> dict[str, Any]:
@@ -343,6 +384,7 @@ def main() -> None:
     summary: dict[str, Any] = {"known": known()}
     if options.library:
         summary["rendered"] = rendered(options.folder, options.library)
+        summary["hidden"] = hidden(options.folder, options.library)
     rows = list(left_out(options.folder))
     print(f"{'':34}{'rel. RMS':>9}{'CIEDE2000':>16}{'SSIM':>7}   by picture")
     for name in METHODS:

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from manifold.disk import begins_with
-from manifold.errors import LibraryError, UsageError
+from manifold.errors import FileFormatError, LibraryError, UsageError
+from manifold.estimate.picture_colours import colour_of, reading_at
 from manifold.estimate.sources import FileSource, MaterialSource, source_file
 from manifold.formats import registry, tensor_file
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
+from manifold.formats.sample_pictures import picture_directions, picture_geometry, picture_values
 from manifold.io_rgl import read_bsdf
 from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
 from manifold.records import Bands, BsdfFile
@@ -48,10 +50,13 @@ def inspect_instrument_file(
     if len(records) > 1:
         listed = [(r.name, _count(r), str(r.bands)) for r in records[:_MOST_SAMPLES]]
         tables.append((("sample", "pairs", "bands"), listed))
-    textures = [record.texture for record in records if isinstance(record, Readings) and record.texture]
-    if textures:
-        rows["texture"] = "graininess, sparkle or images of the sample are below"
-        tables += [_texture_table(key, value) for key, value in textures[0].items()]
+    textured = [record for record in records if isinstance(record, Readings) and record.texture]
+    if textured:
+        rows["texture"] = "graininess, sparkle or pictures of the sample are below"
+        tables += [
+            _picture_table(textured[0]) if key == "images" else _texture_table(key, value)
+            for key, value in textured[0].texture.items()
+        ]
     document = {"path": str(path), "format": format_name, "samples": [_document(r) for r in records]}
     return rows, document, tables
 
@@ -95,10 +100,29 @@ def _count(record: registry.Record) -> int:
     return len(record) if isinstance(record, Readings) else int(np.count_nonzero(record.measured))
 
 
+def _picture_table(readings: Readings) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
+    """Pictures with their geometries, sizes and mean colours, and how these compare with the readings'."""
+    heads = ("picture", "camera, lamp in degrees", "pixels", "mean linear sRGB", "over its reading")
+    rows = []
+    for caption, content in readings.texture["images"].items():
+        geometry, factor = picture_geometry(caption), np.full(3, np.nan)
+        lamp = "" if geometry is None else f"{geometry[0]:g}, {geometry[1]:g}".replace("nan", "diffuse")
+        try:
+            values = picture_values(content)
+        except FileFormatError as error:
+            rows.append((caption, lamp, str(error), "", ""))
+            continue
+        mean = values.mean(axis=(0, 1))
+        if geometry is not None and np.isfinite(geometry[1]):
+            factor = mean / colour_of(readings, reading_at(readings, *picture_directions(*geometry)))
+        colours = (" ".join(f"{v:.3f}" for v in each) for each in (mean, factor))
+        size = f"{values.shape[1]} x {values.shape[0]}"
+        rows.append((caption, lamp, size, *("" if "nan" in each else each for each in colours)))
+    return heads, rows
+
+
 def _texture_table(key: str, value: Any) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
-    """Images by their size, a list of entries with their columns, or single values."""
-    if key == "images" and isinstance(value, Mapping):
-        return ("flake image", "size"), [(name, f"{len(data) / 1e3:.1f} kB") for name, data in value.items()]
+    """A list of entries with their columns, or single values."""
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         columns = tuple(dict.fromkeys(column for entry in value for column in entry))
         return columns, [[entry.get(c, "") for c in columns] for entry in value]

@@ -22,6 +22,7 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.estimate.expected import calibrate
 from manifold.estimate.inputs import safe_name
+from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault
 from manifold.library.store import Library
@@ -156,7 +157,7 @@ def complete(
 
     Args:
         library: of measured materials.
-        readings: of the sample, or their file.
+        readings: of the sample, or their file; where a spectrum is missing, the colour of its picture is taken.
         output: the file to write; its name becomes the material's.
         sample: which of a file with several.
         correction: what `instruments.read` learned, to be reported.
@@ -171,6 +172,7 @@ def complete(
     start = time.perf_counter()
     if isinstance(readings, Path):
         readings, correction = instruments.read([readings], sample)
+    readings = with_picture_colours(readings)
     if count:
         directions_left(count, readings, instrument)
     require_bsdf_output(output)

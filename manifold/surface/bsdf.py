@@ -6,8 +6,8 @@ Scenes name it after `manifold.surface.bsdf.register()`, in LLVM variants:
      "nested": {"type": "measured", "filename": "mean_spec.bsdf"}}
 
 Properties:
-    changes: texture of the changes of red, green and blue, as `spectra.spectral_changes` gives them. In RGB variants
-        they multiply the colour; in spectral ones, wavelength by wavelength, `spectra.weights_at` says by which share.
+    changes: texture of the changes of red, green and blue, as `spectral_changes` gives them. In RGB variants
+        they multiply the colour; in spectral ones, wavelength by wavelength, `weights_at` says by which share.
     nested: the BSDF that is changed.
 
 Slopes are Mitsuba's own: put it into a `normalmap`.
@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from manifold.colour.spectral_changes import NODES_NM
 from manifold.errors import UsageError
 from manifold.render import backend
-from manifold.surface.spectra import _NODES_NM
 
 NAME = "surface"
 _registered: set[str] = set()
@@ -61,7 +61,7 @@ def _plugin_class(mi: Any, variant: str) -> Any:
             if not is_spectral:
                 return mi.Color3f(changes)
             red, green, blue = changes.x, changes.y, changes.z
-            low, middle, high = _NODES_NM
+            low, middle, high = NODES_NM
             nm = si.wavelengths
             dr = backend.drjit()
             to_green = dr.clip((nm - low) / (middle - low), 0.0, 1.0)

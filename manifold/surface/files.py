@@ -17,6 +17,7 @@ import numpy as np
 from manifold import __version__, disk
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
+from manifold.colour.spectral_changes import spectral_changes
 from manifold.errors import UsageError
 from manifold.estimate.completions import Completed, complete, file_name
 from manifold.fit.exports.document import TextureFiles
@@ -29,7 +30,6 @@ from manifold.surface import preview
 from manifold.surface.estimate import Surface, estimate_surface
 from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.sparkle import DrawnFlakes, Sparkle, sparkle_of
-from manifold.surface.spectra import spectral_changes
 from manifold.surface.tiling import Textures, tile
 
 TEXTURED = ("gltf", "openpbr", "standard-surface", "usd", "blender")

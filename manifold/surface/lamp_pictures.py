@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,16 +9,13 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter, shift
 
-from manifold.colour.conversion import to_srgb
 from manifold.colour.pictures import SUFFIXES, read_picture
-from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.estimate.lamps import read_lamps
+from manifold.estimate.picture_colours import colour_of, odd_picture, reading_at
 from manifold.formats.readings import Readings
-from manifold.records import Array, Bands, Mask
-
-DIFFUSE = "d"
-"""What a picture in diffuse light is called after its anchor: `15d`."""
+from manifold.formats.sample_pictures import picture_directions, picture_geometry, picture_values
+from manifold.records import Array, Mask
 
 _LEAST_LAMPS = 3
 _LEAST_SIZE = 32  # pixels a side
@@ -28,9 +23,7 @@ _DETAIL_PX = 3.0  # what is finer registers the colours
 _MOST_SHIFT_PX = 2.0
 _SHIFT_STEP_PX = 0.05
 _LEAST_CORRELATION = 0.3  # of fine detail between two channels, to register them
-_MOST_FACTOR = 1.5  # between a picture's mean and its reading, relative to the other pictures
 _HALF_CODE = 0.5 / 255.0
-_GEOMETRY = re.compile(r"r?_?(\d+)(?:d|_?as(-?\d+))", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,23 +84,28 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
 
     readings = read_readings(path, sample)
     images: Mapping[str, bytes] = readings.texture.get("images", {})
-    found = {caption: _geometry(caption) for caption in images}
-    captions = [caption for caption, geometry in found.items() if geometry is not None]
-    if sum(not np.isnan(found[c][1]) for c in captions) < _LEAST_LAMPS:  # type: ignore[index]
+    found = {c: geometry for c in images if (geometry := picture_geometry(c)) is not None}
+    captions = tuple(found)
+    angles = np.array([lamp for _, lamp in found.values()])
+    if np.sum(np.isfinite(angles)) < _LEAST_LAMPS:
         raise FileFormatError(
             f"{path}: found {len(captions)} pictures with a geometry, expected at least {_LEAST_LAMPS} under lamps in "
             "a sheet 'Texture Images'; export the workbook with its pictures"
         )
     values = _stack(path, [(c, _decoded(path, c, images[c])) for c in captions])
-    angles = np.array([found[c][1] for c in captions])  # type: ignore[index]
-    lamps = in_plane(angles)
-    camera = -np.deg2rad(found[captions[0]][0])  # type: ignore[index]
-    means = np.array([_mean_of_reading(readings, camera, angle) for angle in np.deg2rad(angles)])
+    means = [
+        np.full(3, np.nan)
+        if np.isnan(lamp)
+        else colour_of(readings, reading_at(readings, *picture_directions(camera, lamp)))
+        for camera, lamp in found.values()
+    ]
     values, registered = _registered(values)
     pictures = SurfacePictures(
-        readings.name, values, lamps, in_plane(np.rad2deg(camera)), tuple(captions), means, registered
-    )
-    _require_belonging(path, pictures)
+        readings.name, values, in_plane(angles), in_plane(-found[captions[0]][0]), captions, np.array(means),
+        registered,
+    )  # fmt: skip
+    if (fault := odd_picture(captions, pictures.factors)) is not None:
+        raise FileFormatError(f"{path}: {fault}")
     return pictures, readings
 
 
@@ -154,15 +152,6 @@ def files_in(sources: Sequence[Path]) -> list[Path]:
     return found
 
 
-def _geometry(caption: str) -> tuple[float, float] | None:
-    """Anchor and lamp angle in degrees, the lamp's positive on the mirror's side; NaN for diffuse light."""
-    found = _GEOMETRY.fullmatch(caption.strip())
-    if found is None:
-        return None
-    anchor = float(found[1])
-    return anchor, np.nan if found[2] is None else anchor - float(found[2])
-
-
 def in_plane(angles_deg: Array | float) -> Array:
     """Directions in the instrument's plane, which is vertical in its pictures; positive angles towards larger rows."""
     angles = np.deg2rad(angles_deg)
@@ -170,16 +159,11 @@ def in_plane(angles_deg: Array | float) -> Array:
 
 
 def _decoded(path: Path, caption: str, content: bytes) -> Array:
-    """Linear values of one picture of a workbook, which are stored as they are: the camera's codes are linear."""
-    from PIL import Image
-
+    """Linear values of one picture of a workbook."""
     try:
-        with Image.open(io.BytesIO(content), formats=("PNG", "JPEG")) as image:
-            return np.asarray(image.convert("RGB"), dtype=np.float64) / 255.0
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise FileFormatError(
-            f"{path}: the picture {caption} cannot be decoded ({str(error)[:80]}); export the workbook again"
-        ) from None
+        return picture_values(content)
+    except FileFormatError as error:
+        raise FileFormatError(f"{path}: the picture {caption} {error}") from None
 
 
 def _stack(path: Path, pictures: Sequence[tuple[str, Array]]) -> Array:
@@ -190,35 +174,6 @@ def _stack(path: Path, pictures: Sequence[tuple[str, Array]]) -> Array:
             f"{path}: found pictures of {sizes} pixels, expected one size of at least {_LEAST_SIZE} x {_LEAST_SIZE}"
         )
     return np.stack([values for _, values in pictures])
-
-
-def _mean_of_reading(readings: Readings, camera_rad: float, lamp_rad: float) -> Array:
-    """Linear sRGB of the reading at a lamp, a white diffuser being 1; NaN where there is none."""
-    if np.isnan(lamp_rad):
-        return np.full(3, np.nan)
-    camera, lamp = (_leg(angle) for angle in (camera_rad, lamp_rad))
-    wi, wo = readings.wi, readings.wo
-    apart = np.minimum(
-        np.linalg.norm(wi - camera, axis=-1) + np.linalg.norm(wo - lamp, axis=-1),
-        np.linalg.norm(wi - lamp, axis=-1) + np.linalg.norm(wo - camera, axis=-1),
-    )
-    mirrored = np.array([-1.0, 1.0, 1.0])  # the other side of the plane
-    apart = np.minimum(
-        apart,
-        np.minimum(
-            np.linalg.norm(wi - mirrored * camera, axis=-1) + np.linalg.norm(wo - mirrored * lamp, axis=-1),
-            np.linalg.norm(wi - mirrored * lamp, axis=-1) + np.linalg.norm(wo - mirrored * camera, axis=-1),
-        ),
-    )
-    nearest = int(np.argmin(apart))
-    if apart[nearest] > np.deg2rad(1.0):
-        return np.full(3, np.nan)
-    bands = Bands.from_array(readings.wavelengths_nm)
-    return np.asarray(np.pi * to_srgb(readings.values[nearest], bands))
-
-
-def _leg(angle_rad: float) -> Array:
-    return np.asarray(from_spherical(abs(angle_rad), 0.0 if angle_rad >= 0.0 else np.pi))
 
 
 def _registered(values: Array) -> tuple[Array, tuple[str, ...]]:
@@ -255,15 +210,3 @@ def _agreement(fixed: Array, moving: Array, steps: Array) -> Array:
     twice = np.where((np.arange(len(cross)) == 0) | (2 * np.arange(len(cross)) == n), 1.0, 2.0)
     products = np.array([np.sum(twice * np.real(cross * np.exp(-1j * frequencies * s))) for s in steps])
     return np.asarray(products / (n * fixed.shape[2]) / np.sqrt(np.sum(fixed**2) * np.sum(moving**2)))
-
-
-def _require_belonging(path: Path, pictures: SurfacePictures) -> None:
-    """Raise FileFormatError where a picture's mean differs from its reading much more than the others do."""
-    factors = pictures.factors.mean(axis=-1)
-    relative = factors / np.nanmedian(factors)
-    for label, value in zip(pictures.labels, relative, strict=True):
-        if value > _MOST_FACTOR or value < 1.0 / _MOST_FACTOR:
-            raise FileFormatError(
-                f"{path}: the picture {label} is {value:.2f} times as bright as its reading says, relative to the "
-                "others; pictures and readings do not belong together"
-            )

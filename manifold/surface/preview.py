@@ -25,7 +25,7 @@ def strip(mean: Path, normal: Array, changes: Array, flakes: DrawnFlakes | None 
     Args:
         mean: an RGL file of linear sRGB or a spectrum.
         normal: unit normals, shape (H, W, 3).
-        changes: of `spectra.spectral_changes`, shape (H, W, 3).
+        changes: of `spectral_changes`, shape (H, W, 3).
         flakes: between the rest; None for none.
     """
     from manifold.io_rgl import read_bsdf

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.colour.conversion import decode_srgb, file_to_srgb, to_srgb
+from manifold.colour.spectral_changes import spectral_changes, weights_at
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.formats import ma_t12
@@ -27,7 +28,6 @@ from manifold.surface import preview
 from manifold.surface.files import mitsuba_document
 from manifold.surface.lamp_pictures import in_plane
 from manifold.surface.sparkle import Flakes
-from manifold.surface.spectra import spectral_changes, weights_at
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +101,14 @@ def test_spectra_of_points_have_the_colours_that_were_seen_and_that_of_the_mean_
     assert spectra.min() > 0.0
     np.testing.assert_allclose(to_srgb(spectra, bands) / to_srgb(mean, bands), ratios, rtol=1e-6)
     np.testing.assert_allclose(spectral_changes(np.ones(3), mean, bands), 1.0, rtol=1e-9)
+
+
+def test_info_shows_the_pictures_of_a_workbook_beside_its_readings(printed):
+    shown = CliRunner().invoke(app, ["info", str(printed[1].parent / "twin.xlsx")]).output
+    row = next(line.split() for line in shown.splitlines() if line.startswith("15as80"))
+    assert row[1:6] == ["15,", "-65", "480", "x", "360"]
+    np.testing.assert_allclose([float(v) for v in row[-3:]], 1.0, atol=0.02)  # 8 bits
+    assert "15, diffuse" in shown
 
 
 def test_the_glb_holds_both_textures_and_places_on_them(printed):

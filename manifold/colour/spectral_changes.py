@@ -1,4 +1,4 @@
-"""Spectra of the points of a surface: that of the mean, changed as their linear sRGB differs from it."""
+"""Spectra that are changed as linear sRGB says: of points of a surface, or of a colour that a picture shows."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from manifold.colour.conversion import to_srgb
 from manifold.records import Array, Bands
 
-_NODES_NM = (460.0, 540.0, 605.0)
+NODES_NM = (460.0, 540.0, 605.0)
 """Where blue, green and red weigh alone; between them two share, so that the weights of a wavelength sum to 1."""
 
 _LEAST = 1e-3  # of a weight's change, so that spectra stay positive
@@ -15,7 +15,7 @@ _LEAST = 1e-3  # of a weight's change, so that spectra stay positive
 
 def weights_at(wavelengths_nm: Array) -> Array:
     """Shares of red, green and blue at wavelengths, piecewise linear, sums 1, shape (W, 3)."""
-    blue, green, red = (np.interp(wavelengths_nm, _NODES_NM, row) for row in np.eye(3))
+    blue, green, red = (np.interp(wavelengths_nm, NODES_NM, row) for row in np.eye(3))
     return np.stack([red, green, blue], axis=-1)
 
 

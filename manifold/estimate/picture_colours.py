@@ -1,0 +1,105 @@
+"""Colours of an instrument's own pictures: beside its spectra, and in place of those that are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from manifold.colour.conversion import to_srgb
+from manifold.colour.spectral_changes import spectral_changes, weights_at
+from manifold.errors import FileFormatError
+from manifold.estimate.residual import coordinates
+from manifold.formats.readings import Readings
+from manifold.formats.sample_pictures import picture_directions, picture_geometry, picture_values
+from manifold.records import Array
+
+_SAME_PLACE = 0.1  # in correlation lengths: 1 degree
+_MOST_FACTOR = 1.5  # between the mean of a picture and the colour of its reading
+_SCATTER = (
+    0.01  # of cube roots of a picture's colour: means over readings vary by 3 % from picture to picture
+)
+_VISIBLE_NM = (460.0, 605.0)  # within which spectra have to reach to be changed as colours say
+_DARK = 1e-3
+
+
+def reading_at(readings: Readings, wi: Array, wo: Array) -> int | None:
+    """Index of the measured reading at a direction pair of an isotropic, reciprocal sample; None if there is none."""
+    apart = np.linalg.norm(coordinates(readings.wi, readings.wo) - coordinates(wi, wo), axis=-1)
+    apart[~readings.measured.any(axis=1)] = np.inf
+    nearest = int(np.argmin(apart))
+    return nearest if apart[nearest] < _SAME_PLACE else None
+
+
+def colour_of(readings: Readings, reading: int | None) -> Array:
+    """Linear sRGB of a reading, (3,), a white diffuser being 1; NaN where it has gaps, or there is none."""
+    if reading is None:
+        return np.full(3, np.nan)
+    return np.asarray(np.pi * to_srgb(readings.values[reading], readings.bands))
+
+
+def odd_picture(labels: tuple[str, ...], factors: Array) -> str | None:
+    """Which picture does not belong to the readings, and why; None where all do.
+
+    Args:
+        labels: J names.
+        factors: of each picture's mean over the colour of its reading, (J, 3); NaN where there is none.
+    """
+    grey = factors.mean(axis=-1)
+    relative = grey / np.nanmedian(grey)
+    for label, value in zip(labels, relative, strict=True):
+        if value > _MOST_FACTOR or value < 1.0 / _MOST_FACTOR:
+            return (
+                f"the picture {label} is {value:.2f} times as bright as its reading says, relative to the others; "
+                "pictures and readings do not belong together"
+            )
+    return None
+
+
+def with_picture_colours(readings: Readings) -> Readings:
+    """Readings and, at the geometries of their pictures where there is no spectrum, one of the picture's colour.
+
+    The factor between pictures and readings is the median over those pictures that have one. A spectrum is that of the
+    reading of the nearest colour, changed as the picture differs from it.
+    """
+    images: Mapping[str, bytes] = readings.texture.get("images", {})
+    found = {c: g for c in images if (g := picture_geometry(c)) is not None and not np.isnan(g[1])}
+    nm = readings.wavelengths_nm
+    if nm is None or nm[0] > _VISIBLE_NM[0] or nm[-1] < _VISIBLE_NM[1]:
+        return readings
+    at = [picture_directions(*geometry) for geometry in found.values()]
+    read = [reading_at(readings, *pair) for pair in at]
+    missing = [k for k, reading in enumerate(read) if reading is None]
+    if len(missing) in (0, len(found)):
+        return readings
+    try:
+        seen = np.array([picture_values(images[caption]).mean(axis=(0, 1)) for caption in found])
+    except FileFormatError:
+        return readings
+    factors = seen / np.array([colour_of(readings, reading) for reading in read])
+    factor = np.nanmedian(factors, axis=0)
+    if np.any(np.abs(np.log(factor)) > np.log(_MOST_FACTOR)) or odd_picture(tuple(found), factors):
+        return readings.with_note("the pictures are of another sample than the readings, and are not used")
+    whole = readings.values[readings.measured.all(axis=1)]
+    colours = np.maximum(np.pi * to_srgb(whole, readings.bands), _DARK)
+    weights = weights_at(nm)
+    made = []
+    for colour in np.maximum(seen[missing] / factor, _DARK):
+        nearest = int(np.argmin(np.linalg.norm(np.log(colours / colour), axis=1)))
+        spectrum = whole[nearest]
+        made.append(
+            spectrum * (weights @ spectral_changes(colour / colours[nearest], spectrum, readings.bands))
+        )
+    names = list(found)
+    kept = readings.select_pairs(np.flatnonzero(readings.measured.any(axis=1)))
+    return replace(
+        kept,
+        wi=np.vstack([kept.wi, *(at[k][0][None] for k in missing)]),
+        wo=np.vstack([kept.wo, *(at[k][1][None] for k in missing)]),
+        values=np.vstack([kept.values, *made]),
+        weights=np.append(kept.weights, np.ones(len(missing))),
+        scatter=np.append(kept.scatter, np.full(len(missing), _SCATTER)),
+    ).with_note(
+        f"no spectrum at {', '.join(names[k] for k in missing)}: taken from the colours of the pictures there"
+    )

@@ -39,17 +39,18 @@ const lit = async (scene, light) => {
   around.needsUpdate = true;
   scene.environment = around;
 };
-window.draw = async (address, view, light, kept, finer, edge) => {
+window.draw = async (address, shape, view, light, kept, finer, edge) => {
   const size = kept * finer;
   const { scene: loaded } = await new GLTFLoader().loadAsync(address);
-  const ball = loaded.getObjectByName("ball"), scene = new THREE.Scene();
-  ball.geometry.computeBoundingSphere();
-  ball.position.copy(ball.geometry.boundingSphere.center).negate();
-  scene.add(ball);
+  const drawn = loaded.getObjectByName(shape), scene = new THREE.Scene();
+  drawn.geometry.computeBoundingBox();
+  drawn.geometry.boundingBox.getCenter(drawn.position).negate();
+  scene.add(drawn);
   await lit(scene, light);
-  const r = ball.geometry.boundingSphere.radius * edge;
+  const r = drawn.geometry.boundingBox.max.x * edge;
   const camera = new THREE.OrthographicCamera(-r, r, r, -r, 0.1, 100);
   camera.position.set(...view).multiplyScalar(20 * r);
+  if (shape === "plane") camera.up.set(0, 0, -1); // seen from above
   camera.lookAt(0, 0, 0);
   const target = new THREE.WebGLRenderTarget(size, size, linear);
   renderer.setRenderTarget(target);
@@ -112,6 +113,8 @@ class ThreeJs:
         light: Sequence[float] | np.ndarray,
         size: int = SIZE,
         edge: float = EDGE,
+        shape: str = "ball",
+        finer: int = _FINER,
     ) -> np.ndarray:
         """Radiance and alpha of a ball (size, size, 4), seen by parallel rays from `view`, up y.
 
@@ -121,11 +124,13 @@ class ThreeJs:
             light: where a distant lamp stands, (3,), or radiance (H, 2 H) of grey surroundings, rows from below.
             size: of the picture.
             edge: radii of the ball that half the picture's side shows.
+            shape: `ball`, or `plane`, which is seen from above.
+            finer: pixels across one, of which the middle one is kept.
         """
         self._files["material.glb"] = path.read_bytes()
         if np.ndim(light) == 2:
             self._files["light.bin"] = np.asarray(light, "<f4").tobytes()
         described = "/light.bin" if np.ndim(light) == 2 else [float(x) for x in light]
-        script = "([view, light, ...size]) => draw('/material.glb', view, light, ...size)"
-        values = self._page.evaluate(script, [list(view), described, size, _FINER, edge])
+        script = "(how) => draw('/material.glb', ...how)"
+        values = self._page.evaluate(script, [shape, list(view), described, size, finer, edge])
         return np.array(values).reshape(size, size, 4)

@@ -3,10 +3,12 @@
     python tools/engines                  all materials in all engines, into benchmarks/results/engines.json
     python tools/engines --only satin     the materials whose names contain a word, or one engine; keeps no results
     python tools/engines --work FOLDER    with exports and pictures of before, where they are there
+    python tools/engines --shape plane    textured surfaces alone; keeps no results
 
 Balls in the lights in which errors are judged: Cycles (`bpy`) draws Blender's scripts, and glTF as Blender imports it,
 MaterialX's GLSL renderer OpenPBR, standard_surface and UsdPreviewSurface, three.js in Chromium glTF. Each engine's
-exposure in a light is that in which a white Lambertian has the mean of Mitsuba's. Real files are taken from
+exposure in a light is that in which a white Lambertian has the mean of Mitsuba's. Surfaces are planes of some materials
+with textures of colours and normals, under suns, see `surfaces`. Real files are taken from
 MANIFOLD_RGL_DIR, else ../shared/rgl/real; `make engines` installs what is needed.
 """
 
@@ -19,7 +21,8 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +34,8 @@ sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "tools"), str(REPOSITORY / "te
 from helpers.browser import chromium  # noqa: E402
 from helpers.three_js import ThreeJs, node_modules  # noqa: E402
 
-from engines import balls  # noqa: E402
-from engines.balls import EDGE, SIZE, Pictures, y_up  # noqa: E402
-from manifold.colour.ball_colours import VIEW  # noqa: E402
+from engines import balls, surfaces  # noqa: E402
+from engines.balls import BALL, EDGE, Pictures, Scene, y_up  # noqa: E402
 from manifold.fit import exporting  # noqa: E402
 from manifold.fit.exports.document import Export  # noqa: E402
 from manifold.fit.exports.principled_values import Principled  # noqa: E402
@@ -46,16 +48,21 @@ MATERIALS = (
 )  # fmt: skip
 """Felt, paper, tinted satin, two foils, leather-like film, paint of two colours, iridescent flakes."""
 
+SURFACES = ("acrylic_felt_green", "paper_blue", "satin_purple")
+"""Of these, textured planes are drawn as well."""
+
 WHITE = "white lambertian"
 RESULTS = REPOSITORY / "benchmarks" / "results" / "engines.json"
 _CYCLES_SAMPLES = (16, 128)  # a pixel: under suns, and in soft light
 _MATERIALX_SAMPLES = 64  # of a lobe in soft light; its viewer takes 16 unless told otherwise
-_FINER = 3  # pixels across one, of MaterialX's pictures
 _MOST_WHITE = 1.0  # CIEDE2000 of the white Lambertian in the studio: more, and the light is turned
 _PYTHON = REPOSITORY / ".venv-engines" / "bin" / "python"
 
 Exported = dict[str, dict[str, Any]]
 """What an export says, with its path, by material."""
+
+
+Writer = Callable[[exporting.Subject, Target, Path], dict[str, Any]]
 
 
 def main() -> None:
@@ -65,40 +72,96 @@ def main() -> None:
     )
     parser.add_argument("--only", action="append", default=[], metavar="WORD")
     parser.add_argument("--engine", action="append", choices=ENGINES, help="by default all")
+    parser.add_argument("--shape", action="append", choices=("ball", "plane"), help="by default both")
     parser.add_argument("--work", type=Path, help="folder of exports and pictures; by default a new one")
     parser.add_argument("--sheets", type=Path, help="folder of a picture for each light: a column a material")
     options = parser.parse_args()
     real = Path(os.environ.get("MANIFOLD_RGL_DIR", REPOSITORY.parent / "shared" / "rgl" / "real"))
     files = {n: real / f"{n}_rgb.bsdf" for n in MATERIALS if any(w in n for w in options.only or [""])}
+    engines = options.engine or list(ENGINES)
     with tempfile.TemporaryDirectory() as scratch:
         work = (options.work or Path(scratch)).resolve()
-        measured = {
-            name: balls.kept(work / "mitsuba", name, lambda path=path: balls.mitsuba(path))
-            for name, path in (files | {WHITE: None}).items()
-        }
-        pictures, rows, versions = {"measured": measured}, {}, {}
-        for engine in options.engine or ENGINES:
-            targets, draw = ENGINES[engine]
-            for target in targets:
-                name = f"{target} in {engine}"
-                made = exports(files, TARGETS[target], work)
-                folder = work / name
-                folder.mkdir(exist_ok=True)
-                version = folder / "version.json"
-                if not version.exists():
-                    version.write_text(json.dumps(draw(made, folder)), encoding="utf-8")
-                versions[engine] = json.loads(version.read_text(encoding="utf-8"))
-                drawn = {each: balls.read(folder, each) for each in made}
-                pictures[name] = balls.exposed(drawn, measured[WHITE], WHITE)
-                rows[name] = compared(name, made, pictures[name], measured)
-        found = {"versions": versions, "summary": summary(rows), "exports": rows}
-        if options.sheets:
-            balls.write_sheets(options.sheets, pictures)
-    if not options.only and not options.engine:
+        versions: dict[str, str] = {}
+        found = {"versions": versions}
+        if "ball" in (options.shape or ["ball"]):
+            found |= drawn_balls(files, engines, work, versions, options.sheets)
+        if "plane" in (options.shape or ["plane"]):
+            files = {name: path for name, path in files.items() if name in SURFACES}
+            found["surfaces"] = drawn_surfaces(files, engines, work, versions, options.sheets)
+    if not (options.only or options.engine or options.shape):
         RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
-def exports(files: dict[str, Path], target: Target, work: Path) -> Exported:
+def drawn_balls(
+    files: dict[str, Path], engines: list[str], work: Path, versions: dict[str, str], sheets: Path | None
+) -> dict[str, Any]:
+    """Differences of balls; versions of the engines are added."""
+    measured = {
+        name: balls.kept(work / "mitsuba", name, lambda path=path: balls.mitsuba(path))
+        for name, path in (files | {WHITE: None}).items()
+    }
+    pictures, rows = {"measured": measured}, {}
+    for engine in engines:
+        targets, draw = ENGINES[engine]
+        for target in targets:
+            name = f"{target} in {engine}"
+            made = exports(files, TARGETS[target], work)
+            versions[engine] = version_of(work / name, partial(draw, made, BALL))
+            drawn = {each: balls.read(work / name, each) for each in made}
+            pictures[name] = balls.exposed(drawn, measured[WHITE], WHITE)
+            rows[name] = compared(name, made, pictures[name], measured)
+    if sheets:
+        balls.write_sheets(sheets, pictures)
+    return {"summary": summary(rows), "exports": rows}
+
+
+def drawn_surfaces(
+    files: dict[str, Path], engines: list[str], work: Path, versions: dict[str, str], sheets: Path | None
+) -> dict[str, Any]:
+    """Differences of textured planes from Mitsuba's, by target and engine, material and sun."""
+    true = {name: surfaces.mitsuba(path) for name, path in files.items()}
+    pictures: dict[str, dict[str, surfaces.Pictures]] = {name: {"Mitsuba": true[name]} for name in files}
+    rows: dict[str, Any] = {}
+    for engine in engines:
+        targets, draw = ENGINES[engine]
+        for target in targets:
+            if target == "usd":  # MaterialX is given its values, not the file
+                continue
+            name = f"{target} in {engine}"
+            made = exports(files, TARGETS[target], work / "surfaces", surfaces.write)
+            folder = work / f"{name}, plane"
+            versions[engine] = version_of(folder, partial(draw, made, surfaces.PLANE))
+            drawn = {each: balls.read(folder, each, surfaces.LAMPS) for each in made}
+            white = drawn.pop(WHITE)
+            rows[name] = {}
+            print(f"\n{name}, planes")
+            for each, picture in drawn.items():
+                pictures[each][name] = surfaces.exposed(picture, white)
+                model = TargetBRDF(TARGETS[target], made[each]["parameters"])
+                rows[name][each] = surfaces.differences(pictures[each][name], true[each], model)
+                for sun, errors in rows[name][each].items():
+                    print(f"  {each:20} {sun:8}", _text(errors), flush=True)
+    if sheets:
+        for each, shown in pictures.items():
+            surfaces.write_sheet(sheets / f"surface {each}.png", shown)
+    return {"summary": surfaces.summary(rows), "exports": rows}
+
+
+def version_of(folder: Path, draw: Callable[[Path], str]) -> str:
+    """The version of an engine that has drawn into a folder, or draws now."""
+    folder.mkdir(exist_ok=True)
+    version = folder / "version.json"
+    if not version.exists():
+        version.write_text(json.dumps(draw(folder)), encoding="utf-8")
+    return json.loads(version.read_text(encoding="utf-8"))
+
+
+def write(subject: exporting.Subject, target: Target, path: Path) -> dict[str, Any]:
+    """Export a material; what the export says."""
+    return dict(exporting.export(subject, target, path).content or {})
+
+
+def exports(files: dict[str, Path], target: Target, work: Path, written: Writer = write) -> Exported:
     """What `manifold export` says of every file, and where it was written, by material; a white Lambertian besides."""
     folder = work / target.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -107,8 +170,7 @@ def exports(files: dict[str, Path], target: Target, work: Path) -> Exported:
         path = folder / f"{name}{target.suffix}"
         said = path.with_suffix(".export.json")
         if not said.exists():
-            content = exporting.export(_subject(file), target, path).content
-            said.write_text(json.dumps(content), encoding="utf-8")
+            said.write_text(json.dumps(written(_subject(file), target, path)), encoding="utf-8")
         made[name] = json.loads(said.read_text(encoding="utf-8")) | {"path": path}
     material = Principled((1.0, 1.0, 1.0), specular=0.0, is_diffuse=True)
     white = Export(
@@ -132,24 +194,24 @@ def _subject(file: Path) -> exporting.Subject:
     return exporting.subject_of(file)
 
 
-def cycles(exported: Exported, folder: Path) -> str:
+def cycles(exported: Exported, scene: Scene, folder: Path) -> str:
     """Draw in Cycles; the version of Blender."""
     lights = {
         name: _saved(folder, name, light.radiance("cycles"))
         if light.towards is None
         else light.towards.tolist()
-        for name, light in balls.LIGHTS.items()
+        for name, light in scene.lights.items()
     }
     task = {
         "materials": {name: str(made["path"]) for name, made in exported.items()}, "lights": lights,
-        "samples": _CYCLES_SAMPLES, "size": SIZE, "edge": EDGE, "filter": 1.0, "view": VIEW.tolist(),
-        "folder": str(folder),
+        "samples": _CYCLES_SAMPLES, "size": scene.size, "edge": EDGE, "filter": 1.0, "view": scene.view.tolist(),
+        "shape": scene.shape, "folder": str(folder),
     }  # fmt: skip
     script = Path(__file__).with_name("cycles.py").read_text(encoding="utf-8")
     return _run([str(_PYTHON), "-c", script, json.dumps(task)])
 
 
-def materialx(exported: Exported, folder: Path) -> str:
+def materialx(exported: Exported, scene: Scene, folder: Path) -> str:
     """Draw in MaterialX's renderer; its version."""
     materials = {name: str(made["path"]) for name, made in exported.items()}
     for name, made in exported.items():
@@ -164,11 +226,12 @@ def materialx(exported: Exported, folder: Path) -> str:
         ]
         if light.towards is None
         else {"towards": y_up(light.towards).tolist()}
-        for name, light in balls.LIGHTS.items()
+        for name, light in scene.lights.items()
     }
     task = {
-        "materials": materials, "lights": lights, "samples": _MATERIALX_SAMPLES, "size": SIZE, "finer": _FINER,
-        "edge": EDGE, "view": y_up(VIEW).tolist(), "folder": str(folder),
+        "materials": materials, "lights": lights, "samples": _MATERIALX_SAMPLES, "size": scene.size,
+        "finer": scene.finer, "edge": EDGE, "view": y_up(scene.view).tolist(), "shape": scene.shape,
+        "folder": str(folder),
     }  # fmt: skip
     script = str(Path(__file__).with_name("materialx.py"))
     return _run(["xvfb-run", "-a", str(_PYTHON), script, json.dumps(task)])
@@ -183,15 +246,18 @@ def _inputs(parameters: dict[str, Any]) -> dict[str, tuple[str, str]]:
     }
 
 
-def three_js(exported: Exported, folder: Path) -> str:
+def three_js(exported: Exported, scene: Scene, folder: Path) -> str:
     """Draw in three.js; its version."""
     modules = node_modules()
     with chromium() as browser:
         page = ThreeJs(browser, modules)
         for name, made in exported.items():
-            for key, light in balls.LIGHTS.items():
+            for key, light in scene.lights.items():
                 lit = light.radiance("three.js") if light.towards is None else y_up(light.towards)
-                picture = page.ball(made["path"], y_up(VIEW).tolist(), lit, SIZE, EDGE)
+                finer = {} if scene.shape == "ball" else {"finer": scene.finer}  # of balls its own
+                picture = page.ball(
+                    made["path"], y_up(scene.view).tolist(), lit, scene.size, EDGE, scene.shape, **finer
+                )
                 np.save(folder / f"{name} {key}.npy", picture[::-1])
         if page.errors:
             raise RuntimeError("; ".join(page.errors))

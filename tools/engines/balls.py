@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -85,6 +85,28 @@ class Light:
 LIGHTS = {name: Light.named(name) for name in panel.JUDGED}
 
 
+@dataclass(frozen=True)
+class Scene:
+    """What engines draw.
+
+    Attributes:
+        shape: `ball` or `plane`.
+        view: unit vector to the camera (3,), z up.
+        size: pixels of a side.
+        lights: by their names.
+        finer: pixels across one, where an engine has no filter.
+    """
+
+    shape: str
+    view: Array
+    size: int
+    lights: Mapping[str, Light]
+    finer: int
+
+
+BALL = Scene("ball", ball_colours.VIEW, SIZE, LIGHTS, 3)
+
+
 def mitsuba(path: Path | None) -> Pictures:
     """Mitsuba's renders of a measured file, or of a white Lambertian for None."""
     mi = backend.mitsuba("rgb")
@@ -115,9 +137,9 @@ def kept(folder: Path, name: str, draw: Callable[[], Pictures]) -> Pictures:
     return read(folder, name)
 
 
-def read(folder: Path, name: str) -> Pictures:
+def read(folder: Path, name: str, lights: Iterable[str] = LIGHTS) -> Pictures:
     """Pictures that were written rows from below."""
-    return {key: np.load(folder / f"{name} {key}.npy")[::-1, :, :3] for key in LIGHTS}
+    return {key: np.load(folder / f"{name} {key}.npy")[::-1, :, :3] for key in lights}
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Balls in Cycles, for a Python interpreter that has Blender's module `bpy`; run by text, with a task in JSON.
+"""Balls and planes in Cycles, for a Python interpreter that has Blender's `bpy`; run by text, with a task in JSON.
 
 Pictures are linear, RGBA, rows from below. World: z up, radii of the ball; a white diffuser that faces a sun has the
 radiance 1. Environments are arrays (H, 2 H) of grey radiance in Blender's layout, see `balls.layout`.
@@ -23,16 +23,20 @@ def turned(towards):
 
 
 def material_of(path):
-    """The one material of a script of ours, or of a glTF file as Blender imports it."""
-    if path.endswith(".glb"):
-        bpy.ops.import_scene.gltf(filepath=path)
-        made = bpy.data.materials[-1]
-        for thing in [t for t in bpy.data.objects if t.name not in ("ball", "camera", "sun")]:
+    """The one material of a script of ours, or of a glTF or USD file as Blender imports it."""
+    before = set(bpy.data.materials)
+    if path.endswith((".glb", ".usda")):
+        if path.endswith(".glb"):
+            bpy.ops.import_scene.gltf(filepath=path)
+        else:
+            bpy.ops.wm.usd_import(filepath=path, import_all_materials=True)
+        for thing in [t for t in bpy.data.objects if t.name not in ("drawn", "camera", "sun")]:
             bpy.data.objects.remove(thing)
-        return made
-    text = Path(path).read_text(encoding="utf-8")
-    exec(compile(text, path, "exec"), {"__name__": "__main__"})
-    return bpy.data.materials[-1]
+    else:
+        text = Path(path).read_text(encoding="utf-8")
+        exec(compile(text, path, "exec"), {"__name__": "__main__", "__file__": path})
+    (made,) = set(bpy.data.materials) - before
+    return made
 
 
 def light(scene, sun, described):
@@ -74,13 +78,18 @@ scene.render.film_transparent = True
 scene.render.image_settings.file_format = "OPEN_EXR"
 scene.render.image_settings.color_depth = "32"
 scene.render.filepath = task["folder"] + "/picture.exr"
-bpy.ops.mesh.primitive_uv_sphere_add(segments=256, ring_count=128)
-ball = bpy.context.object
-ball.name = "ball"
-bpy.ops.object.shade_smooth()
+if task["shape"] == "plane":
+    bpy.ops.mesh.primitive_plane_add(size=2.0)
+else:
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=256, ring_count=128)
+    bpy.ops.object.shade_smooth()
+drawn = bpy.context.object
+drawn.name = "drawn"
 camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
 camera.data.type, camera.data.ortho_scale = "ORTHO", 2.0 * task["edge"]
-camera.location, camera.rotation_euler = 20.0 * mathutils.Vector(task["view"]), turned(task["view"])
+camera.location = 20.0 * mathutils.Vector(task["view"])
+if task["shape"] == "ball":  # planes are seen from above, with y up
+    camera.rotation_euler = turned(task["view"])
 sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
 sun.data.energy, sun.data.angle = math.pi, 0.0
 for thing in (camera, sun):
@@ -88,8 +97,8 @@ for thing in (camera, sun):
 scene.camera = camera
 for name, path in task["materials"].items():
     material = material_of(path)
-    ball.data.materials.clear()
-    ball.data.materials.append(material)
+    drawn.data.materials.clear()
+    drawn.data.materials.append(material)
     for key, described in task["lights"].items():
         scene.cycles.samples = light(scene, sun, described)
         bpy.ops.render.render(write_still=True)

@@ -1,4 +1,4 @@
-"""Balls in MaterialX's own renderer of GLSL, for a Python interpreter that has `MaterialX`, and an X server.
+"""Balls and planes in MaterialX's own renderer of GLSL, for a Python interpreter that has `MaterialX`, and an X server.
 
     python materialx.py TASK
 
@@ -45,6 +45,15 @@ def ball(folder):
     return path
 
 
+def plane(folder):
+    """A Wavefront file of a square of side 2 that faces up, with rows of textures along z."""
+    corners = [(-1, 1), (1, 1), (1, -1), (-1, -1)]
+    lines = [f"v {x} 0 {z}\nvt {(1 + x) / 2} {(1 - z) / 2}" for x, z in corners]
+    path = folder / "plane.obj"
+    path.write_text("\n".join([*lines, "vn 0 1 0", "f 1/1/1 2/2/1 3/3/1", "f 1/1/1 3/3/1 4/4/1"]) + "\n")
+    return path
+
+
 def image_of(values):
     """An image of grey values (H, W)."""
     made = render.Image.create(values.shape[1], values.shape[0], 3, render.BaseType.FLOAT)
@@ -85,7 +94,7 @@ def document_of(path, library):
 
 def main():
     """Draw every material in every light."""
-    size = task["size"] * task["finer"]
+    size, is_plane = task["size"] * task["finer"], task["shape"] == "plane"
     library = mx.createDocument()
     search = mx.getDefaultDataSearchPath()
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), search, library)
@@ -95,11 +104,13 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         geometry = render.GeometryHandler.create()
         geometry.addLoader(render.TinyObjLoader.create())
-        geometry.loadGeometry(mx.FilePath(str(ball(Path(folder)))), False)
+        shape = (plane if is_plane else ball)(Path(folder))
+        geometry.loadGeometry(mx.FilePath(str(shape)), False)
         renderer.setGeometryHandler(geometry)
     view, edge, far = mx.Vector3(*task["view"]), task["edge"], 1e3
     camera = render.Camera.create()
-    camera.setViewMatrix(render.Camera.createViewMatrix(view * far, mx.Vector3(0, 0, 0), mx.Vector3(0, 1, 0)))
+    up = mx.Vector3(0, 0, -1) if is_plane else mx.Vector3(0, 1, 0)
+    camera.setViewMatrix(render.Camera.createViewMatrix(view * far, mx.Vector3(0, 0, 0), up))
     camera.setProjectionMatrix(
         render.Camera.createOrthographicMatrix(-edge, edge, -edge, edge, far - 2, far + 2)
     )
@@ -114,12 +125,17 @@ def main():
     renderer.setLightHandler(handler)
     for name, path in task["materials"].items():
         document = document_of(path, library)
+        renderer.getImageHandler().setSearchPath(mx.FileSearchPath(str(Path(path).parent)))
         generator = gen_glsl.GlslShaderGenerator.create()
+        colours = gen.DefaultColorManagementSystem.create(generator.getTarget())
+        colours.loadLibrary(library)
+        generator.setColorManagementSystem(colours)
         context = gen.GenContext(generator)
         context.registerSourceCodeSearchPath(search)
         handler.registerLights(lamps, [lamp], context)
         options = context.getOptions()
         options.targetColorSpaceOverride = "lin_rec709"
+        options.fileTextureVerticalFlip = True  # as its viewer has it
         options.hwSpecularEnvironmentMethod = gen.HwSpecularEnvironmentMethod.SPECULAR_ENVIRONMENT_FIS
         (element,) = gen.findRenderableElements(document)
         renderer.createProgram(generator.generate("material", element, context))

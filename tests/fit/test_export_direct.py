@@ -12,7 +12,7 @@ from manifold.analytic.microfacet import Plastic
 from manifold.colour.difference import VISIBLE
 from manifold.fit import fit_samples
 from manifold.fit.exports import TARGETS, blender, gltf, openpbr, standard_surface
-from manifold.fit.exports.direct import at_bounds, fit_target
+from manifold.fit.exports.direct import _Problem, at_bounds, fit_target
 from manifold.fit.exports.document import CURVE_COSINES
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import TargetBRDF
@@ -178,3 +178,17 @@ def test_a_model_in_linear_srgb_is_compared_with_a_spectral_material():
         axis: Plastic(GGX.isotropic(0.3), np.array(1.5), np.array(0.4), axis) for axis in (Bands(None), bands)
     }
     assert ball_errors(grey[Bands(None)], grey[bands]).ball < 0.5
+
+
+@pytest.mark.parametrize("name", ["gltf", "openpbr", "blender"])
+def test_channels_of_a_colour_are_varied_at_once_for_the_same_derivatives(name):
+    target = TARGETS[name]
+    start = target.parameters(TRUTH)
+    samples = fit_samples.from_brdf(TargetBRDF(target, start)).as_rgb().subsample(64)
+    free = [entry for entry, parameter in target.entries.items() if parameter.is_free]
+    hued = [*target.hued, *(entry for entry in target.sheen if entry in free and np.ndim(start[entry]))]
+    problem = _Problem(target, start, free, samples, hued)
+    exact = problem.jacobian(problem.vector(start))
+    at_once = problem.jacobian(problem.vector(start), is_exact=False)
+    # by its brightest channel, a coloured lobe darkens all channels of what is below
+    assert np.linalg.norm(at_once - exact) < 0.03 * np.linalg.norm(exact)

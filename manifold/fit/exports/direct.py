@@ -23,11 +23,14 @@ _PAIRS = 512
 _RIDGE = 1e-3  # towards the mapped values, which undetermined parameters keep
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
+_STEP = 1.5e-8  # of differences
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
 _GAIN = 0.8  # a film, curve or colour of a sheen that is kept lowers squared residual and difference below this share
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
 _FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
 _FILM_STARTS = 3  # that are refined
+_FIRST_EVALUATIONS = 8  # after which a film that is kept has lowered the squared residual below this share
+_PROMISING = 0.92
 
 
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
@@ -75,7 +78,7 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
             more = _Problem(target, begun, [*(name for name in free if name != base), curve], few, hued)
             starts = [more.vector(begun)]
         if starts:
-            x, with_more = more.nearest(starts)
+            x, with_more = more.nearest(starts, _PROMISING * cost if target.film else np.inf)
             if with_more < _GAIN * cost and more.ball_difference(x) < _GAIN * difference:
                 return more.rounded(x)
     return found
@@ -115,6 +118,12 @@ class _Problem:
         self._hues = {name: _hue(start[name]) for name in hued}
         sizes = {name: 1 if name in hued else np.size(self._start[name]) for name in free}
         self._names = [name for name, size in sizes.items() for _ in range(size)]  # of each number
+        ends = np.cumsum(list(sizes.values()))
+        self._colours = [
+            columns
+            for end, size in zip(ends, sizes.values(), strict=True)
+            for columns in np.arange(end - size, end).reshape(-1, 3 if size % 3 == 0 else 1)
+        ]
         entries = [target.entries[name] for name in self._names]
         self._lower, self._upper = np.array([e.low for e in entries]), np.array([e.high for e in entries])
         self._span = self._upper - self._lower
@@ -129,17 +138,31 @@ class _Problem:
         numbers = (np.max(values[name]) if name in self._hues else values[name] for name in self._free)
         return np.concatenate([np.atleast_1d(each) for each in numbers]).astype(float)
 
-    def nearest(self, starts: Sequence[Array]) -> tuple[Array, float]:
-        """The best minimum from several starts, and half of its squared residual."""
-        ends = [
-            least_squares(
-                self.residuals, x, bounds=(self._lower, self._upper), x_scale=self._span, max_nfev=_EVALUATIONS,
-                ftol=1e-5, xtol=1e-4,
-            )
-            for x in starts
-        ]  # fmt: skip
-        best = min(ends, key=lambda end: float(end.cost))
-        return best.x, float(best.cost)
+    def nearest(self, starts: Sequence[Array], below: float = np.inf) -> tuple[Array, float]:
+        """The best minimum from several starts, and half of its squared residual.
+
+        Args:
+            starts: vectors of parameters.
+            below: half the squared residual that a start must have come below after some evaluations to be followed
+                any farther; by default all are.
+        """
+        if np.isfinite(below):
+            begun = [self._minimum(x, _FIRST_EVALUATIONS) for x in starts]
+            starts = [x for x, cost in begun if cost < below]
+            if not starts:
+                return min(begun, key=lambda end: end[1])
+        ends = [self._minimum(x, _EVALUATIONS, is_exact=np.isfinite(below)) for x in starts]
+        return min(ends, key=lambda end: end[1])
+
+    def _minimum(self, start: Array, evaluations: int, *, is_exact: bool = False) -> tuple[Array, float]:
+        def jacobian(x: Array) -> Array:
+            return self.jacobian(x, is_exact=is_exact)
+
+        end = least_squares(
+            self.residuals, start, jacobian, bounds=(self._lower, self._upper), x_scale=self._span,
+            max_nfev=evaluations, ftol=1e-5, xtol=1e-4,
+        )  # fmt: skip
+        return end.x, float(end.cost)
 
     def starts(self) -> list[Array]:
         """The mapped values, and those with a rough coat."""
@@ -179,8 +202,30 @@ class _Problem:
 
     def residuals(self, x: Array) -> Array:
         """Those of the criterion, relative, and of the distance from the mapped values."""
-        rows = self._criterion.residual(self._f_cos(x)) / self._criterion.norm
-        return np.concatenate([rows.ravel(), _RIDGE * (x - self._mapped) / self._span])
+        return np.concatenate([self._rows(x).ravel(), _RIDGE * (x - self._mapped) / self._span])
+
+    def _rows(self, x: Array) -> Array:
+        """Relative residuals of the criterion, shape (R, 3)."""
+        return self._criterion.residual(self._f_cos(x)) / self._criterion.norm
+
+    def jacobian(self, x: Array, *, is_exact: bool = True) -> Array:
+        """Derivatives of the residuals, by forward differences.
+
+        Red, green and blue of a colour are varied at once unless it `is_exact`: each moves its own channel, and the
+        others hardly, but for metals under MaterialX's thin films.
+        """
+        rows = self._rows(x)
+        found = np.zeros((*rows.shape, len(x)))
+        for columns in np.arange(len(x))[:, None] if is_exact else self._colours:
+            step = np.zeros_like(x)
+            step[columns] = np.where(x[columns] + _STEP > self._upper[columns], -_STEP, _STEP)
+            moved = self._rows(x + step) - rows
+            if len(columns) == 1:
+                found[..., columns[0]] = moved / step[columns]
+            else:
+                channels = np.arange(3)
+                found[:, channels, columns] = moved / step[columns]
+        return np.concatenate([found.reshape(-1, len(x)), np.diag(_RIDGE / self._span)])
 
     def ball_difference(self, x: Array) -> float:
         """Mean CIEDE2000 of the ball, in the light of the fit."""

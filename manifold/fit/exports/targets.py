@@ -82,8 +82,10 @@ class TargetBRDF:
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., 3), for unit vectors that broadcast, wi to the viewer; 0 below the horizon."""
         wi, wo = np.broadcast_arrays(wi, wo)
-        f = np.zeros(wi.shape)
         above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
+        if wi.ndim == 2 and above.all():
+            return self.target.brdf(self.values, wi, wo)
+        f = np.zeros(wi.shape)
         f[above] = self.target.brdf(self.values, wi[above], wo[above])
         return f
 

@@ -277,3 +277,17 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         dr.set_thread_count(before)
+
+
+@contextmanager
+def two_threads() -> Iterator[None]:
+    """Dr.Jit with a worker thread at least: without one, Mitsuba 3.9 waits for ever while it writes OpenEXR."""
+    dr = drjit()
+    before = dr.thread_count()
+    if before < 2:
+        dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if before < 2:
+            dr.set_thread_count(before)

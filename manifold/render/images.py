@@ -60,7 +60,7 @@ def write_display(path: Path, values: Array) -> None:
 
 def _write(path: Path, values: NDArray[np.float32] | NDArray[np.uint8]) -> None:
     mi = backend.mitsuba_of_any_variant()
-    with disk.replacing(path) as partial:
+    with disk.replacing(path) as partial, backend.two_threads():
         mi.Bitmap(np.ascontiguousarray(values)).write(str(partial))
 
 

@@ -116,3 +116,14 @@ def test_dr_jit_has_one_thread_while_processor_times_are_measured():
         assert dr.thread_count() == 3
     finally:
         dr.set_thread_count(before)
+
+
+def test_open_exr_is_written_by_a_process_of_one_thread(tmp_path):
+    # Mitsuba alone would wait for ever; so would a folder of surfaces, whose processes have one thread each.
+    script = (
+        "import sys; from pathlib import Path; import numpy as np; from manifold.render import backend, images\n"
+        "backend.drjit().set_thread_count(0)\n"
+        "images.write_image(Path(sys.argv[1]), np.ones((4, 4, 3)))\n"
+        "assert backend.drjit().thread_count() < 2\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "x.exr")], check=True, timeout=60)

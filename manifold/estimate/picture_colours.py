@@ -75,8 +75,8 @@ def with_picture_colours(readings: Readings) -> Readings:
         return readings
     try:
         seen = np.array([picture_values(images[caption]).mean(axis=(0, 1)) for caption in found])
-    except FileFormatError:
-        return readings
+    except FileFormatError as error:
+        return readings.with_note(f"a picture {error}; none is used where spectra are missing")
     factors = seen / np.array([colour_of(readings, reading) for reading in read])
     factor = np.nanmedian(factors, axis=0)
     if np.any(np.abs(np.log(factor)) > np.log(_MOST_FACTOR)) or odd_picture(tuple(found), factors):

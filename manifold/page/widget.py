@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from urllib.parse import parse_qs
 
 import numpy as np
 
@@ -14,6 +15,7 @@ except ImportError as error:
     raise ImportError(message) from None
 
 from manifold.colour.reflectances import ReflectanceSpectrum
+from manifold.errors import UsageError
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
@@ -49,7 +51,15 @@ class MapWidget(anywidget.AnyWidget):
         return latent
 
     def prediction(self) -> PredictedBRDF:
-        """The material at the point, in the chosen colour."""
+        """The material at the point, in the chosen colour.
+
+        Raises:
+            UsageError: what the other materials predict is shown, which the view alone computes.
+        """
+        if "without" in parse_qs(self.link):
+            raise UsageError(
+                "the view shows what the others predict of a material; move the point to predict of all"
+            )
         x, colour = self.model.place(list(self.latent)).latent, dict(self.colour)
         path = colour.pop("between", None)
         if path is not None and np.allclose(x, self.model.between(*path)):  # else the point was moved since

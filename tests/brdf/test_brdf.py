@@ -260,14 +260,16 @@ def test_values_are_written_where_asked(corpus_file, rng, dtype, tolerance):
     np.testing.assert_allclose(out, brdf.eval(wi, wo), rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.parametrize("dtype", [np.float16, np.float64])
-def test_what_values_do_not_fit_into_is_refused(corpus_file, dtype):
+@pytest.mark.parametrize(
+    "out",
+    [np.empty(195, np.float16), np.empty((195, 2))[:, 0], np.empty(194)],
+    ids=["half", "strided", "short"],
+)
+def test_what_values_do_not_fit_into_is_refused(corpus_file, out):
     brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_satin_gold", False)))
     up = np.array([0.0, 0.0, 1.0])
     with pytest.raises(ShapeError, match=r"out is float.* expected contiguous float32 or float64 \(195,\)"):
-        brdf.eval(
-            up, up, out=np.empty((2, 195), dtype)[:, 0] if dtype == np.float64 else np.empty(195, dtype)
-        )
+        brdf.eval(up, up, out=out)
 
 
 @pytest.mark.parametrize(

@@ -87,9 +87,11 @@ def test_a_film_of_the_index_of_air_is_none():
 
 
 def test_many_cosines_are_interpolated_to_what_each_gives(rng):
-    cosines = rng.uniform(0.1, 1.0, 1000)
+    cosines = rng.uniform(0.0, 1.0, 1000)
     f0, edge = np.array([0.9, 0.6, 0.3]), np.array([0.8, 0.9, 1.0])
     for film in (film_over_f0, film_over_f82, film_over_index, film_over_index_cycles):
         below = {film_over_f0: (f0,), film_over_index_cycles: (1.5,)}.get(film, (f0, edge))
         exact = film.__wrapped__(1.6, 700.0, *below, cosines)
-        np.testing.assert_allclose(film(1.6, 700.0, *below, cosines), exact, atol=1e-3)  # clipped there
+        off = np.abs(film(1.6, 700.0, *below, cosines) - exact)
+        assert off.mean() < 1e-5
+        assert off.max() < 2e-3  # beside values that are clipped

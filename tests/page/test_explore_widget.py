@@ -9,7 +9,7 @@ import pytest
 from helpers.browser import chromium
 from helpers.small_library import NAMES
 
-from manifold.errors import LatentError
+from manifold.errors import LatentError, UsageError
 from manifold.model.colours import ColourChoice, choose_colour
 
 pytest.importorskip("anywidget", reason="anywidget is not installed: pip install anywidget")
@@ -121,6 +121,13 @@ def test_the_prediction_is_that_of_the_model_in_the_chosen_colour(widget):
     assert np.array_equal(widget.prediction().eval(wi, wo), model.predict([0.1, -0.1]).eval(wi, wo))
     with pytest.raises(LatentError, match="found 1 coordinates"):
         widget.latent = [1.0]
+
+
+def test_what_the_others_predict_is_not_taken_for_the_prediction_of_all(model):
+    shown = MapWidget(model)
+    shown.link = f"at={model.names[0]}&without=1"
+    with pytest.raises(UsageError, match="move the point"):
+        shown.prediction()
 
 
 def test_a_path_on_the_page_is_one_in_python(page):

@@ -29,8 +29,10 @@ _GAIN = 0.8  # a film, curve or colour of a sheen that is kept lowers squared re
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
 _FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
 _FILM_STARTS = 3  # that are refined
-_FIRST_EVALUATIONS = 8  # after which a film that is kept has lowered the squared residual below this share
-_PROMISING = 0.92
+_FIRST_EVALUATIONS, _PROMISING = (
+    8,
+    0.92,
+)  # by when, and below which share, a film that gains lowers the squared residual
 
 
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
@@ -143,8 +145,8 @@ class _Problem:
 
         Args:
             starts: vectors of parameters.
-            below: half the squared residual that a start must have come below after some evaluations to be followed
-                any farther; by default all are.
+            below: of a film, half the squared residual that a start must have come below after some evaluations to be
+                followed any farther, by exact derivatives; by default all are, and channels are varied at once.
         """
         if np.isfinite(below):
             begun = [self._minimum(x, _FIRST_EVALUATIONS) for x in starts]

@@ -19,7 +19,7 @@ from manifold.colour.illuminants import Illuminant
 from manifold.fit.exports.lobes import artistic_index, fresnel_f82, schlick
 from manifold.records import Array
 
-Film = TypeVar("Film", bound=Callable[..., Array])
+Reflectance = TypeVar("Reflectance", bound=Callable[..., Array])
 Sensitivity = Callable[[Array, Array], Array]
 """Mean RGB or XYZ (P, 3) of the cosine of a phase, by the difference of path in nm (P,) and a shift (3,) or (P, 3)."""
 
@@ -47,10 +47,10 @@ _FROM_XYZ_MATERIALX = np.array(
 _NODES = 257  # of tables by the cosine
 
 
-def _tabulated(reflectance: Film) -> Film:
+def _tabulated(reflectance: Reflectance) -> Reflectance:
     """The same function, the cosine its last argument, of many by cubics between nodes.
 
-    It is off by 1e-6 in the mean, and by 1e-3 at most, at grazing.
+    It is off by a few 1e-6 in the mean, and by 1e-3 where values are clipped. Splines of SciPy take as long as films.
     """
 
     @wraps(reflectance)
@@ -67,7 +67,7 @@ def _tabulated(reflectance: Film) -> Film:
         found: Array = sum(weight * table[first + k] for k, weight in enumerate(weights))
         return found
 
-    return cast(Film, interpolated)
+    return cast(Reflectance, interpolated)
 
 
 @_tabulated

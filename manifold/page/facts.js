@@ -62,7 +62,7 @@ export const facts = {
 
   showFacts() {
     const { data, state } = this, error = this.error();
-    const beyond = state.without ? "that of a measured material, compared here" : data.error ? "outside the map" : "not computed above three dimensions";
+    const beyond = state.without ? "none: predicted by the others, compare it with what was measured" : data.error ? "outside the map" : "not computed above three dimensions";
     this.byId("error-value").textContent = error === null ? beyond : this.errorText(error);
     const found = this.diagnostics();
     this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {

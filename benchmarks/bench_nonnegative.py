@@ -28,7 +28,7 @@ from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import Errors
-from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialTable
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 

@@ -29,7 +29,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.likelihood import pca_start
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
-from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialTable
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices
 

@@ -19,9 +19,8 @@ from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.residual import coordinates
 from manifold.library.store import Library
 from manifold.mapping import CubeRoot, Identity
-from manifold.model.appearance import roots_at
-from manifold.model.combination import Combination
-from manifold.model.dictionary import Dictionary
+from manifold.model.combination import Combination, Dictionary
+from manifold.model.decoding import roots_at
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import DICTIONARY

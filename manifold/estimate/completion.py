@@ -19,8 +19,7 @@ from manifold.estimate.mixtures import Hypotheses
 from manifold.estimate.reading_mixtures import GlossReadings, ReadingRoots, band_mixtures, posterior
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
-from manifold.model.estimator import explain
-from manifold.model.observation import Observation
+from manifold.model.estimator import Observation, explain
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands, Mask
 

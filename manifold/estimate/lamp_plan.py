@@ -23,7 +23,7 @@ from manifold.estimate.photo_material import channel_atoms, errors_of, estimate,
 from manifold.estimate.pixels import Blocks, Camera, block_sums
 from manifold.formats.readings import aspecular_pair
 from manifold.library.store import Library
-from manifold.model.observation import Observation
+from manifold.model.estimator import Observation
 from manifold.records import Array, Bands, evenly_spaced
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)

@@ -27,8 +27,7 @@ from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.model.estimator import explain
-from manifold.model.observation import LEAST, Observation
+from manifold.model.estimator import LEAST, Observation, explain
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced

@@ -41,7 +41,7 @@ from manifold.estimate.pixels import (
     blocks_of,
     direction_pairs,
 )
-from manifold.model.observation import Observation
+from manifold.model.estimator import Observation
 from manifold.records import Array, Mask
 
 _BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip

@@ -23,7 +23,7 @@ from manifold.evaluate.storage_forms import Storage
 from manifold.evaluate.tabulated import MAX_BANDS, Data
 from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, evenly_spaced

@@ -14,10 +14,10 @@ from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.mapping import MAPPINGS, CubeRoot, ValueMapping
-from manifold.model.appearance import appearance_pairs, appearance_weight, roots_at
 from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
 from manifold.model.combination import Combination
+from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
 from manifold.model.settings import Settings
 from manifold.records import Array, Indices
 

@@ -12,7 +12,7 @@ from manifold.evaluate.tabulated import Data
 from manifold.gpr import GaussianProcess
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold
-from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialTable
 from manifold.records import Indices
 
 

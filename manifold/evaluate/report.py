@@ -44,7 +44,7 @@ from manifold.model import fitting
 from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
-from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialTable
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.plots import figures, map_figure

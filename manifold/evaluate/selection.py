@@ -27,8 +27,7 @@ from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
 from manifold.model.manifold import Manifold
-from manifold.model.material_table import MaterialTable
-from manifold.model.materials import names_without
+from manifold.model.materials import MaterialTable, names_without
 from manifold.model.settings import Settings
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from manifold.library import visible_normals
 from manifold.library.identity import Accuracy
-from manifold.library.zarr_arrays import compressed_bytes, pack
+from manifold.library.layout import compressed_bytes, pack
 from manifold.records import AnyArray
 
 

@@ -24,11 +24,9 @@ from manifold.library.identity import (
     present_arrays,
     require_tolerance,
 )
-from manifold.library.reading import read_material
-from manifold.library.schema import COEFFICIENTS, TABLES
+from manifold.library.layout import COEFFICIENTS, TABLES, open_group
 from manifold.library.staging import write_material
-from manifold.library.store import Library
-from manifold.library.zarr_arrays import open_group
+from manifold.library.store import Library, read_material
 from manifold.metrics import cube_root_error
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import AnyArray, Array, BsdfFile

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.library.schema import FIELDS
+from manifold.library.layout import FIELDS
 from manifold.records import AnyArray, Array, BsdfFile, origin_of
 
 

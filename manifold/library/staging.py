@@ -24,17 +24,19 @@ from manifold.errors import LibraryError
 from manifold.library import visible_normals
 from manifold.library.compact import Compact
 from manifold.library.identity import describe, present_arrays
-from manifold.library.schema import (
+from manifold.library.layout import (
     COEFFICIENTS,
     FIELDS,
     TABLES,
     VISIBLE_NORMALS,
     VNDF_DIFFERENCE,
     StoredArray,
+    pack,
     root_attributes,
     stored,
+    write_array,
+    write_group,
 )
-from manifold.library.zarr_arrays import pack, write_array, write_group
 from manifold.records import Bands, BsdfFile
 
 _REPLACED = ".replaced"

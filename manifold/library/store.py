@@ -1,4 +1,4 @@
-"""The library: RGL files in one zarr store, opened for reading; its layout is in `manifold.library.schema`.
+"""The library: RGL files in one zarr store, opened for reading; its layout is in `manifold.library.layout`.
 
 Written once, renamed into place when whole (`manifold.library.staging`), never changed.
 """
@@ -34,15 +34,41 @@ from manifold.library.identity import (
     is_material_name,
     require_outside_libraries,
 )
-from manifold.library.reading import read_material
-from manifold.library.schema import READABLE_VERSIONS, SCHEMA, StoredArray
+from manifold.library.layout import (
+    READABLE_VERSIONS,
+    SCHEMA,
+    StoredArray,
+    open_group,
+    read_array,
+    read_attributes,
+    write_array,
+    write_group,
+)
 from manifold.library.staging import make_store
-from manifold.library.zarr_arrays import open_group, read_array, read_attributes, write_array, write_group
 from manifold.names import names_like
 from manifold.records import Array, Bands, BsdfFile
 
 if TYPE_CHECKING:
     import zarr
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from manifold.library import compact, visible_normals
+from manifold.library.identity import content_sha256
+from manifold.library.layout import (
+    COEFFICIENTS,
+    FIELDS,
+    TABLES,
+    VISIBLE_NORMALS,
+    VNDF_DIFFERENCE,
+    read_extra,
+    unpack,
+)
+from manifold.records import AnyArray
+
+if TYPE_CHECKING:
+    import zarr
+
 
 MOST_BYTES = 1 << 30
 """Of all entries of a library together; those that were used longest ago go first."""
@@ -303,3 +329,51 @@ def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
 def _first_line(error: Exception) -> str:
     """The first line of an error of zarr; its type, if it has no message."""
     return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
+    """A material, and the hash of what was read.
+
+    Args:
+        group: of the material.
+        info: of it.
+        is_rgb: whether it has no wavelengths.
+    """
+    hashed: dict[str, AnyArray] | None = None
+    if info.accuracy is None:
+        fields = _as_imported(group, is_rgb=is_rgb)
+    else:
+        stored = compact.Compact(
+            read_array(group, COEFFICIENTS),
+            unpack(read_array(group, TABLES), group.attrs[TABLES]),
+            info.accuracy,
+        )
+        hashed, fields = stored.arrays, stored.decode()
+    file = BsdfFile(
+        name=info.name,
+        description=info.description,
+        version=info.pipeline_version,
+        jacobian=bool(group.attrs["jacobian"]),
+        rotation_rad=info.rotation_rad,
+        **{"wavelengths_nm": None, **fields},
+    )
+    return file, content_sha256(file, info.source_file, info.sha256, hashed)
+
+
+def _as_imported(group: zarr.Group, *, is_rgb: bool) -> dict[str, Any]:
+    """The fields of `BsdfFile` that hold arrays."""
+    fields: dict[str, Any] = {
+        field: read_array(group, stored)
+        for field, (stored, _, _) in FIELDS.items()
+        if field != "vndf" and not (field == "wavelengths_nm" and is_rgb)
+    }
+    if VISIBLE_NORMALS in group.attrs:
+        slices = visible_normals.Slices.from_json(group.attrs[VISIBLE_NORMALS])
+        difference = read_array(group, VNDF_DIFFERENCE)
+        fields["vndf"] = visible_normals.decode(difference, slices, fields["ndf"], fields["phi_i_rad"])
+    else:
+        fields["vndf"] = read_array(group, "vndf")
+    return fields | {
+        "spectra": np.moveaxis(fields["spectra"], -1, 2),
+        "extra": MappingProxyType(read_extra(group)),
+    }

@@ -22,11 +22,10 @@ from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.encoding import encoding_pairs
 from manifold.kernels import Kernel
-from manifold.model.appearance import OF_BALL, appearance_weight, roots_at
 from manifold.model.blend_space import BlendSpace
 from manifold.model.blending import Layout, blend_layout
 from manifold.model.colour_paths import ColourPaths, fit_paths, sample_rows
-from manifold.model.decoding import integrating_sphere
+from manifold.model.decoding import OF_BALL, appearance_weight, integrating_sphere, roots_at
 from manifold.model.landmarks import SIGNATURE, Comparison, farthest_samples, landmark_layout, signatures
 from manifold.records import Array, Indices, evenly_spaced
 

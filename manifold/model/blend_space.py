@@ -18,13 +18,12 @@ from manifold.gpr import GaussianProcess
 from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, ValueMapping
 from manifold.metrics import relative_error
-from manifold.model.appearance import appearance_pairs, appearance_weight, roots_at
 from manifold.model.blending import NEIGHBOURS, blend_weights, widest_gap
 from manifold.model.colour_paths import ColourPaths, between, interpolate, sample_rows
 from manifold.model.combination import Combination
+from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
 from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_bands, require_shapes
-from manifold.model.material_table import MaterialTable
-from manifold.model.materials import MaterialCache
+from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
 from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices

@@ -16,7 +16,6 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ShapeError
 from manifold.mapping import ValueMapping
-from manifold.model.dictionary import Dictionary
 from manifold.pairs import Pairs, cosine_weight
 from manifold.records import Array, Indices
 
@@ -188,3 +187,35 @@ def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
             key = (combination.mapping, combination.sample_bands is None)
             groups.setdefault(key, []).append(m)
     return list(groups.values())
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """Atoms in a mapped domain: the samples cut at 0 to every exponent in turn, then lobes.
+
+    Attributes:
+        exponents: of mapped samples; exponents other than 1 make measured lobes broader or narrower.
+        lobes: the analytic ones.
+    """
+
+    exponents: tuple[float, ...] = (1.0,)
+    lobes: Lobes = field(default_factory=Lobes)
+
+    def size(self, n_samples: int) -> int:
+        """How many atoms n samples make."""
+        return len(self.exponents) * n_samples + len(self.lobes)
+
+    def combine(self, weights: Array, samples: Array, lobes: Array) -> Array:
+        """The sum of all atoms by their weights, shape (B, P).
+
+        Args:
+            weights: of all atoms, shape (B, n'); those without any are not computed.
+            samples, lobes: mapped, shapes (n, P) and (n_l, P).
+        """
+        combined = weights[:, len(self.exponents) * len(samples) :] @ lobes
+        for k, exponent in enumerate(self.exponents):
+            part = weights[:, k * len(samples) : (k + 1) * len(samples)]
+            used = np.flatnonzero(part.any(axis=0))
+            if used.size:
+                combined += part[:, used] @ np.maximum(samples[used], 0.0) ** exponent
+        return combined

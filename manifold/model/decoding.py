@@ -1,21 +1,24 @@
-"""Latents of a library's materials decoded at direction pairs, and new materials encoded there."""
+"""Materials at the direction pairs where they are compared; latents decoded there, and new materials encoded."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
-from manifold.brdf.measured import values_at
+from manifold.brdf.measured import BRDF, values_at
 from manifold.brdf.plausibility import mirrored_quadrature
+from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.directions import from_spherical
-from manifold.encoding import Decoder
+from manifold.encoding import Decoder, encoding_pairs
 from manifold.mapping import MAPPINGS
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.pairs import Pairs
+from manifold.records import Array
 
 REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
 
@@ -46,3 +49,29 @@ def decoder_at(
         rows.append(mapping.forward(values_at(brdf, pairs), cosines).T)  # [B_e, P]
     mapped, cosines = space.samples(np.stack(rows), cosines)
     return Decoder(space.gp, mapped, mapping, cosines)
+
+
+OF_BALL = slice(None, None, 7)
+"""Which of a ball's direction pairs are used."""
+
+
+@cache
+def appearance_pairs(is_isotropic: bool = True) -> Pairs:
+    """The pairs of the encoding grid, then some of those that light a ball, which are rare in the grid.
+
+    Their number, cosines and light are the same for anisotropic materials.
+    """
+    return encoding_pairs(is_isotropic) + ball_colours.ball()[OF_BALL]
+
+
+def appearance_weight(samples: Array) -> Array:
+    """Amplitudes (P,) at the pairs, with which cube roots (n, P) have the same squared norm on ball and grid."""
+    grid, ball = (np.cbrt(light) for light in (encoding_pairs().cosines, ball_colours.ball().light[OF_BALL]))
+    of_grid = float(np.sum((samples[:, : len(grid)] * grid) ** 2))
+    of_ball = float(np.sum((samples[:, len(grid) :] * ball) ** 2))
+    return np.concatenate([grid, ball * np.sqrt(of_grid / max(of_ball, np.finfo(float).tiny))])
+
+
+def roots_at(materials: Sequence[BRDF], pairs: Pairs) -> Array:
+    """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
+    return np.concatenate([np.cbrt(np.maximum(values_at(m, pairs), 0.0)).T for m in materials])

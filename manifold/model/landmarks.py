@@ -11,7 +11,6 @@ from scipy.spatial import KDTree
 
 from manifold.encoding import encoding_pairs
 from manifold.metrics import relative_error
-from manifold.model.appearance import appearance_weight, roots_at
 from manifold.model.blend_space import BlendSpace, PlaceSearch, Rows
 from manifold.model.blending import (
     DAMPING,
@@ -26,6 +25,7 @@ from manifold.model.blending import (
     soft_weights,
 )
 from manifold.model.colour_paths import sample_rows
+from manifold.model.decoding import appearance_weight, roots_at
 from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
 from manifold.pairs import Pairs

@@ -16,8 +16,7 @@ from manifold.gpr import GaussianProcess
 from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import ValueMapping
 from manifold.model.combination import Combination
-from manifold.model.material_table import MaterialTable
-from manifold.model.materials import MaterialCache
+from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
 from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices

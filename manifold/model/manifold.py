@@ -16,20 +16,19 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS, ValueMapping
 from manifold.model.blend_space import BlendSpace
+from manifold.model.colours import ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
-from manifold.model.expected_error import LEAST_MATERIALS
+from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
 from manifold.model.fitting import fit_space
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, LatentSpace
-from manifold.model.left_out import LeftOut, leave_out
 from manifold.model.map import LatentMap, map_svg
 from manifold.model.materials import MaterialCache, names_among
 from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
 from manifold.model.places import PlaceLike, require_between
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
-from manifold.model.reflectance import ReflectanceColours
 from manifold.model.settings import Settings
 from manifold.model.walks import Walk, Walked
 from manifold.records import Array, Bands, evenly_spaced

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from manifold.errors import UnknownNameError
 from manifold.gpr import GaussianProcess
 from manifold.metrics import Errors
+from manifold.model.expected_error import LeftOut
 from manifold.model.latent_space import LatentSpace
-from manifold.model.left_out import LeftOut
 from manifold.model.materials import MaterialCache
 from manifold.model.places import (
     Place,

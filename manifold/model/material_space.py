@@ -13,8 +13,7 @@ from manifold.kernels import Kernel
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
 from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_shapes
-from manifold.model.material_table import MaterialTable
-from manifold.model.materials import MaterialCache
+from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
 from manifold.records import AnyArray, Array, Indices, evenly_spaced
 

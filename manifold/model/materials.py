@@ -1,4 +1,4 @@
-"""The measured materials of a manifold, read from its library on first use."""
+"""The measured materials of a manifold, read from its library on first use, and their values in a few bands."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ from functools import cached_property
 import numpy as np
 
 from manifold import progress
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
+from manifold.colour import panel
+from manifold.encoding import encoding_pairs
 from manifold.errors import UnknownNameError
 from manifold.library.store import Library
+from manifold.metrics import Errors
+from manifold.model.combination import Combination, Values, evaluate
 from manifold.names import names_like
-from manifold.records import BsdfFile
+from manifold.records import Array, BsdfFile, Indices
 
 _MOST_KEPT = 1000  # materials in memory, those read last
 _AT_ONCE = 16  # materials read together where none are kept
@@ -185,3 +189,54 @@ def names_without(library: Library, names: Collection[str]) -> tuple[str, ...]:
     """The other materials of a library, in its order. Raises UsageError where it lacks one that is named."""
     left_out = names_among(library, names)
     return tuple(name for name in library.names if name not in left_out)
+
+
+_PREDICTED_AT_ONCE = 8  # predictions evaluated together
+
+
+class MaterialTable:
+    """Materials in some bands (B,), and how far predictions of them are from what they measure.
+
+    Attributes:
+        bands: indices, increasing, shape (B,).
+        materials: in these bands.
+        lights: in which their balls are judged.
+    """
+
+    def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices) -> None:
+        """Select the bands of all materials."""
+        self.bands = bands
+        self.materials = [material.select_bands(bands.tolist()) for material in materials]
+        self.lights, self._pairs = panel.judged(), encoding_pairs(all_isotropic(materials))
+
+    @cached_property
+    def on_ball(self) -> Values:
+        """At the direction pairs that light the balls."""
+        return Values.at(self.materials, self.lights)
+
+    @cached_property
+    def _xyz(self) -> list[Array]:
+        return [self.lights.xyz(f, self.materials[0].bands) for f in self.on_ball.f]
+
+    @cached_property
+    def _in_grid(self) -> Values:
+        return Values.at(self.materials, self._pairs)
+
+    def look(self, i: int, f: Array) -> Errors[float]:
+        """How differently the balls of material i and of values f (P, B) in 1/sr look."""
+        return self.lights.compare(self._xyz[i], self.lights.xyz(f, self.materials[0].bands))
+
+    def looks(self, combinations: Sequence[Combination]) -> Errors[Array]:
+        """How differently the balls of all materials and of a prediction of each look."""
+        here = [c.in_bands(self.bands) for c in combinations]
+        found: list[Errors[float]] = []
+        for first in range(0, len(here), _PREDICTED_AT_ONCE):
+            predicted = evaluate(here[first : first + _PREDICTED_AT_ONCE], self.on_ball)
+            found += [self.look(first + k, f) for k, f in enumerate(predicted)]
+        return Errors.of_several(found)
+
+    def errors(self, i: int, combination: Combination) -> Errors[float]:
+        """Errors of a prediction of material i."""
+        here = combination.in_bands(self.bands)
+        on_ball, in_grid = (evaluate([here], values)[0] for values in (self.on_ball, self._in_grid))
+        return self.look(i, on_ball) | Errors.of_values(self._in_grid.f[i], in_grid, self._pairs.cosines)

@@ -25,8 +25,8 @@ from manifold import disk
 from manifold.errors import LibraryError, MissingModelError, ModelError, UsageError
 from manifold.library.store import Library
 from manifold.model.blend_space import BlendSpace
+from manifold.model.expected_error import LeftOut
 from manifold.model.latent_space import LatentSpace
-from manifold.model.left_out import LeftOut
 from manifold.model.material_space import MaterialSpace
 from manifold.model.settings import Settings
 from manifold.records import Array

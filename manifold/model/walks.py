@@ -20,8 +20,8 @@ from manifold.colour.ball_colours import ball
 from manifold.colour.conversion import srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.mapping import Identity
-from manifold.model.appearance import appearance_pairs
 from manifold.model.combination import Combination
+from manifold.model.decoding import appearance_pairs
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array
 

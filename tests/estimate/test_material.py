@@ -20,7 +20,7 @@ from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import Sighting
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
-from manifold.model.observation import Observation
+from manifold.model.estimator import Observation
 from manifold.records import Bands
 
 SIZE, MARGIN = 96, 0.3

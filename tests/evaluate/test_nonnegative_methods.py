@@ -14,7 +14,7 @@ from manifold.evaluate.errors import measure_errors
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
-from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import RusinkiewiczGrid
 

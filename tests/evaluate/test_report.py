@@ -25,10 +25,9 @@ from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error, relative_error, rmse
-from manifold.model.appearance import appearance_pairs
+from manifold.model.decoding import appearance_pairs
 from manifold.model.manifold import Manifold, Settings
-from manifold.model.material_table import MaterialTable
-from manifold.model.materials import MaterialCache
+from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.plots import figures, map_figure
 

@@ -15,8 +15,7 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ShapeError
 from manifold.model.estimator import explain
-from manifold.model.few_atoms import few_atoms
-from manifold.model.reconstruction import observations
+from manifold.model.reconstruction import few_atoms, observations
 from manifold.nonnegative import nonnegative_weights
 from manifold.pairs import RusinkiewiczGrid, cosine_weight
 

@@ -23,9 +23,8 @@ from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library import staging, visible_normals
 from manifold.library.compacting import CUBE_ROOT_PER_BALL, compact_library, encode
 from manifold.library.importing import import_files
-from manifold.library.schema import StoredArray
+from manifold.library.layout import StoredArray, write_array
 from manifold.library.store import Library
-from manifold.library.zarr_arrays import write_array
 from manifold.model.comparison import brdf_errors
 from manifold.records import Bands, BsdfFile
 

@@ -12,8 +12,7 @@ from scipy.stats import spearmanr
 from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.model.diagnostics import in_words, predict_and_diagnose
-from manifold.model.expected_error import GUARANTEED, LEVEL, ExpectedError
-from manifold.model.left_out import LeftOut
+from manifold.model.expected_error import GUARANTEED, LEVEL, ExpectedError, LeftOut
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 

@@ -12,7 +12,7 @@ from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.evaluate.report import make_report
 from manifold.library.store import Library
-from manifold.model import fitting, landmarks, left_out, map
+from manifold.model import expected_error, fitting, landmarks, map
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def model(folder):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(left_out, "_SAMPLE", 6)
+        patch.setattr(expected_error, "_SAMPLE", 6)
         patch.setattr(landmarks, "_AROUND", 6)
         library = Library.open(small_library(folder, names=NAMES + MORE))
         return Manifold.fit(library, Settings(landmarks=5))

@@ -20,8 +20,7 @@ from manifold.brdf.sums import WeightedSum, cube_root
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import MAPPINGS
-from manifold.model.combination import Combination, Values
-from manifold.model.dictionary import Dictionary
+from manifold.model.combination import Combination, Dictionary, Values
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.pairs import Pairs
 from manifold.records import Bands

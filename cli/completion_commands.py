@@ -16,9 +16,8 @@ from manifold.names import first_few
 
 from . import options, photo_options, terminal
 from .application import app
-from .batch_options import make_many, require_folder
+from .batch_options import PER_CORE, WorkerOptions, make_many, require_folder
 from .outputs import checked, or_default
-from .worker_options import PER_CORE, WorkerOptions
 
 if TYPE_CHECKING:
     from manifold.estimate.coat import Coated

@@ -12,8 +12,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import inputs_of, is_many, make_many
-from .worker_options import PER_CORE, WorkerOptions
+from .batch_options import PER_CORE, WorkerOptions, inputs_of, is_many, make_many
 
 
 @app.command(

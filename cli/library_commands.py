@@ -15,7 +15,7 @@ from manifold.errors import LibraryError, UsageError
 
 from . import options, terminal
 from .application import app
-from .worker_options import THREADS, ThreadOptions
+from .batch_options import THREADS, ThreadOptions
 
 if TYPE_CHECKING:
     from manifold.brdf.measured import BRDF

@@ -51,10 +51,16 @@ def _options(
     """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
 
 
-for _commands in (
-    "library", "model", "report", "picture", "explore", "fit", "export", "render", "budget", "chart", "stability",
-    "completion", "instrument", "surface",
-):  # fmt: skip  # in the order of the help
+for _commands in (  # in the order of the help
+    "library",
+    "model",
+    "report",
+    "picture",
+    "fit",
+    "completion",
+    "instrument",
+    "surface",
+):
     import_module(f".{_commands}_commands", __package__)
 
 

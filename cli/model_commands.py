@@ -13,9 +13,17 @@ from manifold.errors import ManifoldError, UsageError
 
 from . import options, photo_options, terminal
 from .application import app
-from .batch_options import PointsOption, inputs_of, make_many
+from .batch_options import (
+    ONE,
+    PER_CORE,
+    OneWorkerOptions,
+    PointsOption,
+    SchedulerOption,
+    WorkerOptions,
+    inputs_of,
+    make_many,
+)
 from .outputs import or_default, written
-from .worker_options import ONE, PER_CORE, OneWorkerOptions, SchedulerOption, WorkerOptions
 
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource

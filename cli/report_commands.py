@@ -1,19 +1,29 @@
-"""The commands report and demo."""
+"""Commands that judge: reports and charts of held-out errors, failure modes, what a scene needs; and the demo."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from manifold import progress
+from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
+from .batch_options import ONE, OneWorkerOptions
 from .model_commands import show_prediction
 from .outputs import written
-from .worker_options import ONE, OneWorkerOptions
+
+if TYPE_CHECKING:
+    from manifold.evaluate.chart import Chart
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from manifold.evaluate.budget.budgets import Budget
+
 
 Grid = Literal["default", "hikichi"]
 
@@ -95,3 +105,304 @@ def demo(
         {what: [path.name for path in paths] or "none" for what, paths in result.files.items()}
         | ({"left out": result.left_out} if result.left_out else {}),
     )
+
+
+_LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
+
+
+@app.command(
+    "chart",
+    short_help="Speed against accuracy of many settings on one library.",
+    epilog="Example: manifold chart --library library.zarr -o chart.png --json chart.json",
+)
+def chart(
+    library: Annotated[
+        Path | None,
+        typer.Option(
+            "--library",
+            "-L",
+            help="Library of materials; by default library.zarr, or the model's.",
+            metavar="FOLDER",
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", "-M", help="A fitted model: chart its materials.", metavar="FILE"),
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A setting's key, or a method's with --readings; may be repeated.",
+            metavar="KEY",
+        ),
+    ] = None,
+    output: Annotated[Path | None, options.output_option("A picture: .png, .pdf or .svg.")] = None,
+    readings: Annotated[
+        bool,
+        typer.Option(
+            "--readings",
+            help="Instead: errors of completions against the number of readings (takes minutes; with --only one of "
+            "completion, ridge, ridge_same, nearest, principled: less).",
+        ),
+    ] = False,
+    workers: OneWorkerOptions = ONE,
+    json: options.JsonOption = None,
+) -> None:
+    """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
+
+    Takes minutes (51 materials in 195 bands: ten). When it is interrupted, the library keeps what is done, and the
+    same command continues.
+
+    Times are relative to one evaluation of a synthetic material in the same run. P, B, F: on the Pareto front of
+    an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no
+    front. With --readings it runs in this process.
+    """
+    from manifold.evaluate.chart import make_chart
+    from manifold.library.store import Library
+    from manifold.model.manifold import Manifold
+    from manifold.plots import figures
+
+    results = terminal.Results(json)
+    if output is not None:
+        figures.require_writable(output)
+    if readings:
+        if model is not None:
+            raise UsageError("--readings charts a library by itself; leave --model out")
+        _chart_readings(results, library or options.DEFAULT_LIBRARY, only or (), output)
+        return
+    if model is None:
+        opened = Library.open(library or options.DEFAULT_LIBRARY)
+        names = opened.names
+    else:
+        loaded = Manifold.load(model, library)
+        opened, names = loaded.library, loaded.names
+    with progress.shown("Chart"), workers.executor() as executor:
+        files = [opened.read(name) for name in names]
+        made = make_chart(files, only or (), library=opened, workers=executor)
+    _write_chart(made, results, output)
+
+
+def _write_chart(made: Chart, results: terminal.Results, output: Path | None) -> None:
+    from manifold.evaluate import chart_figure
+    from manifold.evaluate.chart import conclusion
+    from manifold.plots import figures
+
+    if said := conclusion(made):
+        results.sentence(said)
+    columns = "setting,CIEDE2000,front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
+    results.table(columns.split(","), _rows(made))
+    results.text(
+        "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
+        f"predict, fit: in times of a reference, here {1e3 * made.reference_seconds:.3g} ms of a core; "
+        f"each material left out once, in {made.folds} folds.\n"
+    )
+    for row in made.rows:
+        if row.warnings:
+            results.sentence(
+                f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}"
+            )
+    for key, reason in made.skipped.items():
+        results.sentence(f"{key} was skipped: {reason}")
+    results.document(made.to_json())
+    if output is not None:
+        figures.save(chart_figure.chart(made), output)
+
+
+def _rows(made: Chart) -> list[list[str]]:
+    def letters(error: str, key: str) -> str:
+        return "".join(_LETTERS[cost] for cost, keys in made.fronts[error].items() if key in keys)
+
+    return [
+        [
+            row.title,
+            f"{row.median.ball:.2f}", letters("ball", row.key),
+            f"{row.median.cube_root:.3f}", letters("cube_root", row.key),
+            f"{row.median.linear:.3f}", letters("linear", row.key),
+            f"{row.median.ball_itp:.2f}", f"{row.median.rmse:.3g}", f"{row.predict.median:.3g}",
+            f"{row.bytes / 1e6:.3g}", "" if row.fit is None else f"{row.fit.median:.3g}",
+        ]
+        for row in made.rows
+    ]  # fmt: skip
+
+
+def _chart_readings(
+    results: terminal.Results, library: Path, only: Sequence[str], output: Path | None
+) -> None:
+    from manifold.estimate.atoms import LibraryAtoms
+    from manifold.evaluate import chart_figure
+    from manifold.evaluate.readings import measure_curves
+    from manifold.library.store import Library
+    from manifold.plots import figures
+
+    opened = Library.open(library)
+    with progress.shown("Chart"):
+        curves = measure_curves(LibraryAtoms.of_library(opened), only=only, library=opened)
+    results.text("Errors of left-out materials, median / 90th percentile:\n")
+    results.table(
+        ["method", "readings", "ball CIEDE2000", "cube root", "linear"],
+        [
+            [
+                curve.title, str(n),
+                f"{median.ball:.2f} / {p90.ball:.2f}", f"{median.cube_root:.3f} / {p90.cube_root:.3f}",
+                f"{median.linear:.3f} / {p90.linear:.3f}",
+            ]
+            for curve in curves
+            for n, median, p90 in curve.summary
+        ],
+    )  # fmt: skip
+    results.document({"curves": [curve.to_json() for curve in curves]})
+    if output is not None:
+        figures.save(chart_figure.readings_chart(curves), output)
+
+
+@app.command(
+    "stability",
+    short_help="Test known failure modes, and whether they are detected.",
+    epilog="Example: manifold stability --only duplicates --picture stability.png",
+)
+def stability(
+    only: Annotated[
+        list[str] | None, typer.Option(help="A failure mode's name; may be repeated.", metavar="NAME")
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        written("--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"),
+    ] = None,
+    workers: OneWorkerOptions = ONE,
+    json: options.JsonOption = None,
+) -> None:
+    """Run a catalogue of failure modes on synthetic plastics with known ground truth (takes minutes).
+
+    Undetected: the largest error without a warning or an error message; above its limit the result is silently
+    wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program; those that are
+    not known make the exit status 1. Outcomes are listed in order of severity.
+    """
+    from manifold.evaluate.stability import conclusions, stability_figure
+    from manifold.evaluate.stability.catalogue import MODES
+    from manifold.evaluate.stability.trials import run_modes, select_modes
+    from manifold.plots import figures
+
+    results = terminal.Results(json)
+    modes = select_modes(MODES, only or ())
+    if picture is not None:
+        figures.require_writable(picture)
+    with progress.shown("Failure modes"), workers.executor() as executor:
+        made = run_modes(modes, executor)
+    if picture is not None:
+        figures.save(stability_figure.panels(made, modes), picture)
+    results.sentence(conclusions.conclusion(made))
+    results.table(conclusions.COLUMNS, conclusions.table(made))
+    results.text(conclusions.summary(made) + "\n")
+    for what, reason in made.skipped.items():
+        results.sentence(f"{what} was skipped: {reason}")
+    results.document(made.to_json(modes))
+    known = {(mode.key, method) for mode in modes for method in mode.known}
+    for row in made.wrong:
+        if (row.mode, row.method) in known:
+            results.sentence(f"known: {row.method} is wrong without a message in {row.mode}")
+    if made.false_alarms or any((row.mode, row.method) not in known for row in made.wrong):
+        raise typer.Exit(1)
+
+
+_NAME = 16  # columns of a material's name in the table; below it stands in full
+
+
+@app.command(
+    "budget",
+    short_help="The cheapest representation of a scene's materials that keeps its picture.",
+    epilog="Example: manifold budget --example felt, or manifold budget scene.xml --max-delta-e 0.5 -o lean",
+)
+def budget(
+    scene: Annotated[
+        Path | None, typer.Argument(help="Mitsuba scene, .xml or .json.", metavar="SCENE")
+    ] = None,
+    example: Annotated[
+        str | None,
+        typer.Option(
+            help="Instead of a scene: {manifold.evaluate.budget.example_scenes.EXAMPLES}.", metavar="NAME"
+        ),
+    ] = None,
+    max_delta_e: Annotated[
+        float, typer.Option(help="Largest mean CIEDE2000 over the pixels of a material.", metavar="X")
+    ] = 1.0,
+    max_flip: Annotated[
+        float | None, typer.Option(help="Largest mean FLIP over the pixels of a material.", metavar="X")
+    ] = None,
+    max_bytes: Annotated[
+        int | None, typer.Option(help="Largest size of all materials together.", metavar="N")
+    ] = None,
+    max_ms: Annotated[
+        float | None, typer.Option(help="Largest time of a million evaluations of a material.", metavar="X")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        options.output_option("Folder for the files and a scene that uses them.", "DIR"),
+    ] = None,
+    size: Annotated[
+        int, typer.Option(help="Pixels of the longer side, in the analysis.", metavar="N", min=16, max=2048)
+    ] = 128,
+    samples: Annotated[
+        int, typer.Option(help="Light paths per pixel, in the analysis.", metavar="N", min=1, max=1 << 16)
+    ] = 128,
+    seed: Annotated[int, typer.Option(help="Fixes the noise.", metavar="N", min=0)] = 0,
+    picture: Annotated[
+        Path | None,
+        written("--picture", help="Also draw both renders and the cost of every representation."),
+    ] = None,
+    json: options.JsonOption = None,
+) -> None:  # fmt: skip
+    """Find the cheapest representation of each measured material that keeps the rendered picture.
+
+    BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
+    or are kept. A CIEDE2000 of 1 is visible side by side.
+    """
+    from manifold.evaluate.budget import budgets
+    from manifold.evaluate.budget.search import Tolerance
+
+    results = terminal.Results(json)
+    if (scene is None) == (example is None):
+        found = "neither a scene nor --example" if scene is None else "a scene and --example"
+        raise UsageError(f"found {found}; give one of them")
+    if output is not None and output.suffix.lower() in (".png", ".xml", ".json") and not output.is_dir():
+        raise UsageError(f"{output}: named like a file, expected a folder; --picture FILE draws the renders")
+    tolerance = Tolerance(max_delta_e, max_flip, max_bytes, max_ms)
+    settings = budgets.BudgetSettings(size, samples, seed)
+    with progress.shown("Budget"):
+        if scene is not None:
+            made = budgets.budget_scene(scene, tolerance, settings, output, picture)
+        else:
+            made = budgets.example(str(example), tolerance, settings, output, picture)
+    _show(results, made)
+
+
+def _show(results: terminal.Results, made: Budget) -> None:
+    columns = ["material", "representation", "bytes", "ms", "pred.", "verified", "FLIP"]
+    rows = [
+        [
+            one.material if len(one.material) <= _NAME else f"{one.material[: _NAME - 1]}~",
+            one.candidate.name,
+            one.candidate.size,
+            f"{one.milliseconds:.0f}" if one.milliseconds >= 10 else f"{one.milliseconds:.1f}",
+            f"{one.candidate.predicted:.2f}",
+            f"{one.verified.delta_e:.2f}",
+            f"{one.verified.flip:.3f}",
+        ]
+        for one in made.chosen
+    ]
+    results.table(columns, rows)
+    for one in made.chosen:
+        results.sentence(
+            f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, subtracted"
+        )
+    results.text("pred., verified: mean CIEDE2000; ms: of a million evaluations\n")
+    results.text(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files\n")
+    for note in made.notes:
+        results.sentence(f"note: {note}")
+    if made.output is not None:
+        results.text(f"wrote {made.output}\n")
+    results.document(made.to_json())
+
+
+def _share(made: Budget) -> str:
+    percent = 100.0 * made.size / made.full_size
+    return f"{percent:.0f} %" if percent >= 10.0 else f"{percent:.2g} %"

@@ -12,9 +12,8 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import make_many
+from .batch_options import PER_CORE, WorkerOptions, make_many
 from .outputs import or_default
-from .worker_options import PER_CORE, WorkerOptions
 
 
 @app.command(

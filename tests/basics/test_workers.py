@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from manifold import cluster, work
-from manifold.cli.worker_options import OneWorkerOptions, WorkerOptions
+from manifold.cli.batch_options import OneWorkerOptions, WorkerOptions
 from manifold.errors import ManifoldError, UsageError
 
 distributed = pytest.importorskip("distributed")

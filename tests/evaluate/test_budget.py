@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from manifold.analytic.base import Lambert
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.cli import budget_commands
+from manifold.cli import report_commands
 from manifold.colour.conversion import interpolation_matrix, to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.colour.illuminants import Illuminant
@@ -195,7 +195,7 @@ def test_predictions_of_one_latent_in_two_colours_are_two_materials(tmp_path):
 
 @pytest.mark.parametrize(("size", "words"), [(996, "100 %"), (1000, "100 %"), (120, "12 %"), (1, "0.1 %")])
 def test_shares_are_written_without_exponents(size, words):
-    assert budget_commands._share(SimpleNamespace(size=size, full_size=1000)) == words
+    assert report_commands._share(SimpleNamespace(size=size, full_size=1000)) == words
 
 
 # -- what a scene asks ----------------------------------------------------------------------------------------

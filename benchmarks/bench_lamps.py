@@ -47,7 +47,7 @@ from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array
 from manifold.render import backend, bsdf_parameters
 from manifold.render.fitted_brdf import FittedBRDF
-from manifold.render.image_metrics import ciede2000_map
+from manifold.render.images import ciede2000_map
 
 FAMILIES = ("lambertian", "principled")
 COUNTS = (1, 3, 5)

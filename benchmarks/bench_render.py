@@ -24,7 +24,7 @@ from manifold.estimate import predictions
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
-from manifold.render import backend, image_metrics, images, scenes
+from manifold.render import backend, images, scenes
 from manifold.render.render import RenderSettings, render_bsdf
 
 PAIR = ("syn_satin_gold", "syn_metallic_gold")
@@ -125,7 +125,7 @@ def compare(folder: Path, library: Path, arguments: argparse.Namespace) -> dict:
     last = arguments.rounds
 
     def difference(a: tuple[str, int], b: tuple[str, int]) -> float:
-        return float(np.mean(image_metrics.ciede2000_map(display[a], display[b])[ball]))
+        return float(np.mean(images.ciede2000_map(display[a], display[b])[ball]))
 
     left_out = {
         "tolerance": arguments.tolerance,

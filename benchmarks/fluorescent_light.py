@@ -22,7 +22,7 @@ from manifold.io_rgl import write_bsdf
 from manifold.pictures.renders import RIM
 from manifold.plots import figures
 from manifold.records import Array, BsdfFile
-from manifold.render import image_metrics, images, scenes
+from manifold.render import images, scenes
 from manifold.render.render import RenderSettings, render_bsdf
 
 MATERIALS = ("syn_satin_gold", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper")
@@ -69,7 +69,7 @@ def main() -> None:
             # Averaged over 4 x 4 pixels: noise is not what the eye compares.
             coarse = [blocks(p) for p in pictures]
             shown = blocks(inside[..., None].astype(float))[..., 0] > 0.99
-            errors = [float(image_metrics.ciede2000_map(coarse[0], p)[shown].mean()) for p in coarse[1:]]
+            errors = [float(images.ciede2000_map(coarse[0], p)[shown].mean()) for p in coarse[1:]]
             results[material] = {"spectral": errors[0], "rgb": errors[1]}
             rows.append((material, pictures, errors))
             print(f"{material:24} spectral {errors[0]:5.2f}   RGB {errors[1]:5.2f}", flush=True)

@@ -294,7 +294,7 @@ def predict(
                 "found --from and a latent, colour or gloss; write these into columns of the table"
             )
         from manifold import many
-        from manifold.estimate.point_table import read_points
+        from manifold.estimate.inputs import read_points
 
         rows, failed = read_points(points, model, library)
         command = many.predictions_of(model, library=library, options=written)

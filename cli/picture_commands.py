@@ -19,7 +19,7 @@ from .outputs import or_default, written
 
 if TYPE_CHECKING:
     from manifold.pictures.renders import Rendered
-    from manifold.render.image_metrics import Summary
+    from manifold.render.images import Summary
 
 
 PictureOption = Annotated[Path, options.output_option("The picture: .png, .pdf or .svg.")]
@@ -120,7 +120,7 @@ def walk(
 @app.command(
     "slices",
     short_help="Draw BRDF values over angles or wavelengths.",
-    epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o slices.png",
+    epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o maps.png",
 )
 def slices(
     names: Annotated[
@@ -150,15 +150,15 @@ def slices(
     json: options.JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
-    from manifold.pictures import slices
+    from manifold.pictures import maps
     from manifold.plots import figures
 
     results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
     materials = options.material_sources(names or [], latent or [], model, library, colour=colour)
-    drawn = slices.sources(materials)
-    slices.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
+    drawn = maps.sources(materials)
+    maps.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})
     predictions = {source.label: source.prediction for source in drawn if source.prediction is not None}
@@ -301,7 +301,7 @@ def render(
         if materials or latent is not None or colour != options.OWN_COLOUR:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
         from manifold import many
-        from manifold.estimate.point_table import read_points
+        from manifold.estimate.inputs import read_points
 
         rows, failed = read_points(points, model, library)
         command = many.renders(settings, model=model, library=library, direct=direct)

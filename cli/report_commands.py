@@ -277,7 +277,7 @@ def stability(
     wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program; those that are
     not known make the exit status 1. Outcomes are listed in order of severity.
     """
-    from manifold.evaluate.stability import conclusions, stability_figure
+    from manifold.evaluate.stability import catalogue, stability_figure
     from manifold.evaluate.stability.catalogue import MODES
     from manifold.evaluate.stability.trials import run_modes, select_modes
     from manifold.plots import figures
@@ -290,9 +290,9 @@ def stability(
         made = run_modes(modes, executor)
     if picture is not None:
         figures.save(stability_figure.panels(made, modes), picture)
-    results.sentence(conclusions.conclusion(made))
-    results.table(conclusions.COLUMNS, conclusions.table(made))
-    results.text(conclusions.summary(made) + "\n")
+    results.sentence(catalogue.conclusion(made))
+    results.table(catalogue.COLUMNS, catalogue.table(made))
+    results.text(catalogue.summary(made) + "\n")
     for what, reason in made.skipped.items():
         results.sentence(f"{what} was skipped: {reason}")
     results.document(made.to_json(modes))

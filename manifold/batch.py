@@ -248,11 +248,11 @@ class Batch(Generic[S]):
             writer.writerow(self.row(o) | {"notes": "; ".join(notes_of(o)), "failed": o.failure})
         disk.write_text(of_rows, table.getvalue())
         if self.command.has_balls and any(ball_path(o.path).is_file() for o in self.outcomes):
-            from manifold.plots import figures, sheet
+            from manifold.plots import figures
 
             cells = [(o.name, self._under(o), ball_path(o.path)) for o in self.outcomes]
             try:
-                figures.save(sheet.contact_sheet(cells, self.command.under), self.sheet)
+                figures.save(figures.contact_sheet(cells, self.command.under), self.sheet)
             except Exception as error:  # those of Pillow and Matplotlib are of many kinds
                 warnings.warn(
                     f"{self.sheet.name}: the sheet of balls could not be drawn ({error}); everything else is written",

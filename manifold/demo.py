@@ -34,7 +34,7 @@ from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.settings import Settings
 from manifold.page.explore import write_page
 from manifold.pictures import maps, renders
-from manifold.pictures.slices import slices, sources
+from manifold.pictures.maps import slices, sources
 from manifold.plots import figures, map_figure
 from manifold.render import backend
 from manifold.render.render import RenderSettings

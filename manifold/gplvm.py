@@ -34,8 +34,8 @@ from manifold.likelihood import (
     require_prior,
     require_start,
 )
+from manifold.names import Registry
 from manifold.records import Array
-from manifold.registry import Registry
 
 FitCallback = Callable[[int, float], Any]
 

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from manifold.errors import UsageError
+from manifold.names import Registry
 from manifold.records import Array, Indices, Mask
-from manifold.registry import Registry
 
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 LARGEST_MU = 1e6  # above, everything is noise

@@ -20,8 +20,8 @@ from typing import Protocol
 import numpy as np
 
 from manifold.errors import ShapeError
+from manifold.names import Registry
 from manifold.records import Array
-from manifold.registry import Registry
 
 
 class ValueMapping(Protocol):

@@ -11,8 +11,8 @@ import numpy as np
 
 from manifold.directions import from_rusinkiewicz, require_directions, rotate_z
 from manifold.errors import ShapeError, UsageError
+from manifold.names import Registry
 from manifold.records import Array, Indices, Mask
-from manifold.registry import Registry
 
 LEVEL = 1e-9
 """Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""

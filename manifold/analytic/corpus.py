@@ -18,8 +18,7 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.unmeasured import find_rim
 from manifold.colour.conversion import file_to_srgb, luminance
-from manifold.colour.metals import metal_ior
-from manifold.colour.reflectances import diffuse_reflectance
+from manifold.colour.reflectances import diffuse_reflectance, metal_ior
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf

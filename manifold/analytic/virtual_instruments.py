@@ -19,8 +19,8 @@ from manifold.brdf.measured import BRDF
 from manifold.directions import from_spherical
 from manifold.formats import ma_t12
 from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
+from manifold.names import Registry
 from manifold.records import Array, Bands
-from manifold.registry import Registry
 
 MA_T12_BANDS = Bands(tuple(float(nm) for nm in range(400, 701, 10)))
 MINI_DIFF_BANDS = Bands((465.0, 525.0, 630.0))

@@ -1,8 +1,7 @@
 from .conversion import to_srgb
 from .difference import delta_e_2000
 from .illuminants import illuminant_names
-from .metals import metal_ior
-from .reflectances import read_reflectance, srgb_reflectance
+from .reflectances import metal_ior, read_reflectance, srgb_reflectance
 
 __all__ = [
     "delta_e_2000",

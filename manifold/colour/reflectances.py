@@ -1,9 +1,10 @@
-"""Reflectance spectra: measured ones by name, from files, and smooth ones of a given colour."""
+"""Spectra of reflectance, measured ones by name, from files, and of a given colour; refractive indices of metals."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 import numpy as np
@@ -171,3 +172,97 @@ def _reflectances() -> dict[str, tuple[Array, Array]]:
         "iso17321": checkers["ISO 17321-1"],
     }
     return {f"{s}/{name}": distribution(t) for s, table in sets.items() for name, t in table.items()}
+
+
+def metal_names() -> tuple[str, ...]:
+    """The materials `metal_ior` knows, sorted: element symbols and formulas such as `Au`, `Cr`, `TiN`."""
+    return tuple(sorted(_ior_files()))
+
+
+def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
+    """Complex index of refraction eta + i k of a metal or crystal, relative to vacuum.
+
+    Interpolated linearly between the table's wavelengths and held constant outside them: most tables end
+    between 750 and 900 nm, so the last infrared bands of RGL files repeat the table's end.
+
+    Args:
+        name: one of `metal_names()`, such as `Au`.
+        wavelengths_nm: wavelengths in nm, any shape.
+    Returns:
+        eta and k, both in the shape of `wavelengths_nm`.
+    Raises:
+        UsageError: there is no such table.
+        FileFormatError: a table does not hold pairs of numbers.
+    Source: the tables `data/ior/*.spd` of Mitsuba 3 (luxpop.com, SOPRA, Palik).
+
+    >>> eta, k = metal_ior("Au", np.array([450.0, 650.0]))
+    >>> eta.round(2), k.round(2)
+    (array([1.51, 0.17]), array([1.88, 3.14]))
+    """
+    files = _ior_files()
+    if name not in files:
+        raise UsageError(f"no index of refraction named {name!r}; known: {', '.join(sorted(files))}")
+    (eta_nm, eta), (k_nm, k) = (_read_spd(path) for path in files[name])
+    known = eta > 0.0  # no medium has eta = 0: the tables of AlAs write it where a value is missing
+    return np.interp(wavelengths_nm, eta_nm[known], eta[known]), np.interp(wavelengths_nm, k_nm, k)
+
+
+@lru_cache(maxsize=1)
+def _ior_files() -> dict[str, tuple[Path, Path]]:
+    """The files of eta and k by material: our own, and Mitsuba's, which is looked up and not imported."""
+    # Past sys.modules: an imported mitsuba that has set a variant no longer says where it lies.
+    spec = PathFinder.find_spec("mitsuba")
+    folders = [Path(p) / "data" / "ior" for p in (spec.submodule_search_locations or [])] if spec else []
+    folders.insert(0, Path(__file__).with_name("ior"))
+    found = {
+        path.name.removesuffix(".eta.spd"): (path, path.with_name(path.name.replace(".eta.", ".k.")))
+        for folder in folders
+        for path in folder.glob("*.eta.spd")
+    }
+    return {name: pair for name, pair in found.items() if pair[1].is_file()}
+
+
+@lru_cache(maxsize=256)
+def _read_spd(path: Path) -> tuple[Array, Array]:
+    """Wavelengths in nm, increasing, and values of a file of `wavelength value` lines."""
+    try:
+        table = np.loadtxt(path, comments="#", ndmin=2)
+    except ValueError as error:
+        raise FileFormatError(f"{path.name}: {error}; expected lines of `wavelength value`") from error
+    if table.shape[1] != 2 or not np.all(np.diff(table[:, 0]) > 0):
+        raise FileFormatError(f"{path.name}: expected two columns, wavelengths increasing; reinstall mitsuba")
+    return frozen(table[:, 0].copy()), frozen(table[:, 1].copy())
+
+
+NODES_NM = (460.0, 540.0, 605.0)
+"""Where blue, green and red weigh alone; between them two share, so that the weights of a wavelength sum to 1."""
+
+_LEAST = 1e-3  # of a weight's change, so that spectra stay positive
+
+
+def weights_at(wavelengths_nm: Array) -> Array:
+    """Shares of red, green and blue at wavelengths, piecewise linear, sums 1, shape (W, 3)."""
+    blue, green, red = (np.interp(wavelengths_nm, NODES_NM, row) for row in np.eye(3))
+    return np.stack([red, green, blue], axis=-1)
+
+
+def spectral_changes(ratios: Array, mean: Array, bands: Bands) -> Array:
+    """Changes of red, green and blue weights that give points their colours.
+
+    The spectrum of a point is that of the mean times `weights_at(wavelengths) @ changes`: smooth, never negative, and
+    that of the mean where all ratios are 1. Its linear sRGB has the given ratios to the mean's, except for points so
+    saturated that a weight would be negative.
+
+    Args:
+        ratios: linear sRGB over the mean's, shape (..., 3), above 0.
+        mean: spectrum of the mean, shape (B,).
+        bands: of it; for RGB bands the ratios are the changes.
+    Returns:
+        Changes, shape (..., 3), above 0.
+    """
+    if bands.is_rgb:
+        return ratios
+    weights = weights_at(np.asarray(bands.wavelengths_nm))
+    mixing = np.stack([to_srgb(mean * weight, bands) for weight in weights.T], axis=-1)
+    mixing /= to_srgb(mean, bands)[:, None]  # rows sum to 1
+    return np.asarray(np.maximum(ratios @ np.linalg.inv(mixing).T, _LEAST))

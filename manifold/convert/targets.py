@@ -17,9 +17,9 @@ from manifold.formats import astm, bird, csv_table, fred, lighttools, merl, open
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
+from manifold.names import Registry
 from manifold.pairs import LEVEL, RusinkiewiczGrid
 from manifold.records import Array
-from manifold.registry import Registry
 
 _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over

@@ -15,8 +15,7 @@ from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import BandMismatchError, UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.gloss import gloss_differences, gloss_units
-from manifold.estimate.mixtures import Hypotheses
-from manifold.estimate.reading_mixtures import GlossReadings, ReadingRoots, band_mixtures, posterior
+from manifold.estimate.mixtures import GlossReadings, Hypotheses, ReadingRoots, band_mixtures, posterior
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
 from manifold.model.estimator import Observation, explain

@@ -41,7 +41,7 @@ from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.plots import figures
 from manifold.progress import Stages
 from manifold.records import Array, Bands
-from manifold.render import image_metrics
+from manifold.render import images
 from manifold.render.render import render_floating_ball
 
 if TYPE_CHECKING:
@@ -350,7 +350,7 @@ def draw_residuals(
         compared &= np.isfinite(crop).all(axis=2) & ~clipped
         seen.append(crop)
         predicted.append(made)
-        errors.append(np.where(compared, image_metrics.ciede2000_map(*shown), np.nan))
+        errors.append(np.where(compared, images.ciede2000_map(*shown), np.nan))
     names = [ball.photograph.path.name for ball in balls]
     figures.save(residual_figure(names, seen, predicted, errors), picture)
 

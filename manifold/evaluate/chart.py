@@ -17,16 +17,15 @@ from manifold import progress, work
 from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate import seen_fits, stopwatch
 from manifold.evaluate.cross_validation import Method
+from manifold.evaluate.errors import KeptResults
 from manifold.evaluate.held_out import FOLDS, ChartRow, HeldOut
 from manifold.evaluate.methods import chart_methods
-from manifold.evaluate.results import KeptResults
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.names import counted
+from manifold.names import Registry, counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile
-from manifold.registry import Registry
 
 ERRORS = {
     "ball": "CIEDE2000 of the ball", "cube_root": "cube-root error", "linear": "linear error",

@@ -17,7 +17,7 @@ from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
-from manifold.evaluate.results import Result
+from manifold.evaluate.errors import Result
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
 from manifold.evaluate.tabulated import MAX_BANDS, Data

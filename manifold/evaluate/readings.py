@@ -17,15 +17,15 @@ from manifold.estimate.completion import Completion
 from manifold.estimate.expected import calibrate, errors_of
 from manifold.estimate.residual import coordinates
 from manifold.estimate.suggestions import all_directions, readings_to_take
-from manifold.evaluate.results import KeptResults, finite
+from manifold.evaluate.errors import KeptResults, finite
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.metrics import Errors
+from manifold.names import Registry
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Indices
-from manifold.registry import Registry
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 

@@ -26,7 +26,9 @@ from manifold.evaluate.cross_validation import (
 )
 from manifold.evaluate.errors import (
     PredictionErrors,
+    Result,
     colour_errors,
+    finite,
     measure_errors,
     plausibility_results,
     standardised_error,
@@ -34,7 +36,6 @@ from manifold.evaluate.errors import (
 from manifold.evaluate.latent_models import SAMPLE_BANDS
 from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
-from manifold.evaluate.results import Result, finite
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.evaluate.tabulated import MAX_BANDS, Data, block_pairs
 from manifold.gpr import IsolatedLatentsWarning

@@ -20,9 +20,8 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
-from manifold.evaluate.errors import measure_errors
+from manifold.evaluate.errors import Result, measure_errors
 from manifold.evaluate.latent_models import fit_settings
-from manifold.evaluate.results import Result
 from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS

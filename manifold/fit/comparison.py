@@ -16,7 +16,7 @@ from manifold.pictures.renders import RIM
 from manifold.plots import figures
 from manifold.plots.slice_figures import Source
 from manifold.records import Array, Mask
-from manifold.render import fit_json, image_metrics, images, scenes
+from manifold.render import fit_json, images, scenes
 from manifold.render.ball import read_material, render_material
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.render.render import RenderSettings
@@ -61,6 +61,6 @@ def _draw(
     title: str, balls: tuple[Array, Array], inside: Mask, sources: Sequence[Source], output: Path
 ) -> tuple[float, float]:
     """Draw the display pictures of two balls, their differences and slices."""
-    delta_e, flip = image_metrics.ciede2000_map(*balls), image_metrics.flip_map(*balls)
+    delta_e, flip = images.ciede2000_map(*balls), images.flip_map(*balls)
     figures.save(fit_figure.fit_picture(title, balls, delta_e, flip, inside, sources), output)
     return float(delta_e[inside].mean()), float(flip[inside].mean())

@@ -22,8 +22,8 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
 from manifold.metrics import Errors
+from manifold.names import Registry
 from manifold.records import Array, Bands, BsdfFile
-from manifold.registry import Registry
 from manifold.render import backend
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fitted_brdf import FittedBRDF

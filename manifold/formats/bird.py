@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__, disk
-from manifold.formats.angles import directions
+from manifold.formats.geometry_names import directions
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.names import in_one_line

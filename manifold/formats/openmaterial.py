@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from manifold import disk
-from manifold.formats.angles import directions, exceed_radians
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.dense import DenseTable
+from manifold.formats.geometry_names import directions, exceed_radians
 from manifold.formats.readings import Readings
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.names import in_one_line

@@ -36,8 +36,7 @@ from manifold.formats.readings import GONIOMETER, REPEATABILITY, Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import read_bytes
-from manifold.names import first_few, names_like, printable
-from manifold.registry import Registry
+from manifold.names import Registry, first_few, names_like, printable
 
 Record = Readings | DenseTable
 _SNIFFED = 16384

@@ -14,10 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from manifold.formats import column_heads
-from manifold.formats.angles import directions, exceed_radians
 from manifold.formats.column_heads import Quantity, angle_name, channel, gloss_angle, wavelength
 from manifold.formats.geometry_names import (
+    directions,
     directions_of,
+    exceed_radians,
     is_geometry,
     parse_aspecular,
     parse_geometry,

@@ -26,7 +26,7 @@ from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.fit.exports import TARGETS
 from manifold.model.colours import ColourChoice
 from manifold.model.places import parse_path
-from manifold.registry import Registry
+from manifold.names import Registry
 
 Request = Mapping[str, Any]
 

@@ -1,25 +1,37 @@
-"""One function per command that draws rendered balls: the map and the walk."""
+"""One function per command that draws balls or curves: the map, the walk, slices."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from manifold import progress
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.unmeasured import fill_unmeasured
-from manifold.estimate.sources import LibrarySource, MaterialSource, PlaceSource, place_of, read_source
+from manifold.brdf.unmeasured import blank_unmeasured, fill_unmeasured
+from manifold.errors import UsageError
+from manifold.estimate.sources import (
+    FileSource,
+    LibrarySource,
+    MaterialSource,
+    PlaceSource,
+    place_of,
+    read_source,
+)
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike, on_line
 from manifold.model.walks import Walk
-from manifold.plots import ball_figures, figures, map_figure
+from manifold.plots import ball_figures, figures, map_figure, slice_figures
+from manifold.plots.slice_figures import Source
 from manifold.records import Array
-from manifold.render import backend, thumbnails
+from manifold.render import backend, fit_json, thumbnails
+from manifold.render.fitted_brdf import FittedBRDF
 from manifold.render.thumbnails import cropped
 
 
@@ -113,3 +125,55 @@ def _end(model: Manifold, source: MaterialSource) -> BRDF:
     brdf = MeasuredBRDF(fill_unmeasured(read_source(source)))
     model.bands.require_same(brdf.bands, str(source), "resample it, or use its own library")
     return brdf
+
+
+SliceKind = Literal["angles", "image", "spectra"]
+
+
+def sources(materials: Sequence[MaterialSource]) -> list[Source]:
+    """BRDFs of what a user names; those of one label are labelled as they were given.
+
+    Those that were measured are NaN where they were not measured. Each model is opened once.
+    """
+    found: list[tuple[str, Source]] = []
+    models: dict[tuple[Path, Path | None], Manifold] = {}
+    for material in materials:
+        given = str(material)
+        if isinstance(material, PlaceSource):
+            key = (material.model, material.library)
+            if key not in models:
+                models[key] = Manifold.load(*key)
+            made = diagnostics.predict_and_diagnose(models[key], material.place, material.colour)
+            found.append((f"predicted at {given}", Source(f"predicted at {given}", made.brdf, made)))
+        elif isinstance(material, FileSource) and material.path.suffix == ".json":
+            content = fit_json.read(material.path)
+            found.append((given, Source(f"{content['source']['name']}, fitted", FittedBRDF(content))))
+        else:
+            file = read_source(material)
+            is_told = file.origin in ("measured", file.name)
+            label = file.name if is_told else f"{file.name}, {file.origin}"
+            found.append((given, Source(label, MeasuredBRDF(blank_unmeasured(file)))))
+    if not found:
+        raise UsageError("found nothing to draw; name files, materials of a library, or places on a map")
+    labels = [source.label for _, source in found]
+    return [
+        replace(source, label=given) if labels.count(source.label) > 1 else source for given, source in found
+    ]
+
+
+def slices(
+    drawn: Sequence[Source], output: Path, *, kind: SliceKind = "angles", wavelengths_nm: Sequence[float] = ()
+) -> None:
+    """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs.
+
+    Raises:
+        UsageError: the picture cannot be written.
+    """
+    figures.require_writable(output)
+    if kind == "angles":
+        figure = slice_figures.angle_slices(drawn, wavelengths_nm)
+    elif kind == "image":
+        figure = slice_figures.rusinkiewicz_images(drawn)
+    else:
+        figure = slice_figures.spectra_at(drawn)
+    figures.save(figure, output)

@@ -21,9 +21,9 @@ from manifold.library.identity import hash_arrays
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.places import PlaceLike
 from manifold.progress import Stages
-from manifold.render import backend, image_metrics, images, scenes
+from manifold.render import backend, images, scenes
 from manifold.render.ball import BallMaterial, read_material
-from manifold.render.image_metrics import Summary
+from manifold.render.images import Summary
 from manifold.render.render import RenderSettings, require_d65
 
 if TYPE_CHECKING:
@@ -235,9 +235,9 @@ def compare(
         names = (one.name, other.name)
         ball = scenes.ball_interior(settings.size, RIM)
     maps = {
-        "ciede2000": image_metrics.ciede2000_map(first, second),
-        "itp": image_metrics.itp_map(first, second),
-        "flip": image_metrics.flip_map(first, second),
+        "ciede2000": images.ciede2000_map(first, second),
+        "itp": images.itp_map(first, second),
+        "flip": images.flip_map(first, second),
     }
     drawn = comparison_figure.comparison(first, second, maps["ciede2000"], maps["flip"], names, ball)
     figures.save(drawn, output)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from manifold.colour.spectral_changes import NODES_NM
+from manifold.colour.reflectances import NODES_NM
 from manifold.errors import UsageError
 from manifold.render import backend
 

@@ -17,7 +17,7 @@ import numpy as np
 from manifold import __version__, disk
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
-from manifold.colour.spectral_changes import spectral_changes
+from manifold.colour.reflectances import spectral_changes
 from manifold.errors import UsageError
 from manifold.estimate.completions import Completed, complete, file_name
 from manifold.fit.exports.document import TextureFiles

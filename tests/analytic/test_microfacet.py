@@ -14,7 +14,7 @@ from manifold.analytic.fresnel import fresnel_conductor, fresnel_dielectric, fre
 from manifold.analytic.ggx import GGX, GGXMixture
 from manifold.analytic.layers import Immersed, Layered, MixedBRDF, Retroreflection
 from manifold.analytic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
-from manifold.colour.metals import metal_ior
+from manifold.colour.reflectances import metal_ior
 from manifold.directions import from_spherical, half_vector, hemisphere_quadrature, normalize
 from manifold.errors import BandMismatchError, ShapeError, UsageError
 from manifold.records import Array, Bands

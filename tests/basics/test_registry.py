@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from manifold.errors import UnknownNameError
-from manifold.registry import Registry
+from manifold.names import Registry
 
 
 def test_an_unknown_name_is_an_error_that_lists_those_there_are():

@@ -22,8 +22,12 @@ from manifold.colour.conversion import (
     xyz_to_srgb,
 )
 from manifold.colour.illuminants import illuminant_names
-from manifold.colour.metals import metal_ior, metal_names
-from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
+from manifold.colour.reflectances import (
+    diffuse_reflectance,
+    diffuse_reflectance_names,
+    metal_ior,
+    metal_names,
+)
 from manifold.errors import ShapeError, UsageError
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.records import Bands

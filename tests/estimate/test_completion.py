@@ -26,8 +26,15 @@ from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import completion_weights, for_library, in_all_bands, in_srgb
 from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
-from manifold.estimate.mixtures import COATED, LIKE_ONE, log_prior_of, material_prior
-from manifold.estimate.reading_mixtures import ReadingRoots, band_mixtures, posterior
+from manifold.estimate.mixtures import (
+    COATED,
+    LIKE_ONE,
+    ReadingRoots,
+    band_mixtures,
+    log_prior_of,
+    material_prior,
+    posterior,
+)
 from manifold.estimate.residual import coordinates, covariance, residual_factors
 from manifold.estimate.suggestions import DIRECTIONS as INSTRUMENTS
 from manifold.estimate.suggestions import Deviations, _residual, next_readings

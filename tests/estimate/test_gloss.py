@@ -18,7 +18,7 @@ from manifold.estimate import Completion, calibrate
 from manifold.estimate.completions import Completed, parse_gloss
 from manifold.estimate.expected import errors_of, leave_out
 from manifold.estimate.gloss import gloss_meter, gloss_units, value_of_unit
-from manifold.estimate.reading_mixtures import GlossReadings
+from manifold.estimate.mixtures import GlossReadings
 from manifold.formats import csv_table, registry
 from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import GLOSS_ANGLES_DEG, MOST_GLOSS

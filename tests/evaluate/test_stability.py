@@ -9,7 +9,7 @@ import pytest
 from helpers.paths import REPOSITORY
 
 from manifold.errors import RendererError, UsageError
-from manifold.evaluate.stability import conclusions, stability_figure
+from manifold.evaluate.stability import catalogue, stability_figure
 from manifold.evaluate.stability.catalogue import MODES
 from manifold.evaluate.stability.testbed import TestBed
 from manifold.evaluate.stability.trials import (
@@ -81,7 +81,7 @@ def test_a_row_is_as_wrong_as_its_worst_undetected_error():
     assert row.undetected_error == 0.2
     assert not row.is_wrong
     assert not row.is_false_alarm
-    assert conclusions.outcomes(row) == "fine, warned, refused"
+    assert catalogue.outcomes(row) == "fine, warned, refused"
 
 
 @pytest.mark.parametrize("first", [Measurement(0.1, ("beware",)), UsageError("no")])
@@ -89,8 +89,8 @@ def test_a_warning_or_a_refusal_at_the_harmless_end_is_a_false_alarm(first):
     made = run_modes([mode_of(first, Measurement(9.0, ("beware",)))])
     assert len(made.false_alarms) == 1
     assert made.wrong == ()
-    assert conclusions.outcomes(made.rows[0]) == "false alarm"
-    assert "1 false alarms in 1 rows" in conclusions.summary(made)
+    assert catalogue.outcomes(made.rows[0]) == "false alarm"
+    assert "1 false alarms in 1 rows" in catalogue.summary(made)
     assert made.to_json([])["false_alarms"] == 1
 
 
@@ -193,13 +193,13 @@ def test_stability_says_what_to_trust_and_which_kind_of_map_to_choose():
             row("b", "blend", FINE, FINE, FINE),
         )
     )
-    said = conclusions.conclusion(made)
+    said = catalogue.conclusion(made)
     assert said.startswith("Results without a message can be trusted")
     assert "choose: material, fine in 2 of 2 trials (blend 1)" in said
-    assert conclusions.conclusion(Stability((row("a", "blend", FINE, WRONG),))) == (
+    assert catalogue.conclusion(Stability((row("a", "blend", FINE, WRONG),))) == (
         "Wrong without a message, so check these by other means: blend (a)."
     )
-    assert "choose by accuracy" in conclusions.conclusion(all_fine())
+    assert "choose by accuracy" in catalogue.conclusion(all_fine())
     assert "can be trusted" in stability_figure.panels(all_fine(), MODES).get_suptitle()
 
 

@@ -16,8 +16,8 @@ from manifold.fit import fits
 from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fits import FitSettings
 from manifold.io_rgl import write_bsdf
+from manifold.pictures.maps import sources
 from manifold.pictures.renders import compare
-from manifold.pictures.slices import sources
 from manifold.plots.slice_figures import angle_slices
 from manifold.render.ball import read_material
 from manifold.render.fitted_brdf import FittedBRDF

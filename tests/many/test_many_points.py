@@ -19,7 +19,7 @@ from manifold.batch import OutputIndex, batch
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate import predictions
-from manifold.estimate.point_table import read_points
+from manifold.estimate.inputs import read_points
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.model.colours import ColourChoice

@@ -19,7 +19,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.places import parse_path
 from manifold.model.settings import KINDS, Settings
-from manifold.pictures import slices
+from manifold.pictures import maps
 
 MOST = 0.5  # CIEDE2000: half of what is noticed side by side
 
@@ -62,7 +62,7 @@ def test_the_coordinates_that_predict_and_locate_print_give_the_prediction_back(
 def test_a_material_is_a_latent_by_its_name(model):
     loaded, name = Manifold.load(model), NAMES[1]
     np.testing.assert_array_equal(loaded.place(name).latent, loaded.latent(name))
-    (source,) = slices.sources([slices.PlaceSource(model, name)])
+    (source,) = maps.sources([maps.PlaceSource(model, name)])
     assert distance(source.brdf, loaded.material(name)) == 0.0
     with pytest.raises(UsageError, match="did you mean syn_felt_green"):
         loaded.place("syn_felt_gren")

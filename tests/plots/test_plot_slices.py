@@ -18,7 +18,7 @@ from manifold.errors import BandMismatchError, UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource
 from manifold.io_rgl import write_bsdf
 from manifold.pictures.comparison_figure import comparison
-from manifold.pictures.slices import slices, sources
+from manifold.pictures.maps import slices, sources
 from manifold.plots import figures
 from manifold.plots.slice_figures import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands

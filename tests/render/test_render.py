@@ -27,7 +27,7 @@ from manifold.colour.illuminants import Illuminant
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.records import Bands
-from manifold.render import backend, image_metrics, images, render, scenes
+from manifold.render import backend, images, render, scenes
 from manifold.render.ball import make_settings, parse_illuminant, read_material, render_material
 from manifold.render.render import RenderSettings, render_bsdf
 
@@ -204,11 +204,11 @@ def test_pictures_survive_files(tmp_path, rng):
 
 def test_flip_is_zero_for_equal_pictures_symmetric_and_one_at_most(rng):
     a, b = rng.random((2, 40, 50, 3))
-    np.testing.assert_allclose(image_metrics.flip_map(a, a), 0.0, atol=1e-6)
-    np.testing.assert_allclose(image_metrics.flip_map(a, b), image_metrics.flip_map(b, a), rtol=1e-4)
+    np.testing.assert_allclose(images.flip_map(a, a), 0.0, atol=1e-6)
+    np.testing.assert_allclose(images.flip_map(a, b), images.flip_map(b, a), rtol=1e-4)
     green, blue = np.zeros((2, 32, 32, 3))
     green[..., 1], blue[..., 2] = 1.0, 1.0
-    np.testing.assert_allclose(image_metrics.flip_map(green, blue), 1.0, atol=1e-5)  # the most that there is
+    np.testing.assert_allclose(images.flip_map(green, blue), 1.0, atol=1e-5)  # the most that there is
 
 
 def test_flip_is_of_display_values_at_the_distance_given():
@@ -217,7 +217,7 @@ def test_flip_is_of_display_values_at_the_distance_given():
     a = np.stack([x, y, 0.5 + 0.4 * np.sin(20 * x)], axis=-1)
     b = np.clip(np.stack([x + 0.05, y * y, 0.5 + 0.4 * np.sin(21 * x)], axis=-1), 0.0, 1.0)
     b[10:20, 30:40] = [1.0, 0.2, 0.1]
-    flip = image_metrics.flip_map(a, b, 67.02064514160156)
+    flip = images.flip_map(a, b, 67.02064514160156)
     assert flip.mean() == pytest.approx(0.5536173, rel=1e-3)
     assert flip[15, 35] == pytest.approx(0.9492131, rel=1e-3)
 
@@ -225,13 +225,13 @@ def test_flip_is_of_display_values_at_the_distance_given():
 def test_ciede2000_maps_are_those_of_single_colours():
     a, b = np.full((4, 4, 3), 0.5), np.full((4, 4, 3), 0.5)
     b[1, 2] = [0.6, 0.5, 0.4]
-    found = image_metrics.ciede2000_map(a, b)
+    found = images.ciede2000_map(a, b)
     white = srgb_to_xyz(np.ones(3))
     xyz = [srgb_to_xyz(decode_srgb(np.array(c))) for c in ([0.5, 0.5, 0.5], [0.6, 0.5, 0.4])]
     assert found[1, 2] == pytest.approx(float(delta_e_2000(*xyz, white)), rel=1e-9)
     assert np.count_nonzero(found > 1e-9) == 1
     with pytest.raises(ShapeError, match="expected the same"):
-        image_metrics.ciede2000_map(a, b[:2])
+        images.ciede2000_map(a, b[:2])
 
 
 # -- command line ---------------------------------------------------------------------------------------------

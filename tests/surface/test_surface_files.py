@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.colour.conversion import decode_srgb, file_to_srgb, to_srgb
-from manifold.colour.spectral_changes import spectral_changes, weights_at
+from manifold.colour.reflectances import spectral_changes, weights_at
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.formats import ma_t12

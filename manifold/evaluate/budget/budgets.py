@@ -26,7 +26,7 @@ from manifold.library.identity import require_outside_libraries
 from manifold.model.colours import ColourChoice
 from manifold.plots import figures
 from manifold.progress import Stages
-from manifold.render import backend, image_metrics, render
+from manifold.render import backend, images, render
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ def budget_scene(
         if picture is not None:
             both = pictures.beside(answer.choice)
             shown = [one.to_json() for one in chosen]
-            delta_e = image_metrics.ciede2000_map(*both)
+            delta_e = images.ciede2000_map(*both)
             figures.save(budget_figure(*both, delta_e, shown, tolerance.delta_e), picture)
     return Budget(
         scene=document.origin,

@@ -12,7 +12,7 @@ from manifold.analytic import corpus
 from manifold.colour.conversion import sensor_responses
 from manifold.colour.illuminants import Illuminant
 from manifold.io_rgl import write_bsdf
-from manifold.registry import Registry
+from manifold.names import Registry
 
 
 @dataclass(frozen=True)

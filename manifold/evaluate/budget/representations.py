@@ -20,7 +20,7 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Array, Bands, BsdfFile
-from manifold.render import backend, image_metrics
+from manifold.render import backend, images
 from manifold.render.backend import Backend
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import principled
@@ -130,7 +130,7 @@ class _Builder:
         self.found.append(Representation(name, path.stat().st_size, bsdf, predicted, path))
 
     def _predicted(self, appearance: Array) -> float:
-        return float(image_metrics.ciede2000_map(self._reference, appearance).mean())
+        return float(images.ciede2000_map(self._reference, appearance).mean())
 
 
 def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> list[Representation]:

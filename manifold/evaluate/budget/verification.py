@@ -11,7 +11,7 @@ from manifold.evaluate.budget.scene_document import SceneDocument
 from manifold.evaluate.budget.scene_survey import Survey
 from manifold.evaluate.budget.search import Choice, Difference
 from manifold.records import Array
-from manifold.render import backend, image_metrics, render
+from manifold.render import backend, images, render
 
 
 class Pictures:
@@ -39,8 +39,8 @@ class Pictures:
         return [self._survey.display(picture[..., :3]) for picture in pictures]
 
     def _compare(self, other: list[Array]) -> dict[str, Difference]:
-        maps = [image_metrics.ciede2000_map(a, b) for a, b in zip(self._reference, other, strict=True)]
-        flip = image_metrics.flip_map(self._reference[0], other[0])
+        maps = [images.ciede2000_map(a, b) for a, b in zip(self._reference, other, strict=True)]
+        flip = images.flip_map(self._reference[0], other[0])
         found = {}
         for key, lighting in self._survey.lighting.items():
             whole, *halves = (float(one[lighting.mask].mean()) for one in maps)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from manifold.evaluate.stability.conclusions import FALSE_ALARM, conclusion, short
+from manifold.evaluate.stability.catalogue import FALSE_ALARM, conclusion, short
 from manifold.evaluate.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
 from manifold.plots.figures import new_figure
 

@@ -19,7 +19,7 @@ from typing import Any
 from manifold import progress, work
 from manifold.errors import ManifoldError, RendererError
 from manifold.evaluate.stability.testbed import TestBed
-from manifold.registry import Registry
+from manifold.names import Registry
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 

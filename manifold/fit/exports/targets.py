@@ -26,8 +26,8 @@ from manifold.fit.exports import (
 )
 from manifold.fit.exports.document import Export, Parameter, defaults
 from manifold.fit.exports.principled_values import Principled
+from manifold.names import Registry
 from manifold.records import Array, Bands
-from manifold.registry import Registry
 
 Brdf = Callable[[Mapping[str, Any], Array, Array], Array]
 Content = Callable[[Export, Principled], bytes]

@@ -14,6 +14,7 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import normalize
 from manifold.fit.exports import TARGETS, blender
+from manifold.fit.exports.lobes import ShadingPairs
 
 NAMES = ["it's a \"\"\"'''{NAME}\\n %s", "x" * 90, "a\x00b\udc80\n", "é" * 40]
 """That Blender, or a script, could stumble over; a name has at most 63 bytes in Blender 4."""
@@ -147,7 +148,7 @@ def drawn_and_expected(picture, parameters, view, light):
     lit = wo[:, 2] > 0.02
     drawn = picture[inside][lit]
     assert np.all(drawn[:, 3] == 1.0)
-    return drawn[:, :3], np.pi * blender.brdf(parameters, wi[lit], wo[lit]) * wo[lit][:, 2:]
+    return drawn[:, :3], np.pi * blender.brdf(parameters, ShadingPairs.of(wi[lit], wo[lit])) * wo[lit][:, 2:]
 
 
 def test_cycles_draws_the_model_that_losses_are_measured_with(tmp_path):

@@ -27,6 +27,7 @@ from manifold.directions import normalize
 from manifold.errors import UsageError
 from manifold.fit.exports import TARGETS, blender, gltf, materialx, openpbr, preview_surface, standard_surface
 from manifold.fit.exports.document import Export
+from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import target_of
 from manifold.fit.exports.usd import OPENPBR_ID
@@ -349,7 +350,7 @@ def model_difference(target, parameters, frames, drawn):
     """CIEDE2000 between drawn colours (K, 3) and those of a target's model, where light arrives."""
     wi, wo = frames @ VIEW, frames @ LIGHT
     lit = wo[:, 2] > 0.02
-    expected = np.pi * TARGETS[target].brdf(parameters, wi[lit], wo[lit]) * wo[lit][:, 2:]
+    expected = np.pi * TARGETS[target].brdf(parameters, ShadingPairs.of(wi[lit], wo[lit])) * wo[lit][:, 2:]
     return ball_colours.delta_e(*(srgb_to_xyz(np.clip(each, 0.0, 1.0)) for each in (drawn[lit], expected)))
 
 

@@ -70,9 +70,11 @@ def test_a_rough_metal_in_gltf_is_principled_s_but_for_masking_and_what_scatters
     alone = [2.0 / (1.0 + surface.stretched_length(each) / each[:, 2]) for each in (view, light)]
     correlated = 1.0 / (1.0 / alone[0] + 1.0 / alone[1] - 1.0)  # Heitz 2014, eq. 99
     expected = expected * (correlated / (alone[0] * alone[1]))[:, None]
-    single, _ = lobes.single_scattering(min(material.alphas), view[:, 2])
+    single, _ = lobes.single_scattering(ShadingPairs.of(view, light), min(material.alphas))
     expected = expected * (1.0 + np.array(material.base_color) * (1.0 / single - 1.0))
-    np.testing.assert_allclose(gltf.brdf(gltf.parameters(material), view, light), expected, rtol=rtol)
+    np.testing.assert_allclose(
+        gltf.brdf(gltf.parameters(material), ShadingPairs.of(view, light)), expected, rtol=rtol
+    )
 
 
 def test_a_film_in_gltf_has_the_colour_of_the_viewer_s_angle_and_leaves_the_diffuse():
@@ -80,20 +82,18 @@ def test_a_film_in_gltf_has_the_colour_of_the_viewer_s_angle_and_leaves_the_diff
     light = from_spherical(np.array([0.1, 1.3]), np.array([1.0, 3.0]))
     film = dict(zip(gltf.FILM, (1.0, 400.0, 1.7), strict=True))
     black, grey = (gltf.parameters(Principled((c, c, c), roughness=0.6)) for c in (0.0, 0.5))
-    lobe = lobes.specular_joint(ShadingPairs.of(view, light), 0.36, 0.36)[:, None]
-    reflected = gltf.brdf(black | film, view, light) / lobe
+    pairs = ShadingPairs.of(view, light)
+    reflected = gltf.brdf(black | film, pairs) / lobes.specular_joint(pairs, 0.36, 0.36)[:, None]
     np.testing.assert_allclose(reflected[0], reflected[1], rtol=1e-9)  # whatever the light
-    diffuse = [
-        gltf.brdf(grey | each, view, light) - gltf.brdf(black | each, view, light) for each in ({}, film)
-    ]
+    diffuse = [gltf.brdf(grey | each, pairs) - gltf.brdf(black | each, pairs) for each in ({}, film)]
     np.testing.assert_allclose(*diffuse, rtol=1e-9)
 
 
 def test_the_diffuse_of_gltf_loses_what_each_channel_of_its_highlight_reflects():
     both = from_spherical(np.array([0.4]), np.array([0.0]))
     values = gltf.DEFAULTS | {"metallicFactor": 0.0, "ior": 2.0, "specularColorFactor": [1.0, 0.0, 0.5]}
-    black = gltf.brdf(values | {"baseColorFactor": [0.0, 0.0, 0.0]}, both, both)
-    found = gltf.brdf(values, both, both) - black
+    black = gltf.brdf(values | {"baseColorFactor": [0.0, 0.0, 0.0]}, ShadingPairs.of(both, both))
+    found = gltf.brdf(values, ShadingPairs.of(both, both)) - black
     np.testing.assert_allclose(np.pi * found[0], 1.0 - np.array([1.0, 0.0, 0.5]) / 9.0, rtol=1e-9)
 
 
@@ -106,7 +106,7 @@ def test_other_metals_are_principled_s_but_for_masking_and_what_scatters_between
     expected = mitsuba(principled(values), values, view, light)
     for target in TARGETS.values():
         made = target.parameters(Principled((0.9, 0.5, 0.1), metallic=1.0, roughness=0.3))
-        found = target.brdf(made, view, light)
+        found = target.brdf(made, ShadingPairs.of(view, light))
         limit = 0.1 if target.name == "standard-surface" else 0.05  # a conductor's Fresnel term
         assert np.median(np.abs(found / expected - 1.0)) < limit, target.name
 
@@ -119,7 +119,7 @@ def test_a_diffuse_surface_is_lambertian(name, rng):
     view, light = directions(rng, 200), directions(rng, 200)
     expected = mitsuba(diffuse(), {"reflectance": [0.5, 0.3, 0.1]}, view, light)
     material = Principled.from_fit({"type": "diffuse"}, {"reflectance": [0.5, 0.3, 0.1]})
-    found = target.brdf(target.parameters(material), view, light)
+    found = target.brdf(target.parameters(material), ShadingPairs.of(view, light))
     if target.name.startswith(("usd", "openpbr")):  # at grazing they reflect whatever the index
         steep = (view[:, 2] > 0.85) & (light[:, 2] > 0.85)
         np.testing.assert_allclose(found[steep], expected[steep], rtol=0.01)
@@ -133,7 +133,7 @@ def test_no_target_makes_light(target):
     white = Principled((1.0, 1.0, 1.0), roughness=0.6, clearcoat=1.0, clearcoat_gloss=0.2, sheen=1.0)
     for cosine in (0.2, 0.6, 1.0):
         view = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], light.shape)
-        f = target.brdf(target.parameters(white), view, light)
+        f = target.brdf(target.parameters(white), ShadingPairs.of(view, light))
         albedo = np.sum(f * light[:, 2:], axis=0) * solid_angle
         # these add lobes without taking what they reflect from the diffuse
         limit = 1.25 if target.name in ("unreal", "unity", "usd", "usd-materialx") else 1.02
@@ -147,7 +147,10 @@ def test_a_rough_white_metal_loses_nothing_where_light_scatters_between_facets(n
     values = TARGETS[name].parameters(Principled((1.0, 1.0, 1.0), metallic=1.0, roughness=0.8))
     for cosine in (0.2, 0.6, 1.0):
         view = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], light.shape)
-        albedo = np.sum(TARGETS[name].brdf(values, view, light) * light[:, 2:], axis=0) * solid_angle
+        albedo = (
+            np.sum(TARGETS[name].brdf(values, ShadingPairs.of(view, light)) * light[:, 2:], axis=0)
+            * solid_angle
+        )
         assert albedo == pytest.approx([1.0] * 3, abs=0.01)  # quadratures of albedo and here
 
 
@@ -163,11 +166,11 @@ def test_an_anisotropic_lobe_with_joint_masking_is_the_isotropic_one_where_the_a
 def test_the_parameters_of_a_turned_sample_are_those_of_the_sample_turned(name, angle, rng):
     target = TARGETS[name]
     view, light = directions(rng, 200), directions(rng, 200)
-    turned = target.brdf(target.parameters(replace(FULL, rotation_rad=angle)), view, light)
+    turned = target.brdf(target.parameters(replace(FULL, rotation_rad=angle)), ShadingPairs.of(view, light))
     along_x = target.parameters(replace(FULL, rotation_rad=0.0))
-    expected = target.brdf(along_x, rotate_z(view, -angle), rotate_z(light, -angle))
+    expected = target.brdf(along_x, ShadingPairs.of(rotate_z(view, -angle), rotate_z(light, -angle)))
     np.testing.assert_allclose(turned, expected, rtol=1e-9)
-    assert not np.allclose(turned, target.brdf(along_x, view, light), rtol=0.1)
+    assert not np.allclose(turned, target.brdf(along_x, ShadingPairs.of(view, light)), rtol=0.1)
 
 
 def test_the_diffuse_of_unity_is_burley_s_and_its_coat_is_sharp():
@@ -175,12 +178,14 @@ def test_the_diffuse_of_unity_is_burley_s_and_its_coat_is_sharp():
     plain = unity.DEFAULTS | {"_BaseColor": [1.0] * 3, "_Smoothness": 0.0}
     light = ShadingPairs.of(up, up)
     specular = 0.04 * lobes.specular_joint(light, 1.0, 1.0)[0]
-    scattered = 1.0 + 0.04 * (1.0 / lobes.single_scattering(1.0, light.cos_v)[0][0, 0] - 1.0)
-    found = unity.brdf(plain, up, up)[0, 0] - specular * scattered
+    scattered = 1.0 + 0.04 * (1.0 / lobes.single_scattering(light, 1.0)[0][0, 0] - 1.0)
+    found = unity.brdf(plain, ShadingPairs.of(up, up))[0, 0] - specular * scattered
     assert found == pytest.approx(1.0 / (1.03571 * np.pi), rel=1e-9)
-    assert unity.brdf(plain, grazing, grazing)[0, 0] > 1.5 / np.pi  # a rough surface shines back
+    assert (
+        unity.brdf(plain, ShadingPairs.of(grazing, grazing))[0, 0] > 1.5 / np.pi
+    )  # a rough surface shines back
     metal = unity.DEFAULTS | {"_BaseColor": [0.0] * 3, "_Smoothness": 0.7}
-    coated = unity.brdf(metal | {"_CoatMask": 1.0}, up, up)[0, 0]
+    coated = unity.brdf(metal | {"_CoatMask": 1.0}, ShadingPairs.of(up, up))[0, 0]
     assert coated == pytest.approx(0.04 / (4.0 * np.pi * 1e-4), rel=0.01)  # the peak of the coat
 
 
@@ -201,7 +206,7 @@ def test_split_sums_are_the_albedo_of_the_lobe():
         pairs = ShadingPairs.of(view, light)
         lobe = lobes.specular_correlated(pairs, alpha, alpha) * light[:, 2] * solid_angle
         fresnel = (1.0 - pairs.cos_d) ** 5
-        a, b = lobes.split_sum(alpha, np.array([cosine]))
+        a, b = lobes.split_sum(pairs, alpha)
         expected = np.sum(lobe * (1.0 - fresnel)), np.sum(lobe * fresnel)
         assert (a[0], b[0]) == pytest.approx(expected, abs=0.01)  # 33 nodes, 24 x 24 samples
 
@@ -318,6 +323,20 @@ def test_light_and_viewer_may_be_exchanged_where_the_model_is_reciprocal(rng):
     view, light = directions(rng, 100), directions(rng, 100)
     for model in (preview_surface, unreal):
         values = model.parameters(FULL)
-        np.testing.assert_allclose(
-            model.brdf(values, view, light), model.brdf(values, light, view), rtol=1e-10
-        )
+        there, back = ShadingPairs.of(view, light), ShadingPairs.of(light, view)
+        np.testing.assert_allclose(model.brdf(values, there), model.brdf(values, back), rtol=1e-10)
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
+def test_values_at_pairs_that_were_used_before_are_those_at_new_ones(target, rng):
+    view, light = directions(rng, 600), directions(rng, 600)  # more than a film is tabulated at
+    used, values = ShadingPairs.of(view, light), target.parameters(FULL)
+    for name in target.film:
+        entry = target.entries[name]
+        values[name] = 0.5 * (entry.low + entry.high)
+    for name, entry in target.entries.items():
+        if np.ndim(values[name]) == 0 and (entry.is_free or name in target.film):
+            changed = values | {name: entry.low + 0.37 * (entry.high - entry.low)}
+            found = target.brdf(changed, used)
+            np.testing.assert_array_equal(found, target.brdf(changed, ShadingPairs.of(view, light)))
+            assert not np.array_equal(found, target.brdf(values, used)), name

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from manifold.analytic.fresnel import fresnel_dielectric
 from manifold.fit.exports import lobes, openpbr
 from manifold.fit.exports.document import Export, Parameter, defaults
-from manifold.fit.exports.lobes import ShadingPairs, zeltner_layer
+from manifold.fit.exports.lobes import ShadingPairs, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82, film_over_index_cycles
 from manifold.records import Array
@@ -126,21 +126,21 @@ def script(export: Export) -> str:
     return made
 
 
-def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """The material's BRDF in Cycles, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`; the distribution is Multiscatter GGX.
-        view, light: unit vectors (P, 3).
+        pairs: P of them.
     Source: Blender's manual, Principled BSDF, and Cycles 5.0 (svm/closure.h, bsdf_microfacet.h): what is below a layer
     is scaled by one minus the layer's albedo, towards the viewer.
     """
-    pairs = ShadingPairs.of(view, light, 2.0 * np.pi * values["Anisotropic Rotation"])
+    pairs = pairs.turned(2.0 * np.pi * values["Anisotropic Rotation"])
     base, tint, m = np.asarray(values["Base Color"]), np.asarray(values["Specular Tint"]), values["Metallic"]
     aspect = float(np.sqrt(1.0 - 0.9 * values["Anisotropic"]))
     alpha_x, alpha_y = min(values["Roughness"] ** 2 / aspect, 1.0), values["Roughness"] ** 2 * aspect
     f0 = min(2.0 * values["Specular IOR Level"] * ior_to_f0(values["IOR"]), 0.99)
-    f: Array = np.broadcast_to(base / np.pi, (len(view), 3))
+    f: Array = np.broadcast_to(base / np.pi, (len(pairs.view), 3))
     thickness_nm, film_ior = (values[name] for name in FILM)
     film = (film_ior, thickness_nm) if thickness_nm else None
     if f0 > 0.0 or film is not None:
@@ -149,7 +149,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     if m:
         fresnel = lobes.fresnel_f82(base, np.minimum(tint, 1.0), pairs.cos_d)
         if film is not None:
-            fresnel = film_over_f82(*film, base, np.minimum(tint, 1.0), pairs.cos_d)
+            fresnel = _metal_film(pairs, *film, base, np.minimum(tint, 1.0))
         mean = base + (1.0 - base) / 21.0 - lobes.f82_dip(base, np.minimum(tint, 1.0)) / 126.0
         scattered, _ = _scattered(pairs, mean, alpha_x, alpha_y)
         f = (1.0 - m) * f + m * lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
@@ -167,13 +167,12 @@ def _interface(
 ) -> Array:  # fmt: skip
     """A rough dielectric over a BRDF `below` (P, 3), tinted along the normal; `film`: its index and thickness in nm."""
     real = ior_to_f0(ior)
-    f0 = np.clip(real * np.broadcast_to(tint, 3), 0.0, 1.0)
+    f0 = np.clip(real * np.atleast_1d(tint), 0.0, 1.0)
 
     def between(share: Array | float) -> Array:
         return f0 + (1.0 - f0) * share
 
-    def filmed(cosine: Array, film: tuple[float, float]) -> Array:
-        found = film_over_index_cycles(*film, ior, cosine)
+    def filmed(found: Array) -> Array:
         tinted = np.clip((1.0 - found) / (1.0 - real), 0.0, 1.0)  # less towards grazing
         return found * (1.0 + tinted * (f0 / real - 1.0)) if real > 1e-5 else found
 
@@ -182,18 +181,34 @@ def _interface(
     fresnel: Array
     albedo: Array
     if film is None:
-        fresnel = between((fresnel_dielectric(pairs.cos_d, np.array([ior])) - real) / (1.0 - real))
-        share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]
+        fresnel = between((lobes.dielectric_fresnel(pairs, ior) - real) / (1.0 - real))
+        share = lobes.dielectric_share(pairs, float(np.sqrt(alpha_x * alpha_y)), ior)[:, None]
         albedo = between(share) * scattered * single
     else:  # its albedo is taken as a mirror's
-        fresnel, albedo = filmed(pairs.cos_d, film), filmed(pairs.cos_v, film)
-    most: Array = albedo.max(axis=1, keepdims=True)
+        fresnel, albedo = map(filmed, _dielectric_films(pairs, *film, ior))
+    most = reduce(np.maximum, albedo.T)[:, None]
     lobe = lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
     return weight * lobe + (1.0 - weight * most) * below
 
 
+@per_pairs
+def _dielectric_films(
+    pairs: ShadingPairs, film_ior: float, thickness_nm: float, ior: float
+) -> tuple[Array, Array]:
+    """Of light at the half vector, and at the normal, (P, 3) each."""
+    at_half, at_normal = (
+        film_over_index_cycles(film_ior, thickness_nm, ior, cosine) for cosine in (pairs.cos_d, pairs.cos_v)
+    )
+    return at_half, at_normal
+
+
+@per_pairs
+def _metal_film(pairs: ShadingPairs, film_ior: float, thickness_nm: float, f0: Array, edge: Array) -> Array:
+    return film_over_f82(film_ior, thickness_nm, f0, edge, pairs.cos_d)
+
+
 def _scattered(pairs: ShadingPairs, mean: Array, alpha_x: float, alpha_y: float) -> tuple[Array, Array]:
     """The factor for light scattered between facets of mean reflectance (3,); the albedo without Fresnel, (P, 1)."""
-    single, average = lobes.single_scattering(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
+    single, average = lobes.single_scattering(pairs, float(np.sqrt(alpha_x * alpha_y)))
     multiple = mean * average / (1.0 - mean * (1.0 - average))
     return 1.0 + multiple * (1.0 - single) / single, single

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from manifold.colour.difference import VISIBLE
 from manifold.fit.exports.document import CURVE_COSINES
+from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import snapped
 from manifold.fit.exports.targets import Target, TargetBRDF
 from manifold.fit.fit_metrics import Criterion
@@ -29,10 +30,10 @@ _GAIN = 0.8  # a film, curve or colour of a sheen that is kept lowers squared re
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
 _FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
 _FILM_STARTS = 3  # that are refined
-_FIRST_EVALUATIONS, _PROMISING = (
-    8,
-    0.92,
-)  # by when, and below which share, a film that gains lowers the squared residual
+_PROMISING = (
+    (4, 1.0),
+    (8, 0.92),
+)  # evaluations, and below which share of the squared residual a film is by then
 
 
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
@@ -80,7 +81,7 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
             more = _Problem(target, begun, [*(name for name in free if name != base), curve], few, hued)
             starts = [more.vector(begun)]
         if starts:
-            x, with_more = more.nearest(starts, _PROMISING * cost if target.film else np.inf)
+            x, with_more = more.nearest(starts, cost if target.film else np.inf)
             if with_more < _GAIN * cost and more.ball_difference(x) < _GAIN * difference:
                 return more.rounded(x)
     return found
@@ -117,6 +118,7 @@ class _Problem:
         """Of `hued` colours the largest channel is free alone, in the hue of the start."""
         self._start, self._target, self._free = dict(start), target, free
         self._criterion = Criterion(samples, "appearance")
+        self._pairs = ShadingPairs.of(self._criterion.wi, self._criterion.wo)
         self._hues = {name: _hue(start[name]) for name in hued}
         sizes = {name: 1 if name in hued else np.size(self._start[name]) for name in free}
         self._names = [name for name, size in sizes.items() for _ in range(size)]  # of each number
@@ -145,14 +147,19 @@ class _Problem:
 
         Args:
             starts: vectors of parameters.
-            below: of a film, half the squared residual that a start must have come below after some evaluations to be
-                followed any farther, by exact derivatives; by default all are, and channels are varied at once.
+            below: of a film, half the squared residual without it, below shares of which starts must have come after
+                some evaluations to be followed any farther, by exact derivatives; by default all are, and channels are
+                varied at once.
         """
         if np.isfinite(below):
-            begun = [self._minimum(x, _FIRST_EVALUATIONS) for x in starts]
-            starts = [x for x, cost in begun if cost < below]
-            if not starts:
-                return min(begun, key=lambda end: end[1])
+            done = 0
+            for evaluations, share in _PROMISING:
+                begun = [self._minimum(x, evaluations - done) for x in starts]
+                best = min(begun, key=lambda end: end[1])
+                if best[1] >= share * below:
+                    return best
+                starts, done = [x for x, _ in begun], evaluations
+            starts = [x for x, cost in begun if cost < share * below]
         ends = [self._minimum(x, _EVALUATIONS, is_exact=np.isfinite(below)) for x in starts]
         return min(ends, key=lambda end: end[1])
 
@@ -189,8 +196,8 @@ class _Problem:
         starts = [self.vector(dict(values) | film) for film in films]
         return sorted(starts, key=lambda x: float(np.sum(self.residuals(x) ** 2)))[:_FILM_STARTS]
 
-    def _model(self, x: Array) -> TargetBRDF:
-        """The target's model with the parameters of a vector."""
+    def _values(self, x: Array) -> dict[str, Any]:
+        """The target's parameters of a vector."""
         made, at = dict(self._start), 0
         for name in self._free:
             if name in self._hues:
@@ -200,7 +207,7 @@ class _Problem:
             size = np.size(made[name])
             made[name] = x[at : at + size].tolist() if isinstance(made[name], list) else float(x[at])
             at += size
-        return TargetBRDF(self._target, made)
+        return made
 
     def residuals(self, x: Array) -> Array:
         """Those of the criterion, relative, and of the distance from the mapped values."""
@@ -235,16 +242,15 @@ class _Problem:
 
     def relative(self, x: Array, samples: FitSamples) -> float:
         """The relative residual of other samples."""
-        f_cos = self._model(x).eval(samples.wi, samples.wo) * samples.wo[:, 2:]
+        f_cos = TargetBRDF(self._target, self._values(x)).eval(samples.wi, samples.wo) * samples.wo[:, 2:]
         return Criterion(samples, "appearance").relative(f_cos)
 
     def _f_cos(self, x: Array) -> Array:
-        at = self._criterion
-        return self._model(x).eval(at.wi, at.wo) * at.wo[:, 2:]
+        return self._target.brdf(self._values(x), self._pairs) * self._pairs.light[:, 2:]
 
     def rounded(self, x: Array) -> dict[str, Any]:
         """The parameters, values near 0 and 1 as these; coats, sheens and films of negligible weight are removed."""
-        made, target = dict(self._model(x).values), self._target
+        made, target = self._values(x), self._target
         for name in self._free:
             if target.entries[name].is_share:
                 value = made[name]

@@ -11,7 +11,7 @@ import numpy as np
 from manifold.directions import from_spherical
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.lobes import ShadingPairs
+from manifold.fit.exports.lobes import ShadingPairs, per_pairs
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f0
 from manifold.records import Array
@@ -98,23 +98,23 @@ def to_json(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     return material
 
 
-def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """The material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
-        view, light: unit vectors (P, 3).
+        pairs: P of them.
     Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions, but for
     what three.js and Khronos' renderer do otherwise: of the diffuse, Fresnel's share is taken per channel; a thin film
     is seen at the angle of the viewer with the normal, and, as light that scatters between facets, as in three.js.
     """
-    pairs = ShadingPairs.of(view, light, values["anisotropyRotation"])
+    pairs = pairs.turned(values["anisotropyRotation"])
     base = np.asarray(values["baseColorFactor"])
     alpha = values["roughnessFactor"] ** 2
     along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2
     f0 = np.minimum(ior_to_f0(values["ior"]) * np.asarray(values["specularColorFactor"]), 1.0)
     strength, m = values["specularFactor"], values["metallicFactor"]
-    single, _ = lobes.single_scattering(alpha, pairs.cos_v)
+    single, _ = lobes.single_scattering(pairs, alpha)
     scattered = 1.0 + (f0 * strength + m * (base - f0 * strength)) * (1.0 / single - 1.0)  # Turquin 2019
     specular = lobes.specular_joint(pairs, along, alpha)[:, None] * scattered
     metal = specular * _filmed(values, pairs, lobes.schlick(base, 1.0, pairs.cos_d), base)
@@ -135,7 +135,12 @@ def _filmed(values: Mapping[str, Any], pairs: ShadingPairs, bare: Array, f0: Arr
     weight, thickness_nm, ior = (float(values[name]) for name in FILM)
     if not weight:
         return bare
-    return bare + weight * (film_over_f0(ior, thickness_nm, f0, pairs.cos_v) - bare)
+    return bare + weight * (_film(pairs, ior, thickness_nm, f0) - bare)
+
+
+@per_pairs
+def _film(pairs: ShadingPairs, ior: float, thickness_nm: float, f0: Array) -> Array:
+    return film_over_f0(ior, thickness_nm, f0, pairs.cos_v)
 
 
 def _sheen(values: Mapping[str, Any], pairs: ShadingPairs, base: Array) -> Array:
@@ -143,13 +148,11 @@ def _sheen(values: Mapping[str, Any], pairs: ShadingPairs, base: Array) -> Array
     if not np.any(colour):
         return base
     roughness = values["sheenRoughnessFactor"]
-    scale: Array = np.minimum(
-        1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_v),
-        1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_l),
-    )
-    return _sheen_lobe(pairs, roughness)[:, None] * colour + scale[:, None] * base
+    scale = 1.0 - colour.max() * _sheen_albedo(pairs, roughness)[:, None]
+    return _sheen_lobe(pairs, roughness)[:, None] * colour + scale * base
 
 
+@per_pairs
 def _sheen_lobe(pairs: ShadingPairs, roughness: float) -> Array:
     """`D V` of the sheen, (P,)."""
     alpha = max(roughness, 0.05) ** 2
@@ -166,9 +169,11 @@ def _lambda(cosine: Array, alpha: float) -> Array:
     return np.exp(np.where(cosine < 0.5, fit(cosine), 2.0 * fit(0.5) - fit(np.maximum(1.0 - cosine, 0.0))))
 
 
-def _sheen_albedo(roughness: float, cosine: Array) -> Array:
+@per_pairs
+def _sheen_albedo(pairs: ShadingPairs, roughness: float) -> Array:
+    """Directional albedo of a white sheen, the greater of both directions', (P,)."""
     nodes, albedo = _sheen_table(round(float(roughness), 6))
-    return np.interp(cosine, nodes, albedo)
+    return np.maximum(*(np.interp(cosine, nodes, albedo) for cosine in (pairs.cos_v, pairs.cos_l)))
 
 
 @lru_cache(maxsize=64)

@@ -5,8 +5,11 @@ Directions are unit vectors (P, 3) above the horizon, z the normal; values are i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache, wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -14,13 +17,18 @@ from manifold.analytic.fresnel import fresnel_dielectric
 from manifold.analytic.ggx import GGX
 from manifold.directions import normalize, rotate_z
 from manifold.fit.exports.principled_values import ior_to_f0
-from manifold.records import Array
+from manifold.records import Array, Indices
 
 _NODES, _SAMPLES = (
     33,
     24,
 )  # of albedo tables: cosines, and samples per axis of the distribution of visible normals
+_ROUGHNESSES = 32  # steps of these tables by the root of alpha
+_COSINES = np.maximum(np.linspace(0.0, 1.0, _NODES) ** 2, 1e-3)  # with the normal: dense at grazing
 _LEAST_ALPHA = 1e-4
+_KEPT = 48  # results that pairs keep: more than the derivatives of a model take from it
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +39,7 @@ class ShadingPairs:
         view, light, half: unit vectors (P, 3).
         cos_v, cos_l, cos_h: with the normal, shape (P,).
         cos_d: between view and half vector, shape (P,).
+        kept: results of functions that are `per_pairs`.
     """
 
     view: Array
@@ -40,18 +49,43 @@ class ShadingPairs:
     cos_l: Array
     cos_h: Array
     cos_d: Array
+    kept: OrderedDict[Any, Any] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
-    def of(cls, view: Array, light: Array, rotation_rad: float = 0.0) -> ShadingPairs:
-        """Directions, at least a little above the horizon, as a surface turned by an azimuth sees them."""
-        if rotation_rad:
-            view, light = rotate_z(view, -rotation_rad), rotate_z(light, -rotation_rad)
+    def of(cls, view: Array, light: Array) -> ShadingPairs:
+        """Directions (P, 3), at least a little above the horizon."""
         half = normalize(view + light)
         least = 1e-6
         return cls(
             view, light, half, np.maximum(view[:, 2], least), np.maximum(light[:, 2], least),
             np.clip(half[:, 2], least, 1.0), np.clip(np.sum(view * half, axis=1), least, 1.0),
         )  # fmt: skip
+
+    def turned(self, rotation_rad: float) -> ShadingPairs:
+        """As a surface turned by an azimuth sees them."""
+        return _turned(self, rotation_rad) if rotation_rad else self
+
+
+def per_pairs(function: Function) -> Function:
+    """The function, whose last results the pairs keep: fits vary one number at a time. Nobody may write to results."""
+
+    @wraps(function)
+    def kept(pairs: ShadingPairs, *arguments: Any) -> Any:
+        key = (function, *(a.tobytes() if isinstance(a, np.ndarray) else a for a in arguments))
+        if key in pairs.kept:
+            pairs.kept.move_to_end(key)
+        else:
+            pairs.kept[key] = function(pairs, *arguments)
+            if len(pairs.kept) > _KEPT:
+                pairs.kept.popitem(last=False)
+        return pairs.kept[key]
+
+    return cast(Function, kept)
+
+
+@per_pairs
+def _turned(pairs: ShadingPairs, rotation_rad: float) -> ShadingPairs:
+    return ShadingPairs.of(rotate_z(pairs.view, -rotation_rad), rotate_z(pairs.light, -rotation_rad))
 
 
 @lru_cache(maxsize=64)
@@ -60,12 +94,14 @@ def surface(alpha_x: float, alpha_y: float) -> GGX:
     return GGX.anisotropic(max(alpha_x, _LEAST_ALPHA), max(alpha_y, _LEAST_ALPHA))
 
 
+@per_pairs
 def specular_correlated(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array:
     """`D G2 / (4 cos cos)` of GGX, (P,), G2 by the geometric mean of the alphas, as MaterialX has it."""
     mean = float(np.sqrt(alpha_x * alpha_y))
     return surface(alpha_x, alpha_y).D(pairs.half) * surface(mean, mean).masking(pairs.view, pairs.light)
 
 
+@per_pairs
 def specular_joint(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array:
     """`D G2 / (4 cos cos)` of GGX, (P,), G2 height-correlated with both alphas."""
     both = surface(alpha_x, alpha_y)
@@ -74,8 +110,8 @@ def specular_joint(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array
 
 def schlick(f0: Array | float, f90: Array | float, cosine: Array) -> Array:
     """Schlick's Fresnel term, (P, 3) for colours, else (P, 1)."""
-    f0, f90 = np.atleast_1d(f0), np.atleast_1d(f90)
-    return f0 + (f90 - f0) * (1.0 - cosine[:, None]) ** 5
+    f0, f90, away = np.atleast_1d(f0), np.atleast_1d(f90), 1.0 - cosine[:, None]
+    return f0 + (f90 - f0) * (away * (away * away) ** 2)
 
 
 def fresnel_f82(f0: Array, edge: Array, cosine: Array) -> Array:
@@ -103,57 +139,79 @@ def artistic_index(reflectivity: Array, edge: Array, most: float = 0.99) -> tupl
     return n, np.sqrt(np.maximum(k2, 0.0))
 
 
-def split_sum(alpha: float, cosine: Array) -> tuple[Array, Array]:
-    """A and B of the directional albedo `f0 A + f90 B` of a correlated GGX lobe with Schlick's Fresnel, each (P,).
+@per_pairs
+def split_sum(pairs: ShadingPairs, alpha: float) -> tuple[Array, Array]:
+    """A and B of the viewer's albedo `f0 A + f90 B` of a correlated GGX lobe with Schlick's Fresnel, each (P,).
 
     Source: Karis 2013; by quadrature over the distribution of visible normals (Heitz 2018).
     """
-    nodes, a, b = _split_sum_table(round(float(alpha), 6))
-    return np.interp(cosine, nodes, a), np.interp(cosine, nodes, b)
+    a, b = _at_alpha(_split_sum_table, alpha)
+    return np.interp(pairs.cos_v, _COSINES, a), np.interp(pairs.cos_v, _COSINES, b)
 
 
-def single_scattering(alpha: float, cosine: Array) -> tuple[Array, float]:
-    """Directional albedo (P, 1) of a correlated GGX lobe without Fresnel, and its mean over the hemisphere."""
-    nodes, a, b = _split_sum_table(round(float(alpha), 6))
-    return np.interp(cosine, nodes, a + b)[:, None], float(np.trapezoid(2.0 * nodes * (a + b), nodes))
+@per_pairs
+def single_scattering(pairs: ShadingPairs, alpha: float) -> tuple[Array, float]:
+    """The viewer's albedo (P, 1) of a correlated GGX lobe without Fresnel, and its mean over the hemisphere."""
+    single = np.sum(_at_alpha(_split_sum_table, alpha), axis=0)
+    mean = float(np.trapezoid(2.0 * _COSINES * single, _COSINES))
+    return np.interp(pairs.cos_v, _COSINES, single)[:, None], mean
 
 
-@lru_cache(maxsize=256)
-def _split_sum_table(alpha: float) -> tuple[Array, Array, Array]:
-    nodes, weight, cos_d = _visible_reflections(alpha)
+def _at_alpha(table: Callable[..., Array], alpha: float, *arguments: Any) -> Array:
+    """A table of an alpha, by cubics between those of the nodes of roughness, whose number `table` takes first."""
+    first, weights = cubic(np.sqrt(min(alpha, 1.0)) * _ROUGHNESSES, _ROUGHNESSES + 1)
+    return np.asarray(sum(w * table(int(first) + k, *arguments) for k, w in enumerate(weights)))
+
+
+def cubic(at: Array | float, count: int) -> tuple[Indices, tuple[Array, Array, Array, Array]]:
+    """Cubic interpolation between `count` nodes 0, 1 ...: the first of four nodes, and the weights of each."""
+    first = np.clip(np.asarray(at).astype(int) - 1, 0, count - 4)
+    a = at - first
+    b, c, d = a - 1.0, a - 2.0, a - 3.0
+    return first, (b * c * d / -6.0, a * c * d / 2.0, a * b * d / -2.0, a * b * c / 6.0)
+
+
+@lru_cache(maxsize=_ROUGHNESSES + 1)
+def _split_sum_table(node: int) -> Array:
+    weight, cos_d = _visible_reflections(node)
     f = (1.0 - cos_d) ** 5
-    return nodes, (weight * (1.0 - f)).mean(axis=1), (weight * f).mean(axis=1)
+    return np.stack([(weight * (1.0 - f)).mean(axis=1), (weight * f).mean(axis=1)])
 
 
-def dielectric_share(alpha: float, ior: float, cosine: Array) -> Array:
-    """Mean of `(F - F0) / (1 - F0)` over a correlated GGX lobe seen along `cosine`, F of a dielectric, (P,)."""
-    nodes, share = _dielectric_table(round(float(alpha), 6), round(float(ior), 6))
-    return np.interp(cosine, nodes, share)
+@per_pairs
+def dielectric_fresnel(pairs: ShadingPairs, ior: float) -> Array:
+    """Reflectance of a dielectric at the half vector, (P, 1)."""
+    return fresnel_dielectric(pairs.cos_d, np.array([ior]))
+
+
+@per_pairs
+def dielectric_share(pairs: ShadingPairs, alpha: float, ior: float) -> Array:
+    """Mean of `(F - F0) / (1 - F0)` over a correlated GGX lobe seen by the viewer, F of a dielectric, (P,)."""
+    return np.interp(pairs.cos_v, _COSINES, _at_alpha(_dielectric_table, alpha, round(float(ior), 6)))
 
 
 @lru_cache(maxsize=256)
-def _dielectric_table(alpha: float, ior: float) -> tuple[Array, Array]:
-    nodes, weight, cos_d = _visible_reflections(alpha)
+def _dielectric_table(node: int, ior: float) -> Array:
+    weight, cos_d = _visible_reflections(node)
     f = fresnel_dielectric(cos_d.ravel(), np.array([ior])).reshape(cos_d.shape)
     f0 = ((ior - 1.0) / (ior + 1.0)) ** 2
-    return nodes, (weight * (f - f0)).mean(axis=1) / (weight.mean(axis=1) * (1.0 - f0))
+    return np.asarray((weight * (f - f0)).mean(axis=1) / (weight.mean(axis=1) * (1.0 - f0)))
 
 
-@lru_cache(maxsize=16)
-def _visible_reflections(alpha: float) -> tuple[Array, Array, Array]:
-    """Cosines with the normal (C,), weights (C, S) and cosines with the half vector (C, S) of a lobe's samples."""
-    ggx = surface(max(alpha, 1e-3), max(alpha, 1e-3))
-    nodes = np.linspace(0.0, 1.0, _NODES) ** 2  # dense at grazing
-    nodes[0] = 1e-3
+@lru_cache(maxsize=_ROUGHNESSES + 1)
+def _visible_reflections(node: int) -> tuple[Array, Array]:
+    """Weights (C, S) and cosines with the half vector (C, S) of a lobe's samples, at each of `_COSINES`."""
+    alpha = max((node / _ROUGHNESSES) ** 2, 1e-3)
+    ggx = surface(alpha, alpha)
     u = np.stack(np.meshgrid(*[(np.arange(_SAMPLES) + 0.5) / _SAMPLES] * 2), axis=-1).reshape(-1, 2)
-    view = np.stack([np.sqrt(1.0 - nodes**2), np.zeros(_NODES), nodes], axis=1)[:, None]  # [C, 1, 3]
+    view = np.stack([np.sqrt(1.0 - _COSINES**2), np.zeros(_NODES), _COSINES], axis=1)[:, None]  # [C, 1, 3]
     normal = ggx.sample_visible_normal(view, u)
     cos_d = np.sum(view * normal, axis=-1)
     light = 2.0 * cos_d[..., None] * normal - view
     lit = light[..., 2] > 0.0
     light[~lit] = (0.0, 0.0, 1.0)
     weight = light[..., 2] * ggx.reflection_factor(view, light) / ggx.pdf_reflection(view, light)
-    return nodes, np.where(lit, weight, 0.0), np.clip(cos_d, 0.0, 1.0)
+    return np.where(lit, weight, 0.0), np.clip(cos_d, 0.0, 1.0)
 
 
 def charlie(pairs: ShadingPairs, roughness: float) -> Array:
@@ -183,8 +241,8 @@ def dielectric_layer(
     if not weight:
         return below
     if fresnel is None:
-        fresnel = fresnel_dielectric(pairs.cos_d, np.array([ior]))
-    a, b = split_sum(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
+        fresnel = dielectric_fresnel(pairs, ior)
+    a, b = split_sum(pairs, float(np.sqrt(alpha_x * alpha_y)))
     single = (a * ior_to_f0(ior) + b)[:, None]
     albedo = single * _compensation(pairs, fresnel, alpha_x, alpha_y)
     return weight * tint * metal(pairs, fresnel, alpha_x, alpha_y) + (1.0 - weight * albedo) * below
@@ -198,7 +256,7 @@ def metal(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: float) -
 
 def _compensation(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: float) -> Array:
     """Scattering between facets, as a factor. Source: Turquin 2019."""
-    a, b = split_sum(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
+    a, b = split_sum(pairs, float(np.sqrt(alpha_x * alpha_y)))
     single = (a + b)[:, None]
     return 1.0 + fresnel * (1.0 - single) / single
 
@@ -220,6 +278,13 @@ def zeltner_layer(pairs: ShadingPairs, below: Array, weight: float, colour: Arra
     """OpenPBR's fuzz over a BRDF `below`: a linearly transformed cosine. Source: Zeltner et al. 2022."""
     if not weight:
         return below
+    lobe, albedo = _zeltner(pairs, roughness)
+    return weight * colour * lobe + (1.0 - weight * albedo) * below
+
+
+@per_pairs
+def _zeltner(pairs: ShadingPairs, roughness: float) -> tuple[Array, Array]:
+    """The lobe of a white fuzz, and the viewer's albedo of it, (P, 1) each."""
     y, x = min(max(roughness, 0.01), 1.0), pairs.cos_v
     s = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y))
     m = y * (-0.193854 + y * (-1.14885 + y * (1.7932 - 0.95943 * y * y))) / (0.046391 + y)
@@ -235,5 +300,4 @@ def zeltner_layer(pairs: ShadingPairs, below: Array, weight: float, colour: Arra
     aside = tangent[:, 0] * pairs.light[:, 1] - tangent[:, 1] * pairs.light[:, 0]
     squared = (a * along + b * pairs.cos_l) ** 2 + (a * aside) ** 2 + pairs.cos_l**2
     density = pairs.cos_l / np.pi * (a / squared) ** 2  # of light, times its cosine
-    lobe: Array = weight * colour * (albedo * density / pairs.cos_l)[:, None]
-    return lobe + (1.0 - weight * albedo[:, None]) * below
+    return (albedo * density / pairs.cos_l)[:, None], albedo[:, None]

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, metal, zeltner_layer
+from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, metal, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82_materialx, film_over_index
 from manifold.records import Array
@@ -88,16 +88,16 @@ def _roughened(roughness: float, coat_roughness: float, weight: float) -> float:
     return (1.0 - weight) * roughness + weight * below
 
 
-def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """The material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
-        view, light: unit vectors (P, 3).
+        pairs: P of them.
     Source: OpenPBR 1.1; layers as MaterialX 1.39 implements them: what is below is scaled by one minus the layer's
     directional albedo seen by the viewer.
     """
-    pairs = ShadingPairs.of(view, light, np.deg2rad(values["geometry_tangent"]))
+    pairs = pairs.turned(np.deg2rad(values["geometry_tangent"]))
     base = np.asarray(values["base_color"]) * values["base_weight"]
     weight = values["coat_weight"]
     alpha_x, alpha_y = _alphas(
@@ -109,7 +109,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     root = np.sign(ior - 1.0) * np.sqrt(min(values["specular_weight"] * ior_to_f0(ior), 0.99999))
     ior, tint = (1.0 + root) / (1.0 - root), np.asarray(values["specular_color"])
     m, film = values["base_metalness"], values["thin_film_weight"]
-    diffuse = np.broadcast_to(base / np.pi, (len(view), 3))
+    diffuse = np.broadcast_to(base / np.pi, (len(pairs.view), 3))
 
     def substrate(fresnel: Array | None, edge: Array) -> Array:
         below = dielectric_layer(pairs, diffuse, ior, alpha_x, alpha_y, tint=tint, fresnel=fresnel)
@@ -118,8 +118,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     f = substrate(None, lobes.fresnel_f82(base, tint, pairs.cos_d))
     if film:
         layer = values["thin_film_ior"], 1e3 * values["thin_film_thickness"]
-        fresnel = film_over_index(*layer, np.full(3, ior), np.zeros(3), pairs.cos_d)
-        filmed = substrate(fresnel, film_over_f82_materialx(*layer, base, tint, pairs.cos_d))
+        filmed = substrate(_dielectric_film(pairs, *layer, ior), _metal_film(pairs, *layer, base, tint))
         f = (1.0 - film) * f + film * filmed
     f = f * _darkening(values, base)
     coat_x, coat_y = _alphas(values["coat_roughness"], 0.0)
@@ -127,6 +126,16 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     return zeltner_layer(
         pairs, f, values["fuzz_weight"], np.asarray(values["fuzz_color"]), values["fuzz_roughness"]
     )
+
+
+@per_pairs
+def _dielectric_film(pairs: ShadingPairs, film_ior: float, thickness_nm: float, ior: float) -> Array:
+    return film_over_index(film_ior, thickness_nm, np.full(3, ior), np.zeros(3), pairs.cos_d)
+
+
+@per_pairs
+def _metal_film(pairs: ShadingPairs, film_ior: float, thickness_nm: float, f0: Array, edge: Array) -> Array:
+    return film_over_f82_materialx(film_ior, thickness_nm, f0, edge, pairs.cos_d)
 
 
 def _alphas(roughness: float, anisotropy: float) -> tuple[float, float]:

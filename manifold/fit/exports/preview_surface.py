@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.lobes import ShadingPairs
+from manifold.fit.exports.lobes import ShadingPairs, per_pairs
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.records import Array
 
@@ -54,16 +54,15 @@ def parameters(material: Principled) -> dict[str, Any]:
     )
 
 
-def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """The material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
-        view, light: unit vectors (P, 3).
+        pairs: P of them.
     Source: UsdPreviewSurface specification 2.6, specular workflow; the lobes, which it leaves open, as in OpenUSD's own
     previewSurface: GGX with Schlick's masking, the diffuse scaled by one minus Fresnel, the coat added.
     """
-    pairs = ShadingPairs.of(view, light)
     white = np.ones(3)
     fresnel = lobes.schlick(np.asarray(values["specularColor"]), white, pairs.cos_d)
     coat = lobes.schlick(ior_to_f0(_IOR) * white, white, pairs.cos_d)
@@ -75,6 +74,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     return f
 
 
+@per_pairs
 def _lobe(pairs: ShadingPairs, roughness: float) -> Array:
     """`D G / (4 cos cos)`, (P, 1)."""
     alpha = max(roughness, 0.001) ** 2

@@ -10,7 +10,7 @@ import numpy as np
 from manifold.analytic.fresnel import fresnel_conductor
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
-from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, imageworks_layer, metal
+from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, imageworks_layer, metal, per_pairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.thin_film import film_over_index
 from manifold.records import Array
@@ -62,38 +62,41 @@ def parameters(material: Principled) -> dict[str, Any]:
     return made | material.coat(*COAT) | material.scaled_sheen(*SHEEN, SHEEN_SCALE, SHEEN_ROUGHNESS)
 
 
-def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """The material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
-        view, light: unit vectors (P, 3).
+        pairs: P of them.
     Source: Georgiev et al. 2019; layers as MaterialX 1.39 implements them.
     """
-    pairs = ShadingPairs.of(view, light, -2.0 * np.pi * values["specular_rotation"])
+    pairs = pairs.turned(-2.0 * np.pi * values["specular_rotation"])
     base = np.asarray(values["base_color"]) * values["base"]
     alpha = values["specular_roughness"] ** 2
     aspect = float(np.sqrt(1.0 - min(values["specular_anisotropy"], 0.98)))
     alpha_x, alpha_y = min(alpha / aspect, 1.0), alpha * aspect
     tint = np.asarray(values["specular_color"])
-    f = np.broadcast_to(base / np.pi, (len(view), 3))
+    f = np.broadcast_to(base / np.pi, (len(pairs.view), 3))
     f = imageworks_layer(
         pairs, f, values["sheen"], np.asarray(values["sheen_color"]), values["sheen_roughness"]
     )
     ior, thickness_nm, film_ior = (values[name] for name in ("specular_IOR", *FILM))
     fresnel = None
     if thickness_nm:
-        fresnel = film_over_index(film_ior, thickness_nm, np.full(3, ior), np.zeros(3), pairs.cos_d)
+        fresnel = _film(pairs, film_ior, thickness_nm, np.full(3, ior), np.zeros(3))
     f = dielectric_layer(
         pairs, f, ior, alpha_x, alpha_y, weight=values["specular"], tint=tint, fresnel=fresnel
     )
     m = values["metalness"]
     if m:
         n, k = lobes.artistic_index(base, tint * values["specular"])
-        if thickness_nm:
-            fresnel = film_over_index(film_ior, thickness_nm, n, k, pairs.cos_d)
-        else:
-            fresnel = fresnel_conductor(pairs.cos_d, n, k)
+        film = (film_ior, thickness_nm, n, k)
+        fresnel = _film(pairs, *film) if thickness_nm else fresnel_conductor(pairs.cos_d, n, k)
         f = (1.0 - m) * f + m * metal(pairs, fresnel, alpha_x, alpha_y)
     coat_alpha = values["coat_roughness"] ** 2
     return dielectric_layer(pairs, f, values["coat_IOR"], coat_alpha, coat_alpha, weight=values["coat"])
+
+
+@per_pairs
+def _film(pairs: ShadingPairs, film_ior: float, thickness_nm: float, n: Array, k: Array) -> Array:
+    return film_over_index(film_ior, thickness_nm, n, k, pairs.cos_d)

@@ -25,11 +25,12 @@ from manifold.fit.exports import (
     usd,
 )
 from manifold.fit.exports.document import Export, Parameter, defaults
+from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.names import Registry
 from manifold.records import Array, Bands
 
-Brdf = Callable[[Mapping[str, Any], Array, Array], Array]
+Brdf = Callable[[Mapping[str, Any], ShadingPairs], Array]
 Content = Callable[[Export, Principled], bytes]
 
 
@@ -43,7 +44,7 @@ class Target:
         title: in words.
         entries: every parameter that exports may set, by name.
         parameters: values of all of them for a material.
-        brdf: the target's own shading model, f in 1/sr of parameters, view and light.
+        brdf: the target's own shading model, f in 1/sr of parameters and pairs.
         content: the file of an export.
         coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
         film: those of the thin film, the thickness and the index last; empty where there is none.
@@ -83,10 +84,8 @@ class TargetBRDF:
         """BRDF f in 1/sr, shape (..., 3), for unit vectors that broadcast, wi to the viewer; 0 below the horizon."""
         wi, wo = np.broadcast_arrays(wi, wo)
         above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
-        if wi.ndim == 2 and above.all():
-            return self.target.brdf(self.values, wi, wo)
         f = np.zeros(wi.shape)
-        f[above] = self.target.brdf(self.values, wi[above], wo[above])
+        f[above] = self.target.brdf(self.values, ShadingPairs.of(wi[above], wo[above]))
         return f
 
 

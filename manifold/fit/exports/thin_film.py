@@ -16,7 +16,7 @@ import numpy as np
 from manifold.analytic.fresnel import fresnel_polarised
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
-from manifold.fit.exports.lobes import artistic_index, fresnel_f82, schlick
+from manifold.fit.exports.lobes import artistic_index, cubic, fresnel_f82, schlick
 from manifold.records import Array
 
 Reflectance = TypeVar("Reflectance", bound=Callable[..., Array])
@@ -59,13 +59,8 @@ def _tabulated(reflectance: Reflectance) -> Reflectance:
         if len(cosine) <= 2 * _NODES:
             return reflectance(*film, cosine)
         table = reflectance(*film, np.linspace(0.0, 1.0, _NODES))
-        at = cosine * (_NODES - 1)
-        first = np.clip(at.astype(int) - 1, 0, _NODES - 4)
-        a = (at - first)[:, None]  # from each of four nodes
-        b, c, d = a - 1.0, a - 2.0, a - 3.0
-        weights = (b * c * d / -6.0, a * c * d / 2.0, a * b * d / -2.0, a * b * c / 6.0)
-        found: Array = sum(weight * table[first + k] for k, weight in enumerate(weights))
-        return found
+        first, weights = cubic(cosine * (_NODES - 1), _NODES)
+        return np.asarray(sum(weight[:, None] * table[first + k] for k, weight in enumerate(weights)))
 
     return cast(Reflectance, interpolated)
 

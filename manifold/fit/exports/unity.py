@@ -55,16 +55,16 @@ def parameters(material: Principled) -> dict[str, Any]:
     }
 
 
-def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """The material's BRDF for lights without extent, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
-        view, light: unit vectors (P, 3).
+        pairs: P of them.
     Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick;
     light scattered between facets as Turquin 2019 has it.
     """
-    pairs = ShadingPairs.of(view, light, np.deg2rad(values["_TangentMap"]))
+    pairs = pairs.turned(np.deg2rad(values["_TangentMap"]))
     base, m, coat = decode_srgb(np.asarray(values["_BaseColor"])), values["_Metallic"], values["_CoatMask"]
     f0 = _F0 + m * (base - _F0)
     f90 = min(16.5 * float(f0.sum()), 1.0)  # nothing below 2 % is a surface: shadowing
@@ -80,7 +80,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         layer = lobes.specular_joint(pairs, _COAT_ALPHA, _COAT_ALPHA)[:, None]
         specular = specular * (1.0 - fresnel) ** 2 + fresnel * layer
         diffuse = diffuse * (1.0 - coat * fresnel)
-    single, _ = lobes.single_scattering(alpha, pairs.cos_v)
+    single, _ = lobes.single_scattering(pairs, alpha)
     specular = specular * (1.0 + f0 * (1.0 / single - 1.0))
     return diffuse + specular
 

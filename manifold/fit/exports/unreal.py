@@ -68,15 +68,15 @@ def parameters(material: Principled) -> dict[str, Any]:
     )
 
 
-def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
     """The material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
-        view, light: unit vectors (P, 3).
+        pairs: P of them.
     Source: Karis 2013 (Lambert, GGX, Schlick); the coat attenuates what is below by its Fresnel term, both ways.
     """
-    pairs = ShadingPairs.of(view, light, np.deg2rad(values["Tangent"]))
+    pairs = pairs.turned(np.deg2rad(values["Tangent"]))
     base, m = _base(values, pairs.cos_v), values["Metallic"]
     alpha, a = values["Roughness"] ** 2, values["Anisotropy"]
     f0 = (1.0 - m) * 0.08 * values["Specular"] + m * base

@@ -177,7 +177,7 @@ def complete(
         with progress.shown("Leaving materials out"):
             plan = plan_lamps(library, suggest)
         photo_options.show_plan(results, plan, "")
-        results.document(plan.to_json())
+        results.document(plan)
         return
     if not readings and lab is None:
         if not suggest:
@@ -216,7 +216,7 @@ def complete(
             if report is not None:
                 reports.write_coat(report, coated)
             _show_completed(results, coated, coated.rows, report)
-            results.document(coated.to_json())
+            results.document(coated)
             return
     if readings and sample is None and not merge and unit is None:
         with progress.shown("Reading files"):
@@ -280,7 +280,7 @@ def complete(
     )  # fmt: skip
     if made.suggested is not None:
         _show_suggested(results, made.suggested, "\nMeasure next", instrument)
-    results.document(made.to_json())
+    results.document(made)
 
 
 @app.command(
@@ -334,7 +334,7 @@ def calibrate(
         results.text(f"Report: {report}\n")
     for note in made.notes:
         results.sentence(f"note: {note}")
-    results.document(made.to_json())
+    results.document(made)
 
 
 def _show_completed(

@@ -117,4 +117,4 @@ def convert(
     for k, note in enumerate(made.notes, start=1):
         rows[f"note {k}"] = note
     results.rows(f"{output}: {made.target}", rows)
-    results.document({"path": str(output), **made.to_json()})
+    results.document({"path": output, **made.to_json()})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -79,7 +78,7 @@ def corpus(
     results = terminal.Results(json)
     rows = {"files": len(paths), "size": terminal.megabytes(size), "seed": seed}
     results.rows(f"Synthetic corpus in {folder}", rows)
-    results.document({"seed": seed, "bytes": size, "files": [str(path) for path in paths]})
+    results.document({"seed": seed, "bytes": size, "files": paths})
 
 
 @app.command(
@@ -125,9 +124,9 @@ def fetch(
     )
     results.document(
         {
-            "downloaded": [str(path) for path in result.downloaded],
-            "present": [str(path) for path in result.present],
-            "without_checksum": list(result.without_checksum),
+            "downloaded": result.downloaded,
+            "present": result.present,
+            "without_checksum": result.without_checksum,
         },
     )
 
@@ -189,12 +188,7 @@ def import_(
             "left out": len(result.failed),
         },
     )
-    results.document(
-        {
-            "library": str(library),
-            **vars(result),
-        },
-    )
+    results.document({"library": library, **vars(result)})
     if result.failed:
         raise LibraryError(_shortened(list(result.failed.values()), "left out"))
 
@@ -250,9 +244,7 @@ def compact(
     rows["left as they are"] = len(result.failed)
     rows["size"] = f"{terminal.megabytes(after)}, before {terminal.megabytes(before)}"
     results.rows(f"Library {library}", rows)
-    results.document(
-        {"library": str(library), **asdict(result), "bytes_before": before, "bytes_after": after}
-    )
+    results.document({"library": library, **vars(result), "bytes_before": before, "bytes_after": after})
     if result.failed:
         raise LibraryError(_shortened(list(result.failed.values()), "left as they are"))
 
@@ -380,7 +372,7 @@ def find(
         colour = None if lab is None else completions.parse_lab(lab, viewing)
         found = attributes.find(opened, sought, lab=colour, gloss=units)
     _show_found(results, found[:count])
-    results.document({"found": [one.to_json() for one in found[:count]]})
+    results.document({"found": found[:count]})
 
 
 def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:

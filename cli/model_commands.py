@@ -316,7 +316,7 @@ def predict(
             options=written,
         )
     show_prediction(results, made)
-    results.document(made.to_json())
+    results.document(made)
 
 
 def show_prediction(results: terminal.Results, made: DiagnosedPrediction) -> None:

@@ -186,7 +186,7 @@ def show_photographs(results: terminal.Results, title: str, found: FromPhotograp
     results.rows(title, {**found.rows, "time": f"{found.seconds:.1f} s", **notes})
     if found.plan is not None:
         show_plan(results, found.plan, " beside what there is")
-    results.document(found.to_json())
+    results.document(found)
 
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:

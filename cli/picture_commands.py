@@ -67,10 +67,10 @@ def latent_map(
     results.rows(f"Drawn {output}", rows | (marked.rows if marked is not None else {}))
     results.document(
         {
-            "picture": str(output),
-            "marked": None if marked is None else marked.latent.tolist(),
+            "picture": output,
+            "marked": marked and marked.latent,
             "left_out": left_out,
-            "prediction": None if marked is None else marked.to_json(),
+            "prediction": marked,
         }
     )
 
@@ -111,7 +111,7 @@ def walk(
     results.rows(f"Drawn {output}", rows | ({"diagnostics": diagnosed} if diagnosed else {}))
     results.document(
         {
-            "picture": str(output),
+            "picture": output,
             "predictions": [{"t": t} | made.to_json() for t, made in between.items()],
         }
     )
@@ -166,9 +166,9 @@ def slices(
         results.rows(label[:1].upper() + label[1:], made.rows)
     results.document(
         {
-            "picture": str(output),
+            "picture": output,
             "materials": labels,
-            "predictions": {label: made.to_json() for label, made in predictions.items()},
+            "predictions": predictions,
         }
     )
 
@@ -393,7 +393,7 @@ def compare(
             rows[f"{name} of the ball"] = _summary(made.ball[key])
         rows[f"{name} of the picture"] = _summary(made.pixels[key])
     results.rows(f"Compared {made.a} and {made.b} in {output}", rows)
-    results.document(made.to_json())
+    results.document(made)
 
 
 def _summary(found: Summary) -> str:

@@ -77,7 +77,7 @@ def report(
             picture=picture, workers=executor,
         )  # fmt: skip
     results.text(format_report(made))
-    results.document(made.to_json())
+    results.document(made)
 
 
 @app.command(
@@ -203,7 +203,7 @@ def _write_chart(made: Chart, results: terminal.Results, output: Path | None) ->
             )
     for key, reason in made.skipped.items():
         results.sentence(f"{key} was skipped: {reason}")
-    results.document(made.to_json())
+    results.document(made)
     if output is not None:
         figures.save(chart_figure.chart(made), output)
 
@@ -400,7 +400,7 @@ def _show(results: terminal.Results, made: Budget) -> None:
         results.sentence(f"note: {note}")
     if made.output is not None:
         results.text(f"wrote {made.output}\n")
-    results.document(made.to_json())
+    results.document(made)
 
 
 def _share(made: Budget) -> str:

@@ -117,7 +117,7 @@ def surface(
             **terminal.numbered("note", made.notes),
         },
     )
-    results.document(made.to_json())
+    results.document(made)
 
 
 def _entry(values: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ from rich.progress import (
 from manifold import __version__, disk, text_tables
 from manifold.names import first_few, printable
 from manifold.progress import Progress as Listener
+from manifold.records import plain
 
 _is_strict = False
 warned: list[str] = []
@@ -143,11 +144,11 @@ class Results:
         cells = [[printable(str(cell)) for cell in row] for row in rows]
         sys.stdout.writelines(f"{line}\n" for line in text_tables.table_lines(columns, cells, bold=True))
 
-    def document(self, document: Mapping[str, Any]) -> None:
-        """Write the results as JSON where they were asked for."""
+    def document(self, document: object) -> None:
+        """Write results, a record or a mapping, as JSON where they were asked for."""
         if self._target is None:
             return
-        document = {"program": f"manifold {__version__}", **document, "warnings": list(warned)}
+        document = {"program": f"manifold {__version__}", **plain(document), "warnings": list(warned)}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"
         if self._only_json:
             sys.stdout.write(text)

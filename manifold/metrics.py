@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from manifold.errors import ShapeError
-from manifold.records import Array
+from manifold.records import Array, plain
 
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
 _UNKNOWN: Any = float("nan")
@@ -118,13 +118,7 @@ class Errors(Generic[Number]):
 
     def to_json(self) -> dict[str, Any]:
         """What was measured as plain values."""
-
-        def plain(value: Any) -> Any:
-            if isinstance(value, Mapping):
-                return {key: plain(v) for key, v in value.items()}
-            return value if isinstance(value, str) else np.asarray(value).tolist()
-
-        return {name: plain(value) for name, value in self.known.items()}
+        return plain(self.known)
 
     @property
     def of_each(self) -> dict[str, Any]:

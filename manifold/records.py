@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copyreg
+import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -187,6 +188,28 @@ class BsdfFile:
             return non_zero
         kept = np.count_nonzero(bits & non_zero)
         return bits if 2 * kept >= np.count_nonzero(non_zero) else ~bits
+
+
+def plain(value: Any) -> Any:
+    """What JSON holds of a value: records by their `to_json` or fields, paths as text, None for NaN and infinity."""
+    match value:
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else None
+        case Mapping():
+            return {str(key): plain(each) for key, each in value.items()}
+        case np.ndarray() | np.generic():
+            return plain(value.tolist())
+        case _ if hasattr(value, "to_json"):
+            return value.to_json()
+        case _ if hasattr(value, "_asdict"):
+            return plain(value._asdict())
+        case _ if is_dataclass(value):
+            return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        case list() | tuple():
+            return [plain(each) for each in value]
+    return str(value)
 
 
 def evenly_spaced(total: int, count: int) -> Indices:

@@ -21,7 +21,7 @@ from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow
 from manifold.disk import read_json
 from manifold.errors import FileFormatError, UsageError
-from manifold.records import Array, Bands, Indices, Mask
+from manifold.records import Array, Bands, Indices, Mask, plain
 
 _DARK = 1e-3  # of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"
@@ -90,11 +90,8 @@ class ColourCorrection:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; None for an error that could not be measured."""
-        errors = {form: None if np.isnan(error) else error for form, error in self.errors.items()}
-        return {
-            "form": self.form, "matrix": self.matrix.tolist(), "scale": self.scale, "largest": self.largest,
-            "errors": errors, "uncorrected": None if np.isnan(self.uncorrected) else self.uncorrected,
-        }  # fmt: skip
+        names = ("form", "matrix", "scale", "largest", "errors", "uncorrected")
+        return plain({name: getattr(self, name) for name in names})
 
 
 def learn_correction(

@@ -34,7 +34,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.metrics import Errors
 from manifold.pairs import cosine_weight
 from manifold.plots import html_page
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, plain
 
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
 _DARK = 1e-3  # of the brightest value: darker ones are compared with this
@@ -93,13 +93,7 @@ class Conversion:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            **vars(self),
-            "files": list(self.files),
-            "bands": str(self.bands),
-            "errors": self.errors.to_json(),
-            "notes": list(self.notes),
-        }
+        return plain(vars(self) | {"bands": str(self.bands)})
 
 
 def convert(

@@ -38,7 +38,7 @@ from manifold.model.decoding import decoder_at
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike
 from manifold.pairs import Pairs
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, plain
 
 _GLOSS_WEIGHT = 1e3  # of a squared error of log gloss, against squared distance in length scales
 _COLOUR_WEIGHT = 1.0  # of a squared difference in CIELAB, likewise
@@ -184,14 +184,15 @@ class Adjusted:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        lch = [dict(zip(("lightness", "chroma", "hue_deg"), one.tolist(), strict=True)) for one in self.lch]
-        return {
-            "latent": self.place.latent.tolist(),
+        lch = [dict(zip(("lightness", "chroma", "hue_deg"), one, strict=True)) for one in self.lch]
+        known = {
+            "latent": self.place.latent,
             "asked": lch[0] | {"gloss": {f"{angle:g}": asked for angle, (asked, _) in self.gloss.items()}},
             "reached": lch[1] | {"gloss": {f"{angle:g}": found for angle, (_, found) in self.gloss.items()}},
             "ciede2000": self.difference,
-            "shortfalls": list(self.shortfalls),
+            "shortfalls": self.shortfalls,
         }
+        return plain(known)
 
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
@@ -348,10 +349,7 @@ class Found:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return vars(self) | {
-            "lab": self.lab.tolist(),
-            "gloss": {f"{a:g}": units for a, units in self.gloss.items()},
-        }
+        return plain(vars(self) | {"gloss": {f"{a:g}": units for a, units in self.gloss.items()}})
 
 
 def find(

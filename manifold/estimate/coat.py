@@ -47,7 +47,7 @@ from manifold.metrics import Errors
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.progress import Stages
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, plain
 
 _INDEX, _INDEX_SPREAD = (
     1.5,
@@ -127,10 +127,10 @@ class Coated:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "path": str(self.path),
+        known = {
+            "path": self.path,
             "sample": self.sample.name,
-            "lab": {"asked": list(self.sample.lab), "written": self.lab.tolist()},
+            "lab": {"asked": self.sample.lab, "written": self.lab},
             "ciede2000": self.difference,
             "gloss": {
                 f"{angle:g}": {"asked": units, "written": self.gloss[angle]}
@@ -138,11 +138,12 @@ class Coated:
             },
             "alpha": self.alpha,
             "index": self.index,
-            "expected": self.expected.to_json(),
-            "plausibility": vars(self.plausibility),
-            "diagnostics": list(self.diagnostics),
+            "expected": self.expected,
+            "plausibility": self.plausibility,
+            "diagnostics": self.diagnostics,
             "seconds": self.seconds,
         }
+        return plain(known)
 
 
 def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Plastic, float]:

@@ -31,7 +31,7 @@ from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.names import counted
 from manifold.progress import Stages
-from manifold.records import Array
+from manifold.records import Array, plain
 
 _PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
@@ -112,33 +112,34 @@ class Completed:
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         made = self.completion
-        return {
-            "path": str(self.path),
-            "picture": None if self.picture is None else str(self.picture),
+        known = {
+            "path": self.path,
+            "picture": self.picture,
             "sample": made.readings.name,
             "instrument": made.readings.instrument,
             "readings": len(made.readings),
-            "misfits": made.misfits.tolist(),
+            "misfits": made.misfits,
             "viewing": str(made.viewing),
-            "lab": None if made.colours is None else [colour.tolist() for colour in made.colours],
-            "misfits_ciede2000": None if made.colour_misfits is None else made.colour_misfits.tolist(),
+            "lab": made.colours,
+            "misfits_ciede2000": made.colour_misfits,
             "repeatability": made.readings.repeatability,
-            "between_measurements": made.readings.between and made.readings.between._asdict(),
+            "between_measurements": made.readings.between,
             "residual": self.residual,
             "gloss": {
                 f"{angle:g}": {"read": units, "completed": made.gloss[angle]}
                 for angle, units in made.readings.gloss.items()
             },
             "made_of": dict(made.made_of),
-            "alternatives": [vars(a) for a in made.alternatives],
-            "expected": self.expected.to_json(),
+            "alternatives": made.alternatives,
+            "expected": self.expected,
             "uncertainty": uncertainty(made),
-            "correction": None if self.correction is None else self.correction.to_json(),
-            "plausibility": vars(self.plausibility),
-            "suggested_deg": None if self.suggested is None else self.suggested.angles_deg.tolist(),
-            "diagnostics": list(self.diagnostics),
+            "correction": self.correction,
+            "plausibility": self.plausibility,
+            "suggested_deg": self.suggested and self.suggested.angles_deg,
+            "diagnostics": self.diagnostics,
             "seconds": self.seconds,
         }
+        return plain(known)
 
 
 def complete(

@@ -27,7 +27,7 @@ from manifold.formats import registry
 from manifold.formats.readings import Between, Readings
 from manifold.library.identity import alike
 from manifold.names import counted
-from manifold.records import Array
+from manifold.records import Array, plain
 
 _ENOUGH_SAMPLES = 6  # of a colour correction; see docs/explanation/completion.md
 _SHOWN_WORSE = 5
@@ -100,14 +100,8 @@ class CalibratedInstrument:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; None for an error that could not be measured."""
-        return {
-            "path": str(self.path),
-            **self.correction.to_json(),
-            "ciede2000": {
-                name: [None if np.isnan(off) else off for off in row] for name, row in self.colours
-            },
-            "notes": list(self.notes),
-        }
+        known = {"path": self.path, "ciede2000": dict(self.colours), "notes": self.notes}
+        return self.correction.to_json() | plain(known)
 
 
 def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:

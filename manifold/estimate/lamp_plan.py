@@ -24,7 +24,7 @@ from manifold.estimate.pixels import Blocks, Camera, block_sums
 from manifold.formats.readings import aspecular_pair
 from manifold.library.store import Library
 from manifold.model.estimator import Observation
-from manifold.records import Array, Bands, evenly_spaced
+from manifold.records import Array, Bands, evenly_spaced, plain
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
 """Between lamp and camera, seen from the ball, that are tried."""
@@ -67,7 +67,7 @@ class LampPlan:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {"alone": [one._asdict() for one in self.alone], "next": [one._asdict() for one in self.next]}
+        return plain({"alone": self.alone, "next": self.next})
 
 
 def plan_lamps(

@@ -30,7 +30,7 @@ from manifold.metrics import Errors
 from manifold.model.estimator import LEAST, Observation, explain
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import cosine_weight
-from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
+from manifold.records import Array, Bands, Indices, Mask, evenly_spaced, plain
 
 _LEFT_OUT = 16  # materials by which expected errors are calibrated
 _CHANNELS_NM = (
@@ -146,13 +146,14 @@ class PhotoMaterial:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
+        known = {
             "exposure": self.exposure,
             "residual": self.residual,
-            "expected": self.expected.to_json(),
+            "expected": self.expected,
             "made_of": dict(self.made_of),
-            "notes": list(self.notes),
+            "notes": self.notes,
         }
+        return plain(known)
 
 
 Seen = Sighting | Readings | Mapping[float, float]

@@ -40,7 +40,7 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_b
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.plots import figures
 from manifold.progress import Stages
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, plain
 from manifold.render import images
 from manifold.render.render import render_floating_ball
 
@@ -109,24 +109,17 @@ class FromPhotographs:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            **self.material.to_json(),
-            "photographs": [
-                {
-                    "path": str(ball.photograph.path),
-                    "circle": list(vars(ball.circle).values()),
-                    "lamps": [lamp.direction.tolist() for lamp in ball.lamps],
-                }
-                for ball in self.balls
-            ],
-            "located": None if self.located is None else self.located.to_json(),
-            "output": None if self.output is None else str(self.output),
-            "picture": None if self.picture is None else str(self.picture),
-            "plausibility": self.plausibility and vars(self.plausibility),
-            "diagnostics": list(self.diagnostics),
-            "seconds": self.seconds,
-            "plan": self.plan and self.plan.to_json(),
-        }
+        photographs = [
+            {
+                "path": ball.photograph.path,
+                "circle": list(vars(ball.circle).values()),
+                "lamps": [lamp.direction for lamp in ball.lamps],
+            }
+            for ball in self.balls
+        ]
+        names = ("located", "output", "picture", "plausibility", "diagnostics", "seconds", "plan")
+        known = {"photographs": photographs} | {name: getattr(self, name) for name in names}
+        return self.material.to_json() | plain(known)
 
 
 def complete(

@@ -25,7 +25,7 @@ from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.names import Registry, counted
 from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, plain
 
 ERRORS = {
     "ball": "CIEDE2000 of the ball", "cube_root": "cube-root error", "linear": "linear error",
@@ -63,7 +63,7 @@ class Chart:
     def to_json(self) -> dict[str, Any]:
         """The chart as plain values."""
         reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
-        return {"reference": reference, **vars(self), "rows": [row.to_json() for row in self.rows]}
+        return {"reference": reference, **plain(vars(self))}
 
     def front(self, error: str, cost: str) -> list[ChartRow]:
         """The settings on a front, cheapest first."""

@@ -20,7 +20,7 @@ from manifold.library.store import Library
 from manifold.metrics import Errors, RunningErrors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.pairs import Pairs
-from manifold.records import Array, Indices
+from manifold.records import Array, Indices, plain
 
 _HIGHEST_COSINE = float(np.cos(np.deg2rad(80.0)))  # nearer to the horizon values grow as 1 / cos
 
@@ -161,7 +161,7 @@ class Result:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; errors also as medians and 90th percentiles."""
-        return {field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each
+        return plain({field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each)
 
 
 class KeptResults:
@@ -189,12 +189,3 @@ class KeptResults:
     def finish(self) -> None:
         """Forget the results: the next experiment begins again."""
         self.put({})
-
-
-def finite(value: Any) -> Any:
-    """Plain values, in which numbers that are not finite become None."""
-    if isinstance(value, dict):
-        return {key: finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -6,7 +6,7 @@ import itertools
 import operator
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -26,7 +26,7 @@ from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array, BsdfFile, evenly_spaced
+from manifold.records import Array, BsdfFile, evenly_spaced, plain
 
 FOLDS = 10
 _TIMED, _REPEATS = 3, 5
@@ -60,7 +60,7 @@ class ChartRow(Result):
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return super().to_json() | {"fit": self.fit and asdict(self.fit), "predict": asdict(self.predict)}
+        return super().to_json() | plain({"fit": self.fit, "predict": self.predict})
 
 
 class HeldOut:

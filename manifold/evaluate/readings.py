@@ -17,7 +17,7 @@ from manifold.estimate.completion import Completion
 from manifold.estimate.expected import calibrate, errors_of
 from manifold.estimate.residual import coordinates
 from manifold.estimate.suggestions import all_directions, readings_to_take
-from manifold.evaluate.errors import KeptResults, finite
+from manifold.evaluate.errors import KeptResults
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings, geometry_ma_t12
@@ -25,7 +25,7 @@ from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.names import Registry
 from manifold.pairs import cosine_weight
-from manifold.records import Array, Indices
+from manifold.records import Array, Indices, plain
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 
@@ -192,7 +192,7 @@ class Curve:
         """Plain values; None where a method has no error."""
         return {
             "key": self.key, "title": self.title, "counts": list(self.counts),
-            "errors": finite([errors.to_json() for errors in self.errors]), "program": f"manifold {__version__}",
+            "errors": plain(self.errors), "program": f"manifold {__version__}",
         }  # fmt: skip
 
 

@@ -28,7 +28,6 @@ from manifold.evaluate.errors import (
     PredictionErrors,
     Result,
     colour_errors,
-    finite,
     measure_errors,
     plausibility_results,
     standardised_error,
@@ -49,7 +48,7 @@ from manifold.model.materials import MaterialTable
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.plots import figures, map_figure
-from manifold.records import Array, Indices, evenly_spaced
+from manifold.records import Array, Indices, evenly_spaced, plain
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
 _BYTES_PER_NUMBER = 8
@@ -124,10 +123,7 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain values, with the program's version; numbers that are not finite become None."""
-        expected = {name: vars(one) for name, one in (self.expected_errors or {}).items()} or None
-        methods = [method.to_json() for method in self.methods]
-        content = vars(self) | {"methods": methods, "expected_errors": expected}
-        return {"program": f"manifold {__version__}", **finite(content)}
+        return {"program": f"manifold {__version__}", **plain(vars(self))}
 
 
 def make_report(

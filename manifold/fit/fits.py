@@ -36,7 +36,7 @@ from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model
 from manifold.names import printable
 from manifold.progress import Stages
-from manifold.records import BsdfFile
+from manifold.records import BsdfFile, plain
 from manifold.render import backend, fit_json
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fit_json import Source
@@ -68,7 +68,7 @@ class FitSettings:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, on which a fit depends beside its material."""
-        return vars(self) | {"family": None if self.family is None else self.family.to_json()}
+        return plain(vars(self))
 
     def fit(
         self,

@@ -13,7 +13,7 @@ from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
 from manifold.metrics import Errors
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
 from manifold.model.expected_error import COARSE_BELOW
-from manifold.records import Array
+from manifold.records import Array, plain
 
 if TYPE_CHECKING:
     from manifold.model.manifold import Manifold
@@ -76,14 +76,11 @@ class DiagnosedPrediction:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; of a file that was written, also the program's version."""
-        content = vars(self) | {"latent": self.latent.tolist(), "plausibility": vars(self.plausibility)}
-        dropped = {"brdf", "expected"} | ({"attributes"} if self.attributes is None else set())
+        dropped = {"brdf"} | ({"attributes"} if self.attributes is None else set())
         if self.path is None:
             dropped |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
-        else:
-            content |= {"program": f"manifold {__version__}", "path": str(self.path)}
-        kept = {key: value for key, value in content.items() if key not in dropped}
-        return kept | {"expected": self.expected and self.expected.to_json()}
+        program = {} if self.path is None else {"program": f"manifold {__version__}"}
+        return program | {key: plain(value) for key, value in vars(self).items() if key not in dropped}
 
     @property
     def rows(self) -> dict[str, object]:

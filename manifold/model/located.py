@@ -22,7 +22,7 @@ from manifold.model.materials import MaterialCache, names_without
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.settings import Settings
-from manifold.records import Array, BsdfFile, evenly_spaced
+from manifold.records import Array, BsdfFile, evenly_spaced, plain
 
 _SHOWN_PARTS = 5
 
@@ -67,15 +67,12 @@ class Reconstruction:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "materials": self.materials,
-            "parts": self.largest_parts,
-            "errors": self.errors.to_json(),
-            "plausibility": self.plausibility and vars(self.plausibility),
-            "diagnostics": self.diagnostics,
-            "refusal": self.refusal,
-            "rotation_deg": float(np.rad2deg(self.rotation_rad)),
-        }
+        known = {
+            "materials": self.materials, "parts": self.largest_parts, "errors": self.errors,
+            "plausibility": self.plausibility, "diagnostics": self.diagnostics, "refusal": self.refusal,
+            "rotation_deg": np.rad2deg(self.rotation_rad),
+        }  # fmt: skip
+        return plain(known)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,13 +95,8 @@ class Located(Reconstruction):
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return super().to_json() | {
-            "latent": self.latent.tolist(),
-            "coordinates": self.coordinates,
-            "colours": None if self.colours is None else self.colours.tolist(),
-            "expected": self.expected and self.expected.to_json(),
-            "nearest": self.nearest,
-        }
+        names = ("latent", "coordinates", "colours", "expected", "nearest")
+        return super().to_json() | plain({name: getattr(self, name) for name in names})
 
 
 def locate(model: Manifold, file: BsdfFile) -> Located:

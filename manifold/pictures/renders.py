@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from manifold.library.identity import hash_arrays
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.places import PlaceLike
 from manifold.progress import Stages
+from manifold.records import plain
 from manifold.render import backend, images, scenes
 from manifold.render.ball import BallMaterial, read_material
 from manifold.render.images import Summary
@@ -57,20 +58,13 @@ class Rendered:
     def to_json(self) -> dict[str, Any]:
         """Plain values, with the program's version."""
         settings = self.settings
-        return {
-            "program": f"manifold {__version__}",
-            "path": str(self.path),
-            "material": self.material.name,
-            "route": self.material.route,
-            "backend": self.renderer.kind,
-            "advice": self.renderer.advice,
-            "illuminant": settings.illuminant.name,
-            "size": settings.size,
-            "samples": settings.samples,
-            "seed": settings.seed,
-            "seconds": self.seconds,
-            "prediction": None if self.prediction is None else self.prediction.to_json(),
-        }
+        known = {
+            "program": f"manifold {__version__}", "path": self.path, "material": self.material.name,
+            "route": self.material.route, "backend": self.renderer.kind, "advice": self.renderer.advice,
+            "illuminant": settings.illuminant.name, "size": settings.size, "samples": settings.samples,
+            "seed": settings.seed, "seconds": self.seconds, "prediction": self.prediction,
+        }  # fmt: skip
+        return plain(known)
 
 
 def settings_key(settings: RenderSettings) -> dict[str, Any]:
@@ -191,9 +185,8 @@ class Comparison:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; those of the ball are None where pictures were compared."""
-        made: dict[str, Any] = {"path": str(self.path), "a": self.a, "b": self.b}
-        made |= {key: asdict(summary) for key, summary in self.pixels.items()}
-        return made | {f"{key}_ball": asdict(self.ball[key]) if self.ball else None for key in self.pixels}
+        balls = {f"{key}_ball": self.ball[key] if self.ball else None for key in self.pixels}
+        return plain({"path": self.path, "a": self.a, "b": self.b, **self.pixels, **balls})
 
 
 def compare(

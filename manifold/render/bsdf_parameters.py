@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.records import Array
+from manifold.records import Array, plain
 
 Transform = Literal["identity", "log", "square", "gloss"]
 """The optimiser's coordinate of a parameter p: p, log p, the square root of its distance from the minimum, or minus the
@@ -136,11 +136,7 @@ class BsdfFamily:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, which `from_json` reads."""
-        return {
-            "type": self.type,
-            "parameters": [asdict(parameter) for parameter in self.parameters],
-            "fixed": dict(self.fixed),
-        }
+        return plain({"type": self.type, "parameters": self.parameters, "fixed": self.fixed})
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> BsdfFamily:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,6 +26,7 @@ from manifold.library.identity import require_outside_libraries
 from manifold.model.colours import ColourChoice
 from manifold.plots import figures
 from manifold.progress import Stages
+from manifold.records import plain
 from manifold.render import backend, images, render
 
 
@@ -84,8 +85,8 @@ class Chosen:
         """Plain values; a file that was not written has no name."""
         one, bsdf = self.candidate, dict(self.candidate.bsdf)
         if "filename" in bsdf:
-            bsdf["filename"] = _path_text(self.asset)
-        return {
+            bsdf["filename"] = self.asset
+        known = {
             "material": self.material,
             "representation": one.name,
             "reason": self.reason,
@@ -95,18 +96,19 @@ class Chosen:
             "numbers": one.numbers,
             "milliseconds": self.milliseconds,
             "predicted": one.predicted,
-            "verified": asdict(self.verified),
-            "noise": asdict(self.noise),
-            "asset": _path_text(self.asset),
+            "verified": self.verified,
+            "noise": self.noise,
+            "asset": self.asset,
             "bsdf": bsdf,
             "candidates": [
                 {
                     "name": c.name, "bytes": c.size, "predicted": c.predicted,
-                    "verified": asdict(self.alone[c.name]) if c.name in self.alone else None,
+                    "verified": self.alone.get(c.name),
                 }
                 for c in self.candidates
             ],
         }  # fmt: skip
+        return plain(known)
 
 
 @dataclass(frozen=True)
@@ -145,22 +147,13 @@ class Budget:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "scene": self.scene,
-            "tolerance": asdict(self.tolerance),
-            "settings": asdict(self.settings),
-            "backend": self.backend,
-            "bytes": self.size,
-            "full_bytes": self.full_size,
-            "materials": [one.to_json() for one in self.chosen],
+        known = {
+            "scene": self.scene, "tolerance": self.tolerance, "settings": self.settings, "backend": self.backend,
+            "bytes": self.size, "full_bytes": self.full_size, "materials": self.chosen,
             "unseen": [{"material": name, "bytes": size} for name, size in self.unseen],
-            "notes": list(self.notes),
-            "output": _path_text(self.output),
-        }
-
-
-def _path_text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
+            "notes": self.notes, "output": self.output,
+        }  # fmt: skip
+        return plain(known)
 
 
 def example(

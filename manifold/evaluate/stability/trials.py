@@ -12,7 +12,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any
 
@@ -20,6 +20,7 @@ from manifold import progress, work
 from manifold.errors import ManifoldError, RendererError
 from manifold.evaluate.stability.testbed import TestBed
 from manifold.names import Registry
+from manifold.records import plain
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 
@@ -172,21 +173,22 @@ class Stability:
     def to_json(self, modes: Sequence[Mode]) -> dict[str, Any]:
         """Plain values, with what the modes are; numbers that are not finite become None."""
         tried = {row.mode for row in self.rows}
-        return {
+        known = {
             "silently_wrong": len(self.wrong),
             "false_alarms": len(self.false_alarms),
             "early_warnings": self.early_warnings,
             "modes": [
-                {k: v for k, v in vars(mode).items() if k != "methods"} | {"limit": asdict(mode.limit)}
+                {key: value for key, value in vars(mode).items() if key != "methods"}
                 for mode in modes
                 if mode.key in tried
             ],
             "rows": [
-                asdict(row) | {"undetected_error": row.undetected_error, "is_false_alarm": row.is_false_alarm}
+                vars(row) | {"undetected_error": row.undetected_error, "is_false_alarm": row.is_false_alarm}
                 for row in self.rows
             ],
-            "skipped": dict(self.skipped),
+            "skipped": self.skipped,
         }
+        return plain(known)
 
 
 def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]:

@@ -8,7 +8,6 @@ from functools import cache, cached_property
 
 import numpy as np
 import scipy
-from scipy.linalg.lapack import dpotrs
 
 from manifold.gpr import GaussianProcess
 from manifold.mapping import ValueMapping
@@ -243,12 +242,13 @@ class Encoder:
         """Criterion and prior at a latent x (Q,), and the gradient (Q,)."""
         gp, row = self.gp, x[None]
         k, slope = gp.kernel.smooth_and_slope(row, gp.X)  # [1, n]
-        W = dpotrs(gp.L, k.T, lower=1)[0].T  # as cho_solve, whose checks take longer than solving for so few
+        # As cho_solve, whose checks take longer than solving for so few.
+        W = scipy.linalg.lapack.dpotrs(gp.L, k.T, lower=1)[0].T
         V = W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples
         v = gp.kernel.prior_variance - float(k[0] @ W[0])
         value, dV, dv = criterion(V[0], v)
         # Pull the derivatives back through the centring, the solve, and the kernel.
-        solved = dpotrs(gp.L, (dV - dV.mean())[:, None], lower=1)[0].T
+        solved = scipy.linalg.lapack.dpotrs(gp.L, (dV - dV.mean())[:, None], lower=1)[0].T
         gradient = gp.kernel.pull_back(row, gp.X, solved - 2.0 * dv * W, slope)[0] + self.prior * x
         return value + 0.5 * float(np.sum(self.prior * x * x)), gradient
 

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, eigvalsh, solve_triangular
-from scipy.spatial.distance import cdist
+import scipy
 
 from manifold.errors import NumericalError
-from manifold.kernels import Kernel, equal_rows, first_equal_row
+from manifold.kernels import Kernel, equal_rows, first_equal_row, squared_distances
 from manifold.likelihood import centre_gram
 from manifold.names import first_few
 from manifold.records import Array, Indices, Mask
@@ -61,7 +60,7 @@ def factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
 def _cholesky_or_none(K: Array) -> Array | None:
     """The lower factor, or None where K is singular to working precision."""
     try:
-        L = cholesky(K, lower=True)
+        L = scipy.linalg.cholesky(K, lower=True)
     except np.linalg.LinAlgError:
         return None
     # Rounding can let a singular K pass with meaningless pivots.
@@ -73,7 +72,7 @@ def _name_coinciding(X: Array, kernel: Kernel) -> str:
     """The latents that coincide, or else the closest two, in words."""
     if X.shape[0] < 2:
         return "a single latent"
-    distances = cdist(X, X)
+    distances = np.sqrt(squared_distances(X, X))
     distances[np.tril_indices_from(distances)] = np.inf
     pairs = np.argwhere(distances <= _COINCIDE * kernel.length_scale)
     if len(pairs) == 0:
@@ -194,7 +193,7 @@ class GaussianProcess:
 
         Exactly 0 at a training latent, at most the prior's.
         """
-        A = solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
+        A = scipy.linalg.solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
         variance = np.maximum(self.kernel.prior_variance - np.einsum("nm,nm->m", A, A), 0.0)
         variance[first_equal_row(X_new, self.X) >= 0] = 0.0
         return variance
@@ -241,7 +240,7 @@ class GaussianProcess:
             return False
         beyond = N - 1 - Q
         smooth = centre_gram(self.kernel.smooth(self.X, self.X))
-        return bool(eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
+        return bool(scipy.linalg.eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
 
     def warn_of_fit(self, S: Array) -> None:
         """Warn of latents that predict little of the samples they were fitted to, of Gram matrix S (N, N).
@@ -325,7 +324,7 @@ class GaussianProcess:
         """
         S = centre_gram(S)
         V = self.weights(X_new)
-        distances = cdist(X_new, self.X)
+        distances = np.sqrt(squared_distances(X_new, self.X))
         nearest = distances.argmin(axis=1)
         rows = np.arange(X_new.shape[0])
         V[rows, nearest] -= 1.0  # y* - y_i as weights of the samples
@@ -342,7 +341,7 @@ class GaussianProcess:
 
     def _solve(self, B: Array) -> Array:
         """K^-1 B. Always through L: near-identical samples make K ill-conditioned."""
-        return cho_solve((self.L, True), B)
+        return scipy.linalg.cho_solve((self.L, True), B)
 
     @cached_property
     def _precision(self) -> Array:

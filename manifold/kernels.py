@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 
 import numba as nb
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from manifold.errors import UsageError
 from manifold.names import Registry
@@ -75,8 +74,7 @@ class Kernel(ABC):
 
     def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
         """`smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
-        # Differences, not the expanded square: equal coordinates give exactly 0.
-        return self.radial(cdist(A, B, "sqeuclidean") / self.length_scale**2)
+        return self.radial(squared_distances(A, B) / self.length_scale**2)
 
     @property
     def prior_variance(self) -> float:
@@ -191,6 +189,18 @@ def require_mu(mu: float) -> None:
             f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: smaller values make K singular, larger ones "
             "leave only noise"
         )
+
+
+def squared_distances(A: Array, B: Array) -> Array:
+    """Squared distances of A (M, Q) and B (N, Q), shape (M, N); exactly 0 where coordinates are equal.
+
+    Those of few points: SciPy's module of distances takes longer to import than a prediction to compute.
+    """
+    squared = np.zeros((len(A), len(B)))
+    for a, b in zip(A.T, B.T, strict=True):
+        difference = np.subtract.outer(a, b)
+        squared += difference * difference
+    return squared
 
 
 def equal_rows(A: Array, B: Array) -> Mask:

@@ -7,8 +7,7 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-from scipy.linalg import eigh
-from scipy.linalg.lapack import dpotrf, dpotri
+import scipy
 
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.kernels import Kernel, radial_of_pair
@@ -67,11 +66,11 @@ class LatentObjective:
 
     def factorise(self, K: Array) -> tuple[Array, float]:
         """The inverse of K (N, N), by Cholesky, and log|K|."""
-        L, failed = dpotrf(K, lower=1)
+        L, failed = scipy.linalg.lapack.dpotrf(K, lower=1)
         if failed:
             raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
         log_det = 2.0 * float(np.sum(np.log(np.diag(L))))
-        P, _ = dpotri(L, lower=1)  # its other half is 0
+        P, _ = scipy.linalg.lapack.dpotri(L, lower=1)  # its other half is 0
         inverse = np.ascontiguousarray(P + P.T)
         inverse.flat[:: len(K) + 1] *= 0.5
         return inverse, log_det
@@ -84,7 +83,7 @@ def pca_start(S: Array, n_components: int) -> Array:
     """
     N = S.shape[0]
     Q = min(n_components, N)
-    values, vectors = eigh(S, subset_by_index=[N - Q, N - 1])
+    values, vectors = scipy.linalg.eigh(S, subset_by_index=[N - Q, N - 1])
     X = np.zeros((N, n_components))
     X[:, :Q] = vectors[:, ::-1] * np.sqrt(N)
     X[:, :Q][:, values[::-1] <= N * np.finfo(float).eps * max(values[-1], 0.0)] = 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numba as nb
 import numpy as np
-from scipy.sparse import csr_array
+import scipy
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import (
@@ -103,7 +103,7 @@ def squared_valleys_of_some(
     """`squared_valleys` of blends u (K, n) of some of the materials, (K, n) indices; the gradient is (K, n), too."""
     flat = profiles.reshape(len(profiles), -1)
     starts = np.arange(0, u.size + 1, u.shape[1])
-    blends = csr_array((u.ravel(), materials.ravel(), starts), (len(u), len(flat)))
+    blends = scipy.sparse.csr_array((u.ravel(), materials.ravel(), starts), (len(u), len(flat)))
     roots = (blends @ flat).reshape(len(u), *profiles.shape[1:])
     value, k, by_roots, by_allowed = _squared(roots, np.sum(u * limits[materials], axis=1))
     gradient = np.zeros_like(u)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.sparse import csr_array
+import scipy
 
 from manifold.colour import lights
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
@@ -51,7 +51,9 @@ class Picture(Pairs):
         places: right and up of each pixel in radii of the ball, shape (K, 2); none of other sums.
     """
 
-    def __init__(self, wi: Array, wo: Array, sums: csr_array, places: Array | None = None) -> None:
+    def __init__(
+        self, wi: Array, wo: Array, sums: scipy.sparse.csr_array, places: Array | None = None
+    ) -> None:
         super().__init__(wi, wo)
         self.sums, self.places = sums, np.empty((0, 2)) if places is None else places
 
@@ -103,10 +105,10 @@ def delta_e(xyz: Array, xyz_star: Array) -> float:
     return float(np.mean(delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))))
 
 
-def sums_of_runs(weights: Array, starts: Indices) -> csr_array:
+def sums_of_runs(weights: Array, starts: Indices) -> scipy.sparse.csr_array:
     """Weights (P,) of pairs as sums over runs that begin at starts (K,), shape (K, P)."""
     P = len(weights)
-    return csr_array((weights, np.arange(P), np.append(starts, P)), shape=(len(starts), P))
+    return scipy.sparse.csr_array((weights, np.arange(P), np.append(starts, P)), shape=(len(starts), P))
 
 
 @lru_cache(maxsize=8)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+import scipy
 
 from manifold.colour import ball_colours, difference, lights
 from manifold.colour.ball_colours import Picture
@@ -39,9 +39,9 @@ class Panel(Picture):
         counts: of the pixels of each, shape (L,).
     """
 
-    def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[csr_array]) -> None:
+    def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[scipy.sparse.csr_array]) -> None:
         """Pixels of each light as sums over the same pairs."""
-        super().__init__(pairs.wi, pairs.wo, csr_array(vstack(sums)))
+        super().__init__(pairs.wi, pairs.wo, scipy.sparse.csr_array(scipy.sparse.vstack(sums)))
         self.names, self.counts = names, np.array([len(each.indptr) - 1 for each in sums])
 
     @property
@@ -72,7 +72,7 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
         sun_pixels: across the balls under suns.
     """
     white, world = ball_colours.white_ball(*lit)
-    pairs, parts = white[:], list[tuple[int, csr_array]]()
+    pairs, parts = white[:], list[tuple[int, scipy.sparse.csr_array]]()
     for name in names:
         kind, _, degrees = name.partition(" ")
         if kind == "sun":
@@ -89,7 +89,7 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
             soft = white.under(ball_colours.radiance_at(ball_colours.environment(), towards))
         parts.append((0, soft.sums))
     shifted = [
-        csr_array((sums.data, sums.indices + first, sums.indptr), (sums.shape[0], len(pairs)))
+        scipy.sparse.csr_array((sums.data, sums.indices + first, sums.indptr), (sums.shape[0], len(pairs)))
         for first, sums in parts
     ]
     return Panel(names, pairs, shifted)

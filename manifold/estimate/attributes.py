@@ -16,8 +16,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares, minimize
 
 from manifold import progress
 from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF, values_at
@@ -286,7 +286,7 @@ class _Search:
         ways = [min(start + _ALONG * (end - start), key=cost) for end in self._model.X]
         tried = sorted(ways, key=cost)[:_REFINED]
         found = [
-            minimize(
+            scipy.optimize.minimize(
                 cost, x, method="Nelder-Mead", options={"maxfev": _EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
             )
             for x in tried
@@ -305,7 +305,7 @@ def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
     def off(a: Array) -> Array:
         return lab_of_factor(gained(a), bands) - lab
 
-    return gained(least_squares(off, np.zeros(3), bounds=(-7.0, 7.0)).x)
+    return gained(scipy.optimize.least_squares(off, np.zeros(3), bounds=(-7.0, 7.0)).x)
 
 
 def factor_of(brdf: EvaluableBRDF) -> Array:

@@ -9,13 +9,11 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 import scipy
-from scipy.sparse import csr_array
-from scipy.spatial.distance import cdist
 
 from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
-from manifold.kernels import Kernel, first_equal_row
+from manifold.kernels import Kernel, first_equal_row, squared_distances
 from manifold.mapping import CubeRoot, ValueMapping
 from manifold.metrics import relative_error
 from manifold.model.blending import NEIGHBOURS, blend_weights, widest_gap
@@ -90,7 +88,7 @@ class BlendSpace(LatentSpace):
         ends = []
         for end in _ENDS:
             data, *where = (stored[end + part] for part in _SPARSE)
-            rows = csr_array((data, *(part.astype(np.int64) for part in where)), (N, n))
+            rows = scipy.sparse.csr_array((data, *(part.astype(np.int64) for part in where)), (N, n))
             rows.check_format(full_check=True)
             ends.append(rows)
         paths = ColourPaths(*ends, *of_paths)
@@ -370,7 +368,7 @@ class _BestPlace:
         def residuals(x: Array) -> Array:
             inner, squared = self._products(x, cross)
             residual = norm - np.sum(np.max(inner**2 / squared, axis=1), axis=1)
-            return np.where(cdist(x, X).min(axis=1) <= reach, residual, np.inf)
+            return np.where(np.sqrt(squared_distances(x, X).min(axis=1)) <= reach, residual, np.inf)
 
         return residuals
 

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from scipy.spatial import ConvexHull, Delaunay, KDTree, QhullError
-from scipy.spatial.distance import cdist
 
 from manifold.errors import ShapeError
+from manifold.kernels import squared_distances
 from manifold.likelihood import fix_gauge
 from manifold.records import Array, Indices
 
@@ -74,8 +73,8 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
     Source: Shepard 1968, with the squared exponential in place of his cut-off.
     """
     if len(X) <= NEIGHBOURS:
-        return _weights(cdist(x, X, "sqeuclidean") / length_scale**2)
-    distances, nearest = KDTree(X).query(x, NEIGHBOURS + 1)
+        return _weights(squared_distances(x, X) / length_scale**2)
+    distances, nearest = scipy.spatial.KDTree(X).query(x, NEIGHBOURS + 1)
     u = np.zeros((len(x), len(X)))
     shares = _weights((distances / length_scale) ** 2, is_cut=True)
     np.put_along_axis(u, nearest[:, :-1], shares, axis=1)
@@ -96,6 +95,13 @@ def _weights(squared: Array, *, is_cut: bool = False) -> Array:
     return u / u.sum(axis=1, keepdims=True)
 
 
+def nearest_distance(x: Array, X: Array) -> Array:
+    """Distances of places x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
+    if len(X) > NEIGHBOURS:
+        return np.asarray(scipy.spatial.KDTree(X).query(x)[0])
+    return np.sqrt(squared_distances(x, X).min(axis=1))
+
+
 def widest_gap(X: Array) -> float:
     """The largest distance of a sample of X (N, Q) from its nearest other one; infinity for a single sample."""
     return float(_gaps(X).max())
@@ -103,7 +109,11 @@ def widest_gap(X: Array) -> float:
 
 def _gaps(X: Array) -> Array:
     """The distance of every sample of X (N, Q) from its nearest other one, shape (N,)."""
-    return np.asarray(KDTree(X).query(X, 2)[0][:, 1])
+    if len(X) > NEIGHBOURS:
+        return np.asarray(scipy.spatial.KDTree(X).query(X, 2)[0][:, 1])
+    squared = squared_distances(X, X)
+    np.fill_diagonal(squared, np.inf)
+    return np.sqrt(squared.min(axis=1))
 
 
 def blend_layout(
@@ -288,8 +298,8 @@ def inside_hull(X: Array, count: int, rng: np.random.Generator) -> Array:
     """
     N, Q = X.shape
     try:
-        simplices = np.sort(Delaunay(X).simplices, axis=1)  # [S, Q + 1]
-    except (QhullError, ValueError):  # one dimension, too few samples, or all in a plane
+        simplices = np.sort(scipy.spatial.Delaunay(X).simplices, axis=1)  # [S, Q + 1]
+    except (scipy.spatial.QhullError, ValueError):  # one dimension, too few samples, or all in a plane
         return np.zeros((0, N))
     simplices = simplices[np.lexsort(simplices.T)]  # in an order that does not depend on rounding
     volume = np.abs(np.linalg.det(X[simplices[:, 1:]] - X[simplices[:, :1]]))
@@ -311,7 +321,7 @@ def kernel_radius(X: Array) -> float:
     N, Q = X.shape
     extent = np.ptp(X, axis=0)
     try:
-        volume = float(ConvexHull(X).volume) if Q > 1 else float(extent[0])
-    except (QhullError, ValueError):  # too few samples, or all in a plane
+        volume = float(scipy.spatial.ConvexHull(X).volume) if Q > 1 else float(extent[0])
+    except (scipy.spatial.QhullError, ValueError):  # too few samples, or all in a plane
         volume = float(np.prod(np.maximum(extent, 1e-3 * extent.max())))
     return max(_RADIUS * (volume / N) ** (1.0 / Q), float(np.median(_gaps(X))) / _NEAREST, 1e-9)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
+import scipy
 
 from manifold.nonnegative import nonnegative_weights
 from manifold.records import Array, Indices
@@ -41,8 +41,8 @@ class ColourPaths:
     The coordinate of a path is the cube root of its reflectance.
     """
 
-    dark: csr_array
-    bright: csr_array
+    dark: scipy.sparse.csr_array
+    bright: scipy.sparse.csr_array
     dark_coordinate: Array
     bright_coordinate: Array
     reflectances: Array
@@ -203,12 +203,12 @@ def fit_paths(
     return ColourPaths(dark, bright, ends[0], ends[1], reflectances)
 
 
-def _rows(rows: Sequence[tuple[Indices, Array]], count: int) -> csr_array:
+def _rows(rows: Sequence[tuple[Indices, Array]], count: int) -> scipy.sparse.csr_array:
     """A sparse matrix (N, count) of rows of columns and values."""
     kept = [(columns[values > 0.0], values[values > 0.0]) for columns, values in rows]
     starts = np.cumsum([0, *(len(columns) for columns, _ in kept)])
     columns, values = (np.concatenate(parts) for parts in zip(*kept, strict=True))
-    return csr_array((values, columns, starts), (len(rows), count))
+    return scipy.sparse.csr_array((values, columns, starts), (len(rows), count))
 
 
 def _body(f: Array, cosines: Array) -> float:

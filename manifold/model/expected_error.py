@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
 from manifold import progress
 from manifold.brdf.measured import values_at
@@ -18,7 +16,7 @@ from manifold.mapping import CubeRoot
 from manifold.metrics import Errors
 from manifold.model.blend_fitting import BlendSamples
 from manifold.model.blend_space import BlendSpace
-from manifold.model.blending import blend_weights, widest_gap
+from manifold.model.blending import blend_weights, nearest_distance, widest_gap
 from manifold.model.combination import Combination
 from manifold.model.decoding import appearance_pairs, roots_at
 from manifold.model.landmarks import LandmarkSearch, combined, farthest_samples
@@ -108,13 +106,13 @@ class ExpectedError:
 
     def _floor(self, x: Array) -> Array:
         """What is expected at least at places x (M, Q) that are far from all materials, shape (M,)."""
-        nearest = cdist(x, self.X).min(axis=1)
+        nearest = nearest_distance(x, self.X)
         mean, most = np.exp(self.log_errors.mean()), np.exp(self.log_errors.max())
         return np.asarray(np.minimum(mean * (nearest / widest_gap(self.X)) ** 2, max(most, mean)))
 
     def _log_at(self, x: Array, residual: float | None) -> Array:
         u = blend_weights(x, self.X, self.length_scale)
-        nearest = cdist(x, self.X).min(axis=1) / self.length_scale
+        nearest = nearest_distance(x, self.X) / self.length_scale
         mean, power = self.log_errors.mean(), len(self.X) / (len(self.X) + _LIKE)
         around = mean + power * (u @ self.log_errors - mean)
         log = around + _FAR * np.log(np.hypot(1.0, nearest))
@@ -258,7 +256,7 @@ class LeftOut:
         materials, or where the nearest material is farther than any material is from its nearest other one.
         """
         X = self.space.X
-        is_far = KDTree(X).query(x)[0] > widest_gap(X)
+        is_far = nearest_distance(x, X) > widest_gap(X)
         most = max(_MOST_BALL, float(np.quantile(self.errors.ball, 0.9)))
         return is_far | (self.expected(x).ball > most)
 

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.spatial import KDTree
+import scipy
 
 from manifold.encoding import encoding_pairs
 from manifold.metrics import relative_error
@@ -101,7 +100,7 @@ def landmark_layout(
     X[landmarks] = anchors
     start, N = X, len(X)
     for step, weight in enumerate(RISING):
-        tree = KDTree(X)
+        tree = scipy.spatial.KDTree(X)
         if step % _COMPARE_AGAIN == 0:
             near = compare(tree.query(X, min(_COMPARED + 1, N))[1][:, 1:])
             objective = _objective(landmarks, to_landmarks, near)
@@ -197,8 +196,8 @@ def signatures(gram: Array, products: Array) -> Array:
         products: of materials with the landmarks, shape (N, r).
     """
     gram = gram.astype(np.float64)
-    L = cholesky(gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), lower=True)
-    return np.asarray(solve_triangular(L, products.T.astype(np.float64), lower=True).T)
+    L = scipy.linalg.cholesky(gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), lower=True)
+    return np.asarray(scipy.linalg.solve_triangular(L, products.T.astype(np.float64), lower=True).T)
 
 
 class LandmarkSearch:

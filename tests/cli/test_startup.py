@@ -17,7 +17,10 @@ for words in json.loads(sys.argv[1]):
         run(words)
     print(json.dumps([module for module in json.loads(sys.argv[2]) if module in sys.modules]))
 """
-HEAVY = ["sklearn", "scipy.stats", "mitsuba", "drjit", "manifold.evaluate", "manifold.fit.principled"]
+HEAVY = [
+    "sklearn", "scipy.stats", "scipy.optimize", "scipy.spatial", "mitsuba", "drjit", "manifold.evaluate",
+    "manifold.fit.principled",
+]  # fmt: skip
 PREDICT = ["predict", "--latent", "0.1,0.1", "-o", "made.bsdf"]
 
 
@@ -41,7 +44,7 @@ def test_the_version_and_help_load_no_numbers(folder):
     assert _loaded(folder, ["--version"], ["predict", "--help"], heavy=["numpy", *HEAVY]) == [[], []]
 
 
-def test_a_prediction_loads_neither_scikit_learn_nor_mitsuba(folder):
+def test_a_prediction_loads_neither_optimisers_nor_scikit_learn_nor_mitsuba(folder):
     assert _loaded(folder, ["info", "model.h5"], ["info", "library.zarr"], PREDICT) == [[], [], []]
     assert (folder / "made.bsdf").is_file()
 

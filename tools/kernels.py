@@ -30,6 +30,7 @@ def compile_rendering() -> None:
     remeasure(measured, file)
     wi, wo = profile_pairs()
     valley_depth(np.moveaxis(measured.eval(wi, wo), -1, 0))
+    measured.eval(np.repeat(wi, 100, axis=0), np.repeat(wo, 100, axis=0))  # many: by another loop
     measured.pdf(wi, wo)
     measured.sample(wi, np.full((*wi.shape[:-1], 2), 0.5))
     measured.albedo(wi[:, 0])

@@ -91,14 +91,14 @@ def eval_pairs(wi, wo, isotropic, reduction, divide, tables, out):
 
 
 @nb.njit(cache=True, nogil=True, fastmath=FASTMATH)
-def eval_located(located, tables, out):
-    """f of K located pairs into out (K, B), on one core: callers have several blocks to share out."""
+def eval_located(located, divide, tables, out):
+    """`eval_pairs` of K located pairs, on one core: they are few, or callers have several blocks to share out."""
     for k in range(located.shape[0]):
         theta_i, phi_i, ux, uy, cos_o = located[k]
         if cos_o <= 0.0:
             out[k] = 0.0
             continue
-        _eval_row(theta_i, phi_i, ux, uy, cos_o, True, tables, out[k])
+        _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, out[k])
 
 
 @serialised

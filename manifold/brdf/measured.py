@@ -17,6 +17,8 @@ from manifold.errors import ShapeError, UsageError
 from manifold.pairs import Pairs, Symmetry, flat_samples
 from manifold.records import Array, Bands, BsdfFile
 
+_FEW = 1024  # pairs of directions, up to which to start threads takes longer than they save
+
 
 class EvaluableBRDF(Protocol):
     """What fits, balls and slices need of a BRDF: B bands at once, directions (..., 3) that broadcast, z the normal."""
@@ -160,7 +162,10 @@ class MeasuredBRDF(NotebookPicture):
             )
         isotropic, repeats, rotation = self.symmetry
         rows = out.reshape(len(pairs), shape[-1])
-        lookup.eval_pairs(*pairs.turned(rotation), isotropic, repeats, divide, self.tables, rows)
+        if len(pairs) <= _FEW:
+            lookup.eval_located(pairs.located(*self.symmetry), divide, self.tables, rows)
+        else:
+            lookup.eval_pairs(*pairs.turned(rotation), isotropic, repeats, divide, self.tables, rows)
         return out
 
     def eval_at(self, pairs: Pairs) -> Array:
@@ -169,7 +174,7 @@ class MeasuredBRDF(NotebookPicture):
         For callers that distribute materials or blocks of pairs over threads.
         """
         out = np.empty((len(pairs), self.bands.count))
-        lookup.eval_located(pairs.located(*self.symmetry), self.tables, out)
+        lookup.eval_located(pairs.located(*self.symmetry), True, self.tables, out)
         return out
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:

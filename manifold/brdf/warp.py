@@ -106,12 +106,11 @@ def bilinear(table, x, y):
     return bilinear_in_cell(table, i, j, ty, tx)
 
 
-@serialised
-@nb.njit(cache=True, parallel=True)
+@nb.njit(cache=True, nogil=True)
 def interpolate(table, points):
     """Values of an (R, C) table at points (K, 2) of the unit square, shape (K,)."""
     out = np.empty(points.shape[0])
-    for k in nb.prange(points.shape[0]):
+    for k in range(points.shape[0]):
         out[k] = bilinear(table, points[k, 0], points[k, 1])
     return out
 

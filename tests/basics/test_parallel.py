@@ -22,7 +22,7 @@ from helpers.sample_files import sample_file
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 brdfs = [MeasuredBRDF(sample_file(f"m{k}", k, size=24)) for k in range(8)]
-wi = from_spherical(np.linspace(0.1, 1.4, 500), np.zeros(500))
+wi = from_spherical(np.linspace(0.1, 1.4, 2000), np.zeros(2000))  # fewer are evaluated in one thread
 with ThreadPoolExecutor(4) as pool:
     for _ in range(5):
         list(pool.map(lambda brdf: brdf.eval(wi, wi), brdfs))

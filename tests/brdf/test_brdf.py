@@ -260,6 +260,15 @@ def test_values_are_written_where_asked(corpus_file, rng, dtype, tolerance):
     np.testing.assert_allclose(out, brdf.eval(wi, wo), rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.parametrize("name", ["syn_satin_gold", "syn_brushed_chromium"])
+def test_few_pairs_have_the_values_that_they_have_among_many(corpus_file, rng, name):
+    """Few are evaluated in one thread."""
+    brdf = MeasuredBRDF(read_bsdf(corpus_file(name, False)))
+    wi, wo = random_directions(rng, 5000), random_directions(rng, 5000)
+    for of in (brdf.eval, brdf.eval_cos):
+        np.testing.assert_allclose(of(wi[-7:], wo[-7:]), of(wi, wo)[-7:], rtol=1e-12)  # rounding
+
+
 @pytest.mark.parametrize(
     "out",
     [np.empty(195, np.float16), np.empty((195, 2))[:, 0], np.empty(194)],

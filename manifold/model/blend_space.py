@@ -43,7 +43,7 @@ class BlendSpace(LatentSpace):
         paths: of every material from black to white, for chosen colours.
         bands: which bands are the samples of the paths, increasing, shape (B_s,).
         reflectances: of the materials at 8 degrees, specular included, shape (N, B).
-        kernel: covariance function; tells how far the data reach.
+        kernel: tells how far the data reach.
         landmarks: on whose map all others were located, increasing or not, shape (M,); None where all were laid out.
         signatures: coordinates by which materials like another one are found, shape (N, r); None without landmarks.
     """
@@ -78,7 +78,7 @@ class BlendSpace(LatentSpace):
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
         """The space of a file's arrays. Raises ValueError where they do not fit each other or the number of bands."""
-        X, bands = stored["X"], require_bands(stored, "bands", n_bands)
+        X, bands = stored["X"], require_bands(stored, n_bands)
         N, n = len(X), len(X) * len(bands)
         shapes = {
             "reflectances": (N, n_bands), "dark_coordinate": (N,), "bright_coordinate": (N,),
@@ -230,14 +230,9 @@ class Rows(Protocol):
 class PlaceSearch:
     """Finds the place, and per band the path coordinate and gain, at which a blend is nearest to a material.
 
-    Path coordinates are tried on a grid, and at the materials also those of their own colours.
-
-    Args:
-        space: the map.
-        samples: cube roots of its samples, shape (n, P).
-        weight: of each direction pair in what is minimised, before squaring, shape (P,).
-        target_bands: which bands targets have; by default all of the space.
-        candidates: materials that are blended, shape (N',); by default all.
+    Path coordinates are tried on a grid, and at the materials also those of their own colours. Samples are cube roots
+    (n, P), errors at direction pairs weighted (P,) before squaring; by default targets have all bands of the space, and
+    all materials are candidates (N',).
     """
 
     def __init__(
@@ -271,10 +266,8 @@ class PlaceSearch:
     def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
         """Place (Q,), path coordinates and gains of all bands, (2, B), and the relative residual of cube roots.
 
-        Args:
-            target: cube roots of the material in all bands, shape (B, P).
-            bands: of these, those of the samples, which serve to find the place.
-            without: a candidate, by its index among them, that is left out.
+        The target is cube roots of the material in all bands, (B, P), of which `bands` are those of the samples, which
+        serve to find the place. The candidate `without` is left out.
         """
         weighted, used, found = self._of(target, without)
         norm = float(np.sum(weighted[bands] ** 2))
@@ -288,7 +281,7 @@ class PlaceSearch:
         k, gains = found.coordinates(x)
         return x, np.stack([self._grid[k], gains]), relative
 
-    def first_place(self, target: Array, bands: Indices, without: int | None = None) -> Array:
+    def first_place(self, target: Array, bands: Indices, without: int | None) -> Array:
         """The best of the places (Q,) that `find` starts from; arguments as there."""
         weighted, _, found = self._of(target, without)
         return found.starts(bands, float(np.sum(weighted[bands] ** 2)))[0]
@@ -325,13 +318,10 @@ class PlaceSearch:
 
 
 class _BestPlace:
-    """The search over places, from inner products alone.
+    """The search over places X (N, Q), from inner products alone.
 
-    Args:
-        X: places of N materials, shape (N, Q).
-        length_scale: of the blend weights.
-        cross: products of the materials' paths at K coordinates with the target, shape (N, K, B).
-        gram: products of the paths with each other, shape (K, N, N).
+    They are those of the materials' paths at K coordinates with the target, (N, K, B), and of the paths with each
+    other, (K, N, N).
     """
 
     def __init__(self, X: Array, length_scale: float, cross: Array, gram: Array) -> None:

@@ -51,7 +51,7 @@ class Layout:
     Attributes:
         X: shape (N, Q).
         unit: length scale in the unit of the target distances.
-        objective_start, objective: objective at the principal coordinates and at the end.
+        objective_start: at the principal coordinates.
     """
 
     X: Array
@@ -61,15 +61,10 @@ class Layout:
 
 
 def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
-    """Weights u of the samples at places x, never negative and of sum 1, shape (M, N).
+    """Weights u of samples X (N, Q) at places x (M, Q), never negative and of sum 1, shape (M, N).
 
-    `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`: a unit vector at a sample, continuous, with a slope of 0 at the samples.
-    Of more than `NEIGHBOURS` samples only the nearest have a weight, less that of the next one.
-
-    Args:
-        x: places, shape (M, Q).
-        X: samples, shape (N, Q).
-        length_scale: l.
+    `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`: a unit vector at a sample, continuous, with a slope of 0 at the samples. Of
+    more than `NEIGHBOURS` samples only the nearest have a weight, less that of the next one.
     Source: Shepard 1968, with the squared exponential in place of his cut-off.
     """
     if len(X) <= NEIGHBOURS:
@@ -121,21 +116,16 @@ def blend_layout(
 ) -> Layout:
     """Places of N samples, in length scales of `blend_weights`, centred.
 
-    Minimises the relative stress `sum (d_ij - distance_ij)^2 / distance_ij`, plus the squares by which distances fall
-    short of `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, plus that of
-    `cost(u)`, at places drawn uniformly from the present hull. There are many minima. One is followed from principal
-    coordinates in Q + 1 dimensions, where there are few: the last dimension is flattened little by little, then the
-    terms of blends are added, the cost with rising weight in damped steps. Each has one minimum nearby, where it ends
-    whatever rounding did on the way: small differences of the distances make small differences of the map.
-    The unit is then chosen so that a kernel of length scale 1 spans about the side of a sample's share of the hull, and
-    reaches neighbours; the axes are principal axes, each with its longer tail positive.
-
-    Args:
-        distance: target distances, shape (N, N), positive off the diagonal.
-        separation: least distances, in the same unit, shape (N, N).
-        implausible: cost of a blend of two, at least 0, shape (N, N).
-        n_components: Q.
-        cost: of blends of any number.
+    Target distances, positive off the diagonal, least distances in the same unit, and costs of blends of two, at least
+    0, are (N, N); `cost` is that of blends of any number. Minimises the relative stress `sum (d_ij - distance_ij)^2 /
+    distance_ij`, plus the squares by which distances fall short of `separation`, plus the mean of `u^T implausible u`
+    over blends u inside the convex hull, plus that of `cost(u)`, at places drawn uniformly from the present hull. There
+    are many minima. One is followed from principal coordinates in Q + 1 dimensions, where there are few: the last
+    dimension is flattened little by little, then the terms of blends are added, the cost with rising weight in damped
+    steps. Each has one minimum nearby, where it ends whatever rounding did on the way: small differences of the
+    distances make small differences of the map. The unit is then chosen so that a kernel of length scale 1 spans about
+    the side of a sample's share of the hull, and reaches neighbours; the axes are principal axes, each with its longer
+    tail positive.
     Source: Kruskal 1964 for the stress, Torgerson 1952 for the start, Rockafellar 1976 for the damped steps.
     """
     N = len(distance)
@@ -154,18 +144,9 @@ def blend_layout(
     return objective.result(start[:, :n_components], X, blends)
 
 
-def _typical(distances: Array) -> float:
-    """The median of the non-zero distances: those between copies of a sample are left out."""
-    return float(np.median(distances[distances > 0.0]))
-
-
 class LayoutObjective:
-    """Stress and separation of pairs of samples, with other terms, and their gradients.
-
-    Args:
-        pairs: indices i and j, shape (R,) each.
-        distance, separation: target and least distances of the pairs, shape (R,).
-        stands_for: how many pairs of samples each one stands for, shape (R,); 1 where all are given.
+    """Stress and separation of pairs of samples, by target and least distances (R,), with other terms, and their
+    gradients; a pair may stand for several, (R,).
     """
 
     def __init__(
@@ -176,7 +157,7 @@ class LayoutObjective:
         stands_for: Array | None = None,
     ) -> None:
         self._pairs, self._least = pairs, separation
-        self._unit = _typical(distance)
+        self._unit = float(np.median(distance[distance > 0.0]))  # copies of a sample are left out
         self._wanted = np.maximum(distance, _LEAST_SHARE_OF_UNIT * self._unit)
         count = np.ones(len(distance)) if stands_for is None else stands_for
         weight = count / self._wanted
@@ -292,9 +273,8 @@ def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
 
 
 def inside_hull(X: Array, count: int, rng: np.random.Generator) -> Array:
-    """Shares (K, N) of the samples around `count` places drawn uniformly from the hull of X (N, Q).
-
-    None where it is flat.
+    """Shares (K, N) of the samples around `count` places drawn uniformly from the hull of X (N, Q); None where it is
+    flat.
     """
     N, Q = X.shape
     try:
@@ -314,9 +294,8 @@ def _places(N: int) -> int:
 
 
 def kernel_radius(X: Array) -> float:
-    """Length scale of the kernel: about the side of a sample's share of the convex hull's volume.
-
-    No less than what reaches neighbours: else blends would be copies of the nearest sample.
+    """Length scale of the kernel: about the side of a sample's share of the convex hull's volume, and no less than what
+    reaches neighbours, else blends would be copies of the nearest sample.
     """
     N, Q = X.shape
     extent = np.ptp(X, axis=0)

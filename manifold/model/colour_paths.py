@@ -76,13 +76,8 @@ class ColourPaths:
     def coordinates_of(
         self, u: Array, reflectance: Array, samples: Array, measure: Array
     ) -> tuple[Array, Array]:
-        """Coordinates (B,) at which a blend u (N,) has a reflectance (B,), and the reflectance reached, (B,).
-
-        Args:
-            u: shares of the materials.
-            reflectance: the target.
-            samples: cube roots inside an integrating sphere, shape (n, P).
-            measure: weights whose product with values there is the reflectance, shape (P,).
+        """Coordinates (B,) at which a blend u (N,) has a reflectance (B,), and that reached, (B,), from cube roots (n,
+        P) inside an integrating sphere, and the measure (P,) of values there.
         """
 
         def reached(at: Array) -> Array:
@@ -153,15 +148,11 @@ def fit_paths(
     albedo: Sequence[tuple[Array, Array]],
     landmarks: Indices | None = None,
 ) -> ColourPaths:
-    """Paths from samples that are ordered material by material.
+    """Paths from cube roots (n, P) of samples, material by material, and cosines (P,) of the direction pairs.
 
-    Args:
-        samples: cube roots of BRDF values, shape (n, P).
-        cosines: cos(theta_i) cos(theta_o) of the direction pairs, shape (P,).
-        n_bands: samples per material.
-        sphere: samples (n, P') inside an integrating sphere, and its measure (P',).
-        albedo: the same at several incidences; no path ends above an albedo of 1.
-        landmarks: materials whose samples all paths may be made of, beside a material's own; by default all.
+    `sphere` is samples (n, P') inside an integrating sphere, and its measure (P',); `albedo` the same at several
+    incidences: no path ends above an albedo of 1. Paths are made of the samples of `landmarks`, by default all, and of
+    a material's own.
     """
     reflectances = sphere[0] ** 3 @ sphere[1]
     N = len(samples) // n_bands

@@ -177,15 +177,8 @@ class ReflectanceColours:
         return self.of_reflectance(x, self._reflectances[k])[0]
 
     def of_reflectance(self, x: Array, reflectance: Array) -> tuple[Array, Array]:
-        """Colour coordinates that give a structure x (Q,) a reflectance spectrum.
-
-        A reflectance that the structure cannot have (a metal cannot be black) is approximated.
-
-        Args:
-            x: structure.
-            reflectance: shape (B,).
-        Returns:
-            colours (B,), and the reflectance reached, (B,).
+        """Colour coordinates (B,) that give a structure x (Q,) a reflectance (B,), and the one reached, (B,): what the
+        structure cannot have (a metal cannot be black) is approximated.
         """
         expected = self._reflectances.shape[1:]
         reflectance = np.asarray(reflectance, dtype=np.float64)

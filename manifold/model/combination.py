@@ -22,12 +22,7 @@ from manifold.records import Array, Indices
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Measured values of N materials at P direction pairs in B bands.
-
-    Attributes:
-        f: in 1/sr, shape (N, P, B).
-        wi, wo: unit vectors (P, 3).
-    """
+    """Measured values f (N, P, B) in 1/sr of N materials at P direction pairs of unit vectors (P, 3), in B bands."""
 
     f: Array
     wi: Array
@@ -94,7 +89,7 @@ class Combination:
         is_clipped: whether negative values are cut to 0.
         variance: of the mapped values, as the method itself believes it: a number, or one per band (B,); None
             where the method has no such belief.
-        dictionary: of atoms; None where the samples are what is combined.
+        dictionary: None where the samples are what is combined.
     """
 
     mapping: ValueMapping
@@ -152,12 +147,8 @@ class Combination:
 
 
 def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool = True) -> Array:
-    """Predictions f in 1/sr at the direction pairs of measured values, shape (M, P, B).
-
-    Args:
-        combinations: M of them.
-        values: of the N materials.
-        clip: False leaves negative values where they are, whatever a combination says.
+    """Predictions f in 1/sr at the direction pairs of measured values, shape (M, P, B); without `clip`, negative values
+    stay, whatever a combination says.
     """
     predicted = np.empty((len(combinations), *values.f.shape[1:]))
     for group in _alike(combinations):
@@ -191,11 +182,8 @@ def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
 
 @dataclass(frozen=True)
 class Dictionary:
-    """Atoms in a mapped domain: the samples cut at 0 to every exponent in turn, then lobes.
-
-    Attributes:
-        exponents: of mapped samples; exponents other than 1 make measured lobes broader or narrower.
-        lobes: the analytic ones.
+    """Atoms in a mapped domain: the samples cut at 0 to every exponent in turn, which makes measured lobes broader or
+    narrower, then analytic lobes.
     """
 
     exponents: tuple[float, ...] = (1.0,)
@@ -206,11 +194,8 @@ class Dictionary:
         return len(self.exponents) * n_samples + len(self.lobes)
 
     def combine(self, weights: Array, samples: Array, lobes: Array) -> Array:
-        """The sum of all atoms by their weights, shape (B, P).
-
-        Args:
-            weights: of all atoms, shape (B, n'); those without any are not computed.
-            samples, lobes: mapped, shapes (n, P) and (n_l, P).
+        """The sum of all atoms by their weights (B, n'), shape (B, P), of mapped samples (n, P) and lobes (n_l, P);
+        atoms without weights are not computed.
         """
         combined = weights[:, len(self.exponents) * len(samples) :] @ lobes
         for k, exponent in enumerate(self.exponents):

@@ -37,9 +37,8 @@ def decoder_at(
     settings: Settings,
     names: Sequence[str] | None = None,
 ) -> Decoder:
-    """The decoder of a space at direction pairs: of all embedding bands, or of one band.
-
-    `names` are those of the space's materials; by default all.
+    """The decoder of a space, whose materials have these names (by default all), at direction pairs: of all embedding
+    bands, or of one band.
     """
     mapping, cosines = MAPPINGS[settings.mapping], pairs.cosines
     rows = []
@@ -57,9 +56,8 @@ OF_BALL = slice(None, None, 7)
 
 @cache
 def appearance_pairs(is_isotropic: bool = True) -> Pairs:
-    """The pairs of the encoding grid, then some of those that light a ball, which are rare in the grid.
-
-    Their number, cosines and light are the same for anisotropic materials.
+    """The pairs of the encoding grid, then some of those that light a ball, which are rare in the grid: of anisotropic
+    materials as many, of the same cosines and light.
     """
     return encoding_pairs(is_isotropic) + ball_colours.ball()[OF_BALL]
 

@@ -34,8 +34,7 @@ class DiagnosedPrediction:
     """A predicted material, with its expected error and diagnostics.
 
     Attributes:
-        brdf: the prediction.
-        latent: its latent, shape (Q,).
+        latent: shape (Q,).
         coordinates: the same, with the digits that reproduce the prediction.
         colour: where the colour comes from, in words; None where the latent fixes it.
         reflectance_residual: largest difference over bands between the requested reflectance and the one reached.
@@ -43,7 +42,7 @@ class DiagnosedPrediction:
             its two materials make.
         nearest: the three nearest materials with their distances.
         materials: number of materials of the model, on whose left-out errors expected ones are based.
-        expected: expected errors; None where the model is not calibrated.
+        expected: None where the model is not calibrated.
         is_extrapolation: whether the data do not support the place.
         plausibility: measured on the prediction, or on the file that was written.
         diagnostics: defects found, as sentences.
@@ -116,15 +115,8 @@ def diagnose(
     found: Plausibility | None = None,
     negative_share: float | None = None,
 ) -> DiagnosedPrediction:
-    """Diagnostics and expected error of a prediction.
-
-    Args:
-        model: that predicts.
-        place: where.
-        brdf: the prediction.
-        chosen: its colours.
-        found: measurements on the file that was written of it; None to measure the prediction itself.
-        negative_share: share of negative values before they were cut to 0; None where `found` has it.
+    """Diagnostics and expected error of a prediction at a place, measured on the file that was written of it, with the
+    share of negative values before they were cut to 0, or else on the prediction itself.
     """
     colours = chosen.colours
     found = plausibility(brdf) if found is None else found
@@ -171,14 +163,8 @@ def of_prediction(
     why: str = "far from all materials",
     measured: BRDF | None = None,
 ) -> tuple[str, ...]:
-    """Of a prediction.
-
-    Args:
-        is_extrapolation: whether the data do not support it.
-        found: measurements on it.
-        residual: largest difference over bands between the requested reflectance and the one reached.
-        why: the reason why the data do not support it.
-        measured: the material that it is meant to be; None where there is none.
+    """Of a prediction: whether, and why, the data do not support it, measurements on it, the largest difference over
+    bands between the requested reflectance and the one reached, and the material that it is meant to be.
     """
     diagnostics = []
     if is_extrapolation:
@@ -211,12 +197,7 @@ def of_prediction(
 
 
 def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str, ...]:
-    """Of a measured material at its own place.
-
-    Args:
-        found: measurements on it, or on the file that it was written to.
-        measured: the material itself.
-    """
+    """Of a measured material at its own place, by measurements on it, or on the file that it was written to."""
     sound = replace(found, negative_share=0.0, highlight_valley=0.0)
     diagnostics = list(of_prediction(False, sound, measured=measured))
     negative, valley = 100.0 * found.negative_share, 100.0 * found.highlight_valley
@@ -232,12 +213,7 @@ def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str,
 
 
 def of_projection(before: Plausibility, found: Plausibility, change: Errors[float]) -> tuple[str, ...]:
-    """Of a file that was projected to be physical.
-
-    Args:
-        before, found: measurements on the file without the projection, and with it.
-        change: from the one to the other.
-    """
+    """Of a file that was projected to be physical, by measurements without and with the projection."""
     changed = (
         f"made physical: largest albedo {before.max_albedo:.2f} to {found.max_albedo:.2f}, reciprocity error "
         f"{100.0 * before.reciprocity_error:.0f} to {100.0 * found.reciprocity_error:.0f} %; changed by "

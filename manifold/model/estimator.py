@@ -99,14 +99,9 @@ def explain(
     """Weights v >= 0 of n atoms that explain what was seen in every band, shape (B, n), mostly zeros.
 
     They minimise `sum_r w_r (T(v g_r) - T(seen_r))^2 + (v - s) K (v - s)`, with T the cube root, or the identity where
-    rows are of cube roots. Differences of cube roots are those of values times slopes: linear least squares, repeated
-    with better slopes.
-
-    Args:
-        bands: what was seen in each.
-        kept: K, what changes from the prior cost, shape (n, n) for every band; nothing by default.
-        prior: s, shape (B, n).
-        usable: which atoms may have weights, shape (n,); all by default.
+    rows are of cube roots, s a prior (B, n), and K (n, n) in every band what changes from it cost. Only usable atoms
+    (n,) have weights. Differences of cube roots are those of values times slopes: linear least squares, repeated with
+    better slopes.
     Source: docs/explanation/reconstruction.md.
     """
     weights: Array = np.zeros((len(bands), len(bands[0].atoms)))

@@ -57,7 +57,7 @@ class ExpectedError:
 
     Attributes:
         X: places of the materials, shape (N, Q).
-        log_errors: logarithms of their errors when left out, shape (N,).
+        log_errors: shape (N,).
         length_scale: of the weights.
         log_factor: logarithm of c.
     """
@@ -77,15 +77,10 @@ class ExpectedError:
         floor: float,
         residuals: Array | None = None,
     ) -> ExpectedError:
-        """Fit c: at least half of the left-out errors are below the expected one, and 90 % below twice that.
+        """Fit c: at least half of the left-out errors (N,) are below the expected one, and 90 % below twice that.
 
-        Args:
-            X: places of the materials, shape (N, Q).
-            places: where each was found among the others when it was left out, shape (N, Q).
-            errors: its error there, shape (N,).
-            length_scale: of the map.
-            floor: smaller errors count as this one.
-            residuals: its residual there, shape (N,), for the errors of materials whose residual is known.
+        Each material of a place X (N, Q) was found at another, (N, Q), when it was left out, with a residual there,
+        (N,), where expected errors are those of a known residual; errors below the floor count as the floor.
         """
         logs = np.log(np.maximum(errors, floor))
         off = np.empty(len(X))
@@ -163,9 +158,8 @@ class Reliability:
 def landmark_left_out(
     space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
 ) -> tuple[LeftOutSearch, Callable[[int, Combination], Errors[float]]]:
-    """A search for a material among the others, and what tells the errors of its prediction in some bands (B',).
-
-    The errors are those of `MaterialTable.errors`; only materials that are left out are read.
+    """A search for a material among the others, and what tells the errors of its prediction in some bands (B',), those
+    of `MaterialTable.errors`; only materials that are left out are read.
     """
     at, lights = np.searchsorted(bands, space.bands), panel.judged()
     search = LandmarkSearch(space, samples.roots, bands)
@@ -207,7 +201,6 @@ class LeftOut:
     """The places at which materials of a space are found when they are left out, and the errors of predictions there.
 
     Attributes:
-        space: of N materials.
         places: shape (n, Q).
         errors: of the ball, and of cube roots on the encoding grid, each (n,).
         residual: of the search, see `Embedded`, shape (n,).
@@ -303,13 +296,8 @@ def leave_out(
 ) -> LeftOut:
     """Leave out materials of a space once, find their places from their data, and measure their predictions there.
 
-    The places of the other materials are kept. Every material is left out, or, on a map by landmarks, 200.
-
-    Args:
-        space: of the materials.
-        materials: in its order.
-        settings: of the fit.
-        samples: that a map by landmarks was fitted to.
+    The places of the other materials are kept. Every material is left out, or, on a map by landmarks, 200; `samples`
+    are those that such a map was fitted to.
     """
     n_bands = materials.library.bands.count
     bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))

@@ -43,9 +43,8 @@ class Gram:
 def value_blocks(
     materials: Sequence[BRDF], grid: RusinkiewiczGrid, block: int = BLOCK_PAIRS
 ) -> Iterator[tuple[Array, Array, Array]]:
-    """Walk a grid: wi (P, 3), wo (P, 3) above the horizon, and the values f of all materials, (N, P, B).
-
-    Where a material is anisotropic, the grid is turned.
+    """Walk a grid: wi (P, 3), wo (P, 3) above the horizon, and the values f of all materials, (N, P, B); where one is
+    anisotropic, the grid is turned.
     """
     for wi, wo, above in grid.suited_to(all_isotropic(materials)).blocks(block):
         if np.any(above):
@@ -58,9 +57,8 @@ def gram_matrix(
     mapping: ValueMapping,
     grid: RusinkiewiczGrid,
 ) -> Gram:
-    """Accumulate the Gram matrix of N materials of the same bands over a grid of direction pairs.
-
-    Every pair counts by cos(theta_i) cos(theta_o), the weight it has in an image.
+    """The Gram matrix of N materials of the same bands over a grid, each pair weighted by cos(theta_i) cos(theta_o), as
+    in an image.
     """
     S = np.zeros((len(materials), len(materials)))
     n_outputs = 0
@@ -73,17 +71,6 @@ def gram_matrix(
         n_outputs += flat.shape[1]
         progress.report(done, total, "direction pairs")
     return Gram(S, n_outputs)
-
-
-def cache_key(
-    content_hash: str,
-    names: Sequence[str],
-    mapping: ValueMapping,
-    grid: RusinkiewiczGrid,
-) -> str:
-    """Name under which a library caches a Gram matrix of some materials: a hash of all that it depends on."""
-    text = f"gram-3 {content_hash} {list(names)} {mapping!r} {grid!r}"
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 _LIT_DEG = np.array([0.0, 45.0])
@@ -173,7 +160,8 @@ def _gram(materials: MaterialCache, s: Settings) -> Gram:
     """The Gram matrix of the materials, from the library's cache."""
     library, mapping = materials.library, MAPPINGS[s.mapping]
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
-    key = cache_key(library.content_hash, materials.names, mapping, grid)
+    made_of = f"gram-3 {library.content_hash} {list(materials.names)} {mapping!r} {grid!r}"
+    key = hashlib.sha256(made_of.encode()).hexdigest()
     cached = library.cache_get(key)
     if cached is not None and cached["S"].shape == (len(materials.names),) * 2:
         return Gram(cached["S"], int(cached["n_outputs"][0]))

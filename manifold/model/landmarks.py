@@ -45,12 +45,7 @@ LocalCost = Callable[[Array, Indices], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Samples beside others.
-
-    Attributes:
-        others: their indices, shape (N, n).
-        distance, separation: target and least distances, shape (N, n).
-    """
+    """Samples beside others (N, n), by target and least distances (N, n)."""
 
     others: Indices
     distance: Array
@@ -58,11 +53,8 @@ class Comparison:
 
 
 def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indices:
-    """Samples that cover all: each is the farthest from those before it; fewer where the others are copies of these.
-
-    Args:
-        count: how many.
-        distances_to: from the index of a sample to the distances of all from it, shape (N,).
+    """At most `count` samples that cover all, by the distances (N,) of all from one: each is the farthest from those
+    before it; fewer where the others are copies of these.
     Source: Gonzalez 1985.
     """
     chosen = [0]
@@ -82,16 +74,9 @@ def landmark_layout(
 ) -> Layout:
     """Places of N samples, in length scales of `blend_weights`, centred: what `blend_layout` finds, approximately.
 
-    Every sample is located by its distances from the landmarks. Then all are refined: the stress over pairs with
-    landmarks, which stand for all pairs, and with neighbours; least distances of the same pairs; and the cost of blends
-    of the nearest samples, with rising weight in damped steps.
-
-    Args:
-        landmarks: which of the samples they are, shape (M,).
-        map_of_landmarks: their layout.
-        to_landmarks: all samples beside the landmarks, (N, M).
-        compare: from others (N, n) to the comparison of all samples with them.
-        cost: of blends.
+    Every sample is located by its distances from the landmarks (M,), whose layout is given. Then all are refined: the
+    stress over pairs with landmarks, which stand for all pairs, and with neighbours; least distances of the same pairs;
+    and the cost of blends of the nearest samples, with rising weight in damped steps.
     Source: de Silva & Tenenbaum 2004 (landmark scaling); Kruskal 1964 for the stress.
     """
     rng = np.random.default_rng(0)
@@ -128,7 +113,6 @@ def _objective(landmarks: Indices, to_landmarks: Comparison, near: Comparison) -
 
 def _located(anchors: Array, distance: Array, rng: np.random.Generator) -> Array:
     """Places (N, Q) whose distances from anchors (M, Q) are nearest to (N, M), relative: best of several searches.
-
     Source: de Leeuw 1977 (majorisation).
     """
     (N, M), Q = distance.shape, anchors.shape[1]
@@ -187,13 +171,10 @@ _RIDGE = 1e-6  # relative to the mean squared norm: landmarks may be alike
 
 
 def signatures(gram: Array, products: Array) -> Array:
-    """Coordinates (N, r) of materials in an orthonormal basis of the span of r landmarks.
+    """Coordinates (N, r) of materials in an orthonormal basis of the span of r landmarks, from inner products of these,
+    (r, r), and of materials with them, (N, r).
 
     Distances of coordinates are those of the materials, in cube roots, as far as they lie in the span.
-
-    Args:
-        gram: inner products of the landmarks, shape (r, r).
-        products: of materials with the landmarks, shape (N, r).
     """
     gram = gram.astype(np.float64)
     L = scipy.linalg.cholesky(gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), lower=True)
@@ -201,13 +182,7 @@ def signatures(gram: Array, products: Array) -> Array:
 
 
 class LandmarkSearch:
-    """`PlaceSearch` on a map by landmarks, among few of the materials.
-
-    Args:
-        space: the map.
-        samples: cube roots of its samples, shape (N B_s, P).
-        target_bands: which bands targets have; by default all of the space.
-    """
+    """`PlaceSearch` on a map by landmarks, among few of the materials; samples and target bands as there."""
 
     def __init__(self, space: BlendSpace, samples: Rows, target_bands: Indices | None = None) -> None:
         assert space.landmarks is not None

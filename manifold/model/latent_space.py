@@ -56,11 +56,9 @@ class LatentSpace(ABC):
 
     Attributes:
         X: latents of the materials, shape (N, Q).
-        kernel: covariance function on the latents.
         own_colours: colour coordinates of the materials in all bands, shape (N, B), if colours can be chosen.
         reflectances: of the materials at 8 degrees, specular included, shape (N, B), if colours can be chosen.
         landmarks: materials on whose map all others were located, shape (M,); None where all were laid out.
-        kind: its name.
         takes_colours: whether colours can be chosen.
         is_nonnegative: whether negative measured values are taken for 0 where materials are combined.
     """
@@ -139,17 +137,14 @@ class LatentSpace(ABC):
         """Bands whose values are compared to find a latent."""
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Training samples (n, P') from mapped values (N, B_e, P) in the embedding bands, and cosines (P,) as (P',).
-
-        By default, a row holds one band of a material.
+        """Training samples (n, P') from mapped values (N, B_e, P) in the embedding bands, by default a row for one band
+        of a material, and cosines (P,) as (P',).
         """
         return mapped.reshape(-1, mapped.shape[2]), cosines
 
     def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
-        """Direction pairs at which a new material is compared with what the space predicts.
-
-        Args:
-            is_isotropic: whether both are.
+        """Direction pairs at which a new material is compared with what the space predicts, where both are isotropic or
+        not.
         """
         return encoding_pairs(is_isotropic)
 
@@ -201,9 +196,9 @@ def require_shapes(stored: Mapping[str, Array], shapes: Mapping[str, tuple[int, 
     return [stored[name] for name in shapes]
 
 
-def require_bands(stored: Mapping[str, Array], name: str, n_bands: int) -> Indices:
+def require_bands(stored: Mapping[str, Array], n_bands: int) -> Indices:
     """Band indices of a file, as integers. Raises ValueError unless they increase and there are such bands."""
-    bands = stored[name].astype(np.int64)
+    bands = stored["bands"].astype(np.int64)
     if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
-        raise ValueError(f"dataset '{name}' holds {bands.tolist()}, expected increasing bands")
+        raise ValueError(f"dataset 'bands' holds {bands.tolist()}, expected increasing bands")
     return bands

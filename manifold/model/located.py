@@ -32,7 +32,6 @@ class Reconstruction:
     """A measured material as others describe it.
 
     Attributes:
-        brdf: the description.
         materials: how many others there are.
         errors: of the description.
         plausibility: of the file that it was written to, or would have been; None where none was asked for.
@@ -83,7 +82,7 @@ class Located(Reconstruction):
         latent: shape (Q,).
         coordinates: the same, with the digits that reproduce the prediction there.
         colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents fix them.
-        expected: expected errors there; None where the model is not calibrated.
+        expected: None where the model is not calibrated.
         nearest: the three nearest materials with their distances.
     """
 
@@ -111,13 +110,8 @@ def locate(model: Manifold, file: BsdfFile) -> Located:
 def locate_brdf(
     model: Manifold, brdf: BRDF, notes: tuple[str, ...] = (), rotations_rad: Sequence[float] = (0.0,)
 ) -> Located:
-    """Embed any BRDF in a fitted manifold.
-
-    Args:
-        model: the manifold.
-        brdf: in the bands of its library.
-        notes: on the BRDF, which become part of the diagnostics.
-        rotations_rad: azimuths by which the sample may lie turned; other than 0, of a measured file only.
+    """Embed any BRDF in a fitted manifold, with notes on it that become diagnostics; a measured file may lie turned by
+    one of several azimuths.
     """
     trials = [0.0] if model.materials.is_isotropic else rotations_rad
     rotation, found = min(
@@ -151,13 +145,8 @@ def reconstruct_file(
     *,
     numbers: int | None = None,
 ) -> Reconstruction:
-    """Describe a measured file by non-negative least squares over the materials of a library, see `reconstruct`.
-
-    Args:
-        library: of measured materials in the same bands.
-        file: the measured file.
-        without: names of materials that take no part.
-        numbers: that may describe the file; by default as many as it takes.
+    """Describe a measured file by non-negative least squares over the other materials of a library, in at most so many
+    numbers, see `reconstruct`.
     """
     names = names_without(library, without)
     if not names:

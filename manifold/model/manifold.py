@@ -306,7 +306,7 @@ def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold,
     return loaded, loaded.library.content_hash
 
 
-def load_model(model: Manifold | Path | str, library: Path | str | None = None) -> Manifold:
+def load_model(model: Manifold | Path | str, library: Path | str | None) -> Manifold:
     """A model, read again only where its file or its library has changed; one that is given stays itself."""
     if isinstance(model, Manifold):
         return model

@@ -60,10 +60,7 @@ class LatentMap:
     """Latents of materials; weights, uncertainty and expected errors at other latents.
 
     Attributes:
-        materials: the measured materials; `materials.library` is where they are read from.
         names: material names in the order of the latents, N of them.
-        space: latents and the Gaussian process on them.
-        settings: how it was fitted.
         left_out: places and errors of left-out materials; None for a model that is not calibrated.
     """
 

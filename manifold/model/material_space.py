@@ -28,7 +28,6 @@ class MaterialSpace(LatentSpace):
         X: latents, shape (N, Q).
         S: Gram matrix of the mapped materials, not centred, shape (N, N).
         n_outputs: D, the outputs behind S.
-        kernel: covariance function on the latents.
     """
 
     X: Array

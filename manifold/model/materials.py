@@ -38,11 +38,10 @@ class _Latest(dict[str, MeasuredBRDF]):
 
 
 class MaterialCache:
-    """Materials of a library by name: as measured, with unmeasured cells filled, and in a few bands only.
+    """Materials of a library by name, in the order of the latents: as measured, with unmeasured cells filled, and in a
+    few bands only.
 
     Attributes:
-        library: where they are read from.
-        names: in the order of the latents, N of them.
         is_nonnegative: whether negative values are taken for 0 where materials are combined; RGB files have some,
             colours outside sRGB.
     """
@@ -146,9 +145,8 @@ class MaterialCache:
 
     @property
     def farthest_turned(self) -> tuple[str, str, float]:
-        """Of the materials read, two that lie turned most against each other, and by what angle in radians.
-
-        At most a quarter of a turn; 0 where the normals of fewer than two have a direction.
+        """Of the materials read, two that lie turned most against each other, and by what angle in radians, at most a
+        quarter of a turn; 0 where the normals of fewer than two have a direction.
         """
         apart = [
             (a, b, abs((self._turned[a] - self._turned[b] + 0.5 * np.pi) % np.pi - 0.5 * np.pi))
@@ -195,13 +193,7 @@ _PREDICTED_AT_ONCE = 8  # predictions evaluated together
 
 
 class MaterialTable:
-    """Materials in some bands (B,), and how far predictions of them are from what they measure.
-
-    Attributes:
-        bands: indices, increasing, shape (B,).
-        materials: in these bands.
-        lights: in which their balls are judged.
-    """
+    """Materials in some bands (B,), increasing, and how far predictions of them are from what they measure."""
 
     def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices) -> None:
         """Select the bands of all materials."""

@@ -47,9 +47,7 @@ class ModelRecord:
     """The content of a model file.
 
     Attributes:
-        library: the library's place.
         library_hash: of its content when the model was fitted.
-        names: of the materials.
         settings, statistics: plain values by name.
         arrays: of the latent space, by name.
     """
@@ -178,13 +176,7 @@ SPACES: dict[str, type[LatentSpace]] = {space.kind: space for space in (BlendSpa
 
 
 def open_library(path: Path, stored: ModelRecord, library: Library | Path | str | None) -> Library:
-    """The library of a model file.
-
-    Args:
-        path: of the model.
-        stored: its content.
-        library: path of the library, if it was moved.
-    """
+    """The library of a model file, or the one given, if it was moved."""
     if library is None:
         library = stored.library
         if not library.exists():

@@ -53,11 +53,9 @@ FINE_OPTIONS = OutputOptions(resolution=48, incidences=24)
 
 
 class OutputFile(NamedTuple):
-    """A BRDF as a file.
+    """A BRDF as a file, and its plausibility.
 
     Attributes:
-        file: what is written.
-        plausibility: of that.
         projection: what making it physical has changed, and what is left, as sentences; none where it was not asked.
         change: errors of it with respect to what would be written without; None where it was not asked.
     """
@@ -81,14 +79,7 @@ def output_file(
     A file whose albedo exceeds 1.05 is measured again with twice as many incidences, which resolve sharp highlights
     near grazing, and returned so where its albedo then does not. A file with a valley beside its highlight is measured
     again with a softer normal distribution; the better one of the two is returned. If it is to be physical, it is then
-    projected.
-
-    Args:
-        brdf: what is measured.
-        name: of the material.
-        options: see `OutputOptions`.
-        description: of the file.
-        keeps_hue: scale all bands alike where the albedo of one is too large.
+    projected, with `keeps_hue` by the same scale in all bands where the albedo of one is too large.
     """
     measure = partial(
         goniometer.measure,
@@ -142,8 +133,7 @@ class WrittenFile:
     """A file that was written, or refused.
 
     Attributes:
-        plausibility: of the file.
-        file: what was written; None where it was refused.
+        file: None where it was refused.
         projection, change: see `OutputFile`.
         refusal: why it was not written, else None.
     """
@@ -165,14 +155,10 @@ def write_output(
     keeps_hue: bool = False,
     expected_error: float | None = None,
 ) -> WrittenFile:
-    """Measure a BRDF with the virtual goniometer, and write the file; a strict one only if its albedo is at most 1.05.
+    """Measure a BRDF without negative values by the virtual goniometer, and write the file, named as the material; a
+    strict one only if its albedo is at most 1.05, else a refusal ends in the remedy.
 
-    Args:
-        output: the file; its name becomes the material's.
-        brdf: what is measured, without negative values.
-        options, description, keeps_hue: see `output_file`.
-        remedy: what to do about a file whose albedo exceeds 1.05, besides taking it as it is.
-        expected_error: of cube roots, relative; kept as the file's field `EXPECTED_ERROR`.
+    `expected_error`, of cube roots, relative, is kept as the file's field `EXPECTED_ERROR`.
     """
     name = material_name(output)
     file, found, projection, change = output_file(

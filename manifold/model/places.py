@@ -35,9 +35,8 @@ materials, or coordinates with commas between. A material called `0,0` comes bef
 
 
 def parse_path(text: str, names: Collection[str]) -> tuple[str, str, float] | None:
-    """The two materials and t of `FROM:TO:T`; None where the text is a name itself, or of another form.
-
-    Names may hold colons: of the ways to split the text, it is the one that gives two materials.
+    """The two materials and t of `FROM:TO:T`; None where the text is a name itself, or of another form. Names may hold
+    colons: of the ways to split the text, it is the one that gives two materials.
     """
     *parts, last = text.split(":")
     ways = [(":".join(parts[:k]), ":".join(parts[k:])) for k in range(1, len(parts))]

@@ -56,9 +56,8 @@ class LobeSampling:
         return density
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (P, 3) and their pdf (P,) for wi (P, 3) and uniform variates (P, 2).
-
-        A pdf of 0 marks an invalid sample.
+        """Outgoing directions (P, 3) and their pdf (P,), 0 of invalid ones, for wi (P, 3) and variates (P, 2) in [0,
+        1).
         """
         chosen, u = choose_lobe(self._shares, u)
         wo = cosine_hemisphere(u)
@@ -82,21 +81,12 @@ class PredictedBRDF(NotebookPicture):
     Weights are those of whole materials, alike in all bands, or of single bands of materials and of analytic lobes,
     each predicted band with weights of its own (`Combination`). With a unit vector as weights of whole materials it
     *is* the measured one, bit for bit, whatever the mapping.
-
-    Attributes:
-        bands: the spectral axis.
-        is_isotropic: whether all materials with a weight are.
-
     Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials; docs/explanation/gplvm.md.
     """
 
     def __init__(self, materials: Sequence[BRDF], combination: Combination, bands: Bands | None = None):
-        """Combine N materials of the same bands.
-
-        Args:
-            materials: whole, or in the sample bands alone where the combination is of single bands.
-            combination: weights and mapping.
-            bands: to predict; by default those of the materials.
+        """Combine N materials of the same bands, whole, or in the sample bands alone where single bands are combined;
+        `bands` are those to predict.
         """
         for material in materials[1:]:
             materials[0].bands.require_same(material.bands, "materials of a prediction", "use one library")
@@ -170,11 +160,7 @@ class PredictedBRDF(NotebookPicture):
         return turned
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B); may be negative where weights are.
-
-        Args:
-            wi, wo: unit vectors (..., 3) that broadcast against each other.
-        """
+        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast; negative where weights may be."""
         if self._measured is not None:
             return self._measured.eval(wi, wo)
         pairs = Pairs(wi, wo)
@@ -204,11 +190,8 @@ class PredictedBRDF(NotebookPicture):
         return np.sum([share * sampler.pdf(wi, wo) for share, sampler in shares if share > 0.0], axis=0)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks an invalid sample.
-
-        Args:
-            wi: incident unit vectors (..., 3).
-            u: uniform variates in [0, 1), shape (..., 2).
+        """Outgoing directions (..., 3) and their pdf (...) in 1/sr, 0 of invalid ones, for wi (..., 3) and uniform
+        variates (..., 2).
         """
         wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
         if u.shape[-1:] != (2,):
@@ -229,11 +212,8 @@ class PredictedBRDF(NotebookPicture):
         return wo.reshape(*shape, 3), density.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 48) -> Array:
-        """Directional albedo, shape (..., B), by quadrature over half vectors.
-
-        Args:
-            wi: incident unit vectors (..., 3).
-            resolution: nodes in elevation and in azimuth.
+        """Directional albedo (..., B) at unit vectors wi (..., 3), by quadrature over half vectors, `resolution` nodes
+        an axis.
         """
         return quadrature_albedo(self, wi, resolution)
 

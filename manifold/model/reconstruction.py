@@ -35,11 +35,8 @@ _OF_VALUES = 0.25  # how much the squared error of values counts beside that of 
 
 
 class ComparedValues:
-    """What a reconstruction compares: values at direction pairs, and the pixels of the ball in the fitted lights.
-
-    Attributes:
-        pixel_weights: how much each pixel counts, so that all lights count the same, shape (K,); the K pixels are the
-            last of the values.
+    """What a reconstruction compares: values at direction pairs, then the K pixels of the ball in the fitted lights, so
+    weighted, (K,), that all lights count the same.
     """
 
     def __init__(self, pairs: Pairs) -> None:
@@ -56,13 +53,11 @@ class ComparedValues:
         return cls(encoding_pairs(is_isotropic))
 
     def weights(self, atoms: Array, brdf: BRDF, numbers: int | None = None) -> Array:
-        """Weights (B, n) of n atoms, the last of which are the lobes of `DICTIONARY`, for a BRDF of B bands.
+        """Weights (B, n) of n atoms, rows of `of_atoms`, the last of which are the lobes of `DICTIONARY`, for a BRDF of
+        B bands.
 
-        Args:
-            atoms: rows of `of_atoms`.
-            brdf: what they describe.
-            numbers: at most so many, see `few_atoms`, of `MAX_BANDS` bands, between which weights are linear; by
-                default as many weights as it takes.
+        There are as many as it takes, or at most so many numbers, see `few_atoms`, of `MAX_BANDS` bands, between which
+        weights are linear.
         """
         material = self.of(brdf)
         if numbers is None:
@@ -155,19 +150,12 @@ _LEAST_GAIN = 1e-9  # of the relative squared error
 
 
 def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Array:
-    """Weights v >= 0 of few of n atoms that explain what was seen in every band.
+    """Weights v >= 0 of few of n atoms that explain what was seen in every band by the same functionals, shape (B, n).
 
     Minimises what `estimator.explain` minimises without a prior. An atom takes a number that says which it is, and a
     weight per band, or one weight that all bands share; a Lambertian is always meant, and takes its weights alone.
     Atoms enter by the error that they save per number; then each is taken out in turn, and others take its place where
     that is better.
-
-    Args:
-        bands: what was seen in each, by the same functionals.
-        numbers: at most so many, at least 1.
-        lambertian: the index of that atom.
-    Returns:
-        Shape (B, n), mostly zeros.
     """
     atoms, seen = bands[0].atoms, np.array([band.seen for band in bands])
 
@@ -180,19 +168,15 @@ def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Ar
         terms, error = search.extended([], numbers)
         for _ in range(_SWEEPS):
             before = error
-            for out in _taken_out(terms):
+            # Each term is taken out in turn, and of few terms each pair.
+            pairs = combinations(terms, 2) if len(terms) <= _FEW else ()
+            for out in [*((term,) for term in terms), *pairs]:
                 found, lower = search.extended([term for term in terms if term not in out], numbers)
                 if lower < error:
                     terms, error = found, lower
             if error > (1.0 - 1e-3) * before:
                 break
         return search_near(search.weights(terms) @ atoms).weights(terms)
-
-
-def _taken_out(terms: list[_Term]) -> list[tuple[_Term, ...]]:
-    """What is taken out in turn: each term, and of few terms each pair."""
-    pairs = combinations(terms, 2) if len(terms) <= _FEW else ()
-    return [*((term,) for term in terms), *pairs]
 
 
 class _Term(NamedTuple):

@@ -161,12 +161,7 @@ def lobe_at(wi: Array, wo: Array, position: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """A material as an end of walks.
-
-    Attributes:
-        highlight: what is changed of it.
-        balls: linear sRGB of its ball's pixels at every roughness, shape (roughnesses, K, 3).
-    """
+    """A material as an end of walks, with its ball's pixels at every roughness in linear sRGB, (roughnesses, K, 3)."""
 
     highlight: Highlight
     balls: Array
@@ -220,12 +215,7 @@ def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> Pre
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk between two materials of the same bands.
-
-    Attributes:
-        ends: both.
-        walked: the same, as ends of walks.
-    """
+    """A walk between two materials of the same bands."""
 
     ends: tuple[BRDF, BRDF]
     walked: tuple[Walked, Walked]

@@ -110,11 +110,8 @@ def few_numbers(B: int) -> int:
 
 
 def fit_nonnegative(sample_bands: int, numbers: Callable[[int], int] | None = None) -> Fit:
-    """All samples and lobes: `manifold.model.reconstruction`.
-
-    Args:
-        sample_bands: bands per material that are samples.
-        numbers: at most so many of B bands, see `few_atoms`; by default as many as it takes.
+    """All samples, of so many bands per material, and lobes: `manifold.model.reconstruction`, with as many weights as
+    it takes, or at most so many numbers of B bands, see `few_atoms`.
     """
 
     def fit(data: Data, training: Indices) -> Encode:

@@ -45,7 +45,7 @@ class Chart:
     Attributes:
         rows: setting by setting; held-out ones first.
         fronts: by error, then by cost, the keys of held-out settings that no other dominates, cheapest first.
-        n_materials, n_bands, folds: of the cross-validation.
+        folds: of the cross-validation.
         reference_seconds: median processor time of the reference, in which all times are.
         scaled: what was measured in part, and how it was scaled to the whole.
         skipped: settings that this machine cannot run, and why.
@@ -270,13 +270,9 @@ def _front(rows: Sequence[ChartRow], error: str, cost: str) -> list[str]:
 
 
 def dominators(costs: Array, tolerance: Array | float = 0.0) -> list[list[int]]:
-    """Per row, the rows that are better in one column and worse in none.
+    """Per row of costs (M, C), the rows that are better in one column and worse in none; less is better.
 
     Every cost is an interval, known to +- tolerance: it is better, or worse, where intervals do not meet.
-
-    Args:
-        costs: less is better, shape (M, C).
-        tolerance: broadcasts against the costs.
     """
     low, high = costs - tolerance, costs + tolerance
     better = high[:, None] < low[None]  # [row, than row, C]

@@ -97,15 +97,10 @@ def cross_validate(
     own_tables: int = 1,
     on_material: Callable[[int], None] | None = None,
 ) -> Encoded:
-    """Encode every material after a fit to what its split learns from.
+    """Encode every material after a fit to what its split learns from; each is predicted in one split, or in none.
 
-    Args:
-        data: of all materials.
-        fit: see `Method`.
-        splits: each material is predicted in one of them, or in none.
-        lap: does the work of a fit; its result, and how long it took.
-        own_tables: so many fits first map the values and multiply them anew, which is part of their time.
-        on_material: called with the number of materials done.
+    `lap` does the work of a fit, and tells how long it took. The first `own_tables` fits map the values and multiply
+    them anew, which is part of their time. `on_material` is called with the number of materials done.
     """
     found: dict[int, Combination] = {}
     fit_times, encode_times = [], []

@@ -65,9 +65,7 @@ class PredictionErrors:
     def of_values(self, n_pairs: float = 1.0, n_bands: int = 1) -> Errors[Array]:
         """Cube-root and linear error and RMSE of every material, each (N,).
 
-        Args:
-            n_pairs: by which eq. 22 divides its sum.
-            n_bands: that those measured stand for in the RMSE within 80 degrees.
+        Eq. 22 divides its sum by `n_pairs`; in the RMSE within 80 degrees, the bands measured stand for `n_bands`.
         """
         within_80 = np.sqrt(np.asarray(self._bounded) / self._weight * n_bands / self._n_measured)
         return replace(self._errors.errors(n_pairs), rmse_80=within_80)
@@ -167,9 +165,7 @@ class Result:
 class KeptResults:
     """What a long experiment has measured, with which an interrupted one is continued; without a library, nothing.
 
-    Args:
-        library: where it is stored.
-        run: in words, all that the results depend on beside the library and the version of the package.
+    `run` says in words all that the results depend on beside the library and the version of the package.
     """
 
     def __init__(self, library: Library | None, run: str) -> None:

@@ -124,12 +124,7 @@ class HeldOut:
         )  # fmt: skip
 
     def errors(self, i: int, f: Array, f_ball: Array) -> Errors[float]:
-        """Errors of a prediction of material i.
-
-        Args:
-            i: which.
-            f, f_ball: predicted, (P, B') and (P_ball, B').
-        """
+        """Errors of predicted values of material i on grid and ball, (P, B') and (P_ball, B')."""
         data = self.data
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
         of_values = Errors.of_values(data.f[i], f, data.cosines)
@@ -165,7 +160,6 @@ class StoredMaterials:
     """Materials in a form of storage, and their values where errors are measured.
 
     Attributes:
-        storage: the form.
         brdfs: in all bands that are stored.
         cells: direction pairs of a file, the median.
         back: the matrix (B, r) from stored bands to all; None where all are stored.

@@ -26,11 +26,8 @@ _TOLERANCE = 1e-5  # of fits that are made once per left-out material
 
 
 def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
-    """The model that a manifold of these settings has, of fewer dimensions where there are not enough materials.
-
-    Args:
-        s: of the model.
-        tolerance: of the fit of a GPLVM.
+    """The model that a manifold of these settings has, of fewer dimensions where there are not enough materials, with a
+    tolerance of the fit of a GPLVM.
     """
     return (
         _fit_blend(s)
@@ -40,9 +37,8 @@ def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
 
 
 def fit_published(data: Data, training: Indices) -> Encode:
-    """As Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search.
-
-    They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
+    """As Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search; they give no rule for the latent of a new
+    material, and cube roots, by which all models are searched, look best.
     """
     settings = Settings("material", 2, "identity", mu=1e-4, optimizer="dls")
     return _process(settings, data, training).encode
@@ -84,7 +80,6 @@ class LatentProcess:
     """A Gaussian process on latents of some materials, and what encodes any material in it.
 
     Attributes:
-        gp: of the latents.
         data: values of all N materials.
         mapping: T.
         training: the materials of the process, shape (n,).

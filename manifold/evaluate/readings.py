@@ -172,7 +172,6 @@ class Curve:
     """Errors of one method.
 
     Attributes:
-        key, title: of the method.
         counts: numbers of readings.
         errors: of every left-out material at each of these numbers, each (N,).
     """
@@ -202,19 +201,12 @@ def measure_curves(
     only: Sequence[str] = (),
     library: Library | None = None,
 ) -> list[Curve]:
-    """Complete every material of a library from the others, from n readings, by every method.
+    """Complete every material of a library from the others, from n readings, by every method, or some by their keys.
 
     Readings are without noise, in the bands of the atoms. Every method chooses its directions, among elevations from 0
     to 80 degrees by 10 and azimuths by 30; the last curves are the completion at the directions of an MA-T12, without
-    gloss and with it.
-
-    Args:
-        atoms: of the library.
-        counts: n, increasing.
-        only: keys of methods; all by default.
-        library: where materials that are done are kept until all are, so that an interrupted run is continued.
-    Raises:
-        UsageError: there is no such method.
+    gloss and with it. Materials that are done are kept in the library until all are, so that an interrupted run is
+    continued.
     """
     methods = [METHODS[key] for key in only or METHODS]
     N = len(atoms.names)

@@ -91,7 +91,7 @@ class Report:
         names: materials, in the order of all per-material tuples.
         latents: shape (N, Q) as nested tuples.
         is_synthetic: per material, whether its file says so.
-        bands, n_bands: the spectral axis in words; how many there are.
+        bands: the spectral axis in words.
         n_error_bands: in how many bands errors were measured; colours always use all.
         grid: name of the grid of direction pairs.
         n_pairs: its size, pairs below the horizon included.
@@ -319,14 +319,8 @@ def tabulate_materials(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Da
 def _refit_there(
     workers: Executor, methods: Sequence[Method], n_materials: int, model: Path, library: Path | None,
 ) -> dict[str, Encoded]:  # fmt: skip
-    """Predictions of every material by methods that are fitted without it, by their keys.
-
-    Args:
-        workers: see `work.run`; they read the materials, and fit.
-        methods: those of a model and standard ones.
-        n_materials: of the model.
-        model: its file.
-        library: if it was moved.
+    """Predictions of every material by methods that are fitted without it, by their keys; workers read the model's file
+    and the materials.
     """
     size = -(-n_materials // _PARTS)
     starts = range(0, n_materials, size)

@@ -88,9 +88,8 @@ _Predictor = Callable[[Pairs], Callable[[], Array]]
 
 
 def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -> ChartRow:
-    """Fit evenly spaced materials by one of `METHODS`.
-
-    Predictions are evaluations at as many direction pairs as the material's file has.
+    """Fit evenly spaced materials by one of `METHODS`; predictions are evaluations at as many direction pairs as the
+    material's file has.
     """
     measured, fits, numbers = [], [], []
     for i in evenly_spaced(len(files), count).tolist():

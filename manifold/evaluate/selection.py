@@ -66,14 +66,8 @@ def choose(
     mapping: bool,
     latent_dim: bool,
 ) -> tuple[Settings, list[Candidate]]:
-    """Choose a mapping at the given number of dimensions, then the number of dimensions under that mapping.
-
-    Args:
-        materials: at least four, of the same bands.
-        settings: what is not chosen; its `latent_dim` is where the choice of a mapping is made.
-        mapping, latent_dim: what to choose.
-    Returns:
-        The settings chosen, and all candidates that were tried, in order.
+    """Choose a mapping at the settings' number of dimensions, then the number of dimensions under that mapping, by at
+    least four materials of the same bands; the settings chosen, and all candidates that were tried, in order.
     """
     if len(materials) < 4:
         raise UsageError(

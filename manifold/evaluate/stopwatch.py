@@ -46,9 +46,8 @@ class RelativeTime:
 
 
 class Stopwatch:
-    """Processor times as ratios to that of a reference run just before, so that neither the machine nor others count.
-
-    The reference is one evaluation of a synthetic material in 195 bands at 8192 direction pairs.
+    """Processor times as ratios to that of a reference run just before, so that neither the machine nor others count:
+    one evaluation of a synthetic material in 195 bands at 8192 direction pairs.
     """
 
     def __init__(self) -> None:

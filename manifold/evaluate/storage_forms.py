@@ -24,7 +24,6 @@ class Storage:
         key, title: part of those of a setting.
         reduce: a file as it is stored.
         bands: how many bands are stored; None is all.
-        number_bytes: bytes of a number.
         stored_bytes: of a reduced file, where that is not what its numbers take.
     """
 
@@ -74,7 +73,7 @@ def few_bands(count: int) -> Storage:
     return Storage(f"{count}_of_bands", f"{count} bands kept", reduce, bands=count)
 
 
-def few_angles(*, outgoing: int = 1, incident: int = 1) -> Storage:
+def few_angles(*, outgoing: int, incident: int) -> Storage:
     """Every second, third ... row and column of the outgoing grid and of its warp, and incident elevation."""
 
     def reduce(file: BsdfFile) -> BsdfFile:

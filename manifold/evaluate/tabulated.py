@@ -28,7 +28,6 @@ class Data(Values):
 
     Attributes:
         f: in 1/sr, shape (N, P, B').
-        wi, wo: unit vectors (P, 3).
         bands: which of all bands the values are in, increasing, shape (B',); by default all.
         n_bands: B.
         stride: one in so many direction pairs serves to find a latent by decoded values.
@@ -55,13 +54,8 @@ class Data(Values):
         *,
         stride: int = PAIR_STRIDE,
     ) -> Data:
-        """Evaluate materials on a grid.
-
-        Args:
-            materials: N of them, of the same bands.
-            grid: direction pairs.
-            bands: which bands, increasing; by default at most MAX_BANDS, evenly spaced.
-            stride: see `Data`.
+        """Evaluate N materials of the same bands on a grid, in some bands, increasing; by default at most MAX_BANDS,
+        evenly spaced.
         """
         n_bands = materials[0].bands.count
         bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
@@ -110,13 +104,8 @@ class Data(Values):
         return self.f.shape[1] * self.f.shape[2]
 
     def gram(self, mapping: ValueMapping, bands: Indices | None = None, *, power: float = 1.0) -> Array:
-        """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has.
-
-        Args:
-            mapping: T.
-            bands: as for `samples`.
-        Returns:
-            Shape (N, N) of whole materials, (N * B_s, N * B_s) of single bands.
+        """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has,
+        shape (N, N) of whole materials, (N * B_s, N * B_s) of single bands.
         """
 
         def products() -> Array:
@@ -129,14 +118,8 @@ class Data(Values):
         return self.cached((mapping, power, None if bands is None else tuple(bands.tolist())), products)
 
     def samples(self, mapping: ValueMapping, bands: Indices | None = None) -> Array:
-        """T(f), sample by sample.
-
-        Args:
-            mapping: T.
-            bands: which bands are samples of their own, shape (B_s,), counted among all; None where whole materials
-                are samples.
-        Returns:
-            Shape (N, P * B') of whole materials, (N * B_s, P) of single bands.
+        """T(f), sample by sample: of whole materials, shape (N, P * B'), or of single bands (B_s,), counted among all,
+        shape (N * B_s, P).
         """
         if bands is None:
             return self.mapped(mapping).reshape(self.n_materials, -1)

@@ -22,14 +22,8 @@ _UNITS = ((1e6, "MB"), (1e3, "kB"), (1.0, "B"))
 def budget_figure(
     whole: Array, chosen: Array, delta_e: Array, materials: Sequence[Mapping[str, Any]], tolerance: float
 ) -> Figure:
-    """Renders above, one row of costs per material below.
-
-    Args:
-        whole, chosen: display pictures (H, W, 3) with the whole files, and with what was chosen.
-        delta_e: their CIEDE2000, shape (H, W).
-        materials: as in the JSON of a budget: `material`, `representation`, `bytes` and `candidates`, each of which
-            has `name`, `bytes`, `predicted` and `verified`.
-        tolerance: CIEDE2000.
+    """Renders (H, W, 3) above, with the whole files and with what was chosen, and their CIEDE2000 (H, W); one row of
+    costs per material below, from the JSON of a budget, with the tolerance in CIEDE2000.
     """
     height = 8.6 / 3.0 * delta_e.shape[0] / delta_e.shape[1]
     figure = new_figure(8.6, height + 0.5 + 2.7 * len(materials))

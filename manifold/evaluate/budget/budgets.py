@@ -56,17 +56,15 @@ class Chosen:
     """The answer for one material.
 
     Attributes:
-        material: its name.
-        candidate: what represents it.
         full_size: bytes of the whole file.
         reason: why nothing cheaper.
         lighting: where and by what light the scene shows it.
         milliseconds: for a million evaluations.
         verified: difference of the renders, all materials exchanged.
         noise: difference of two renders of the reference with different seeds.
-        asset: file that was written.
         candidates: all of them, cheapest first.
         alone: differences of those that were rendered alone, by name.
+        asset: file that was written.
     """
 
     material: str
@@ -116,14 +114,11 @@ class Budget:
     """The answer for a scene.
 
     Attributes:
-        scene: its name.
-        tolerance: what was asked for.
         chosen: per material that is seen.
         unseen: bytes of the materials that no pixel shows, by name; they stay as they are.
         notes: what a user should know, one line each.
         output: the scene that was written.
         backend: `llvm` or `scalar`.
-        settings: how it was analysed.
     """
 
     scene: str
@@ -160,7 +155,7 @@ def example(
     name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
     output: Path | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
-    """Budget one of the package's own scenes. Raises: as `example_scenes.write` and `budget_scene`."""
+    """Budget one of the package's own scenes."""
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         scene = example_scenes.write(name, folder)
@@ -177,12 +172,9 @@ def budget_scene(
 ) -> Budget:
     """Find the cheapest representation of each measured material of a scene that keeps its picture.
 
-    Args:
-        scene: XML or JSON file, or a dictionary of Mitsuba made of plain values.
-        tolerance: how much the picture may differ, and what it may cost.
-        settings: how the scene is analysed.
-        output: folder for the chosen files and a scene that uses them; made if missing.
-        picture: also draw both renders, and what every representation costs.
+    The scene is an XML or JSON file, or a dictionary of Mitsuba made of plain values. The chosen files and a scene that
+    uses them are written to the folder `output`, made if missing; `picture` shows both renders, and what every
+    representation costs.
     """
     document = SceneDocument.read(scene)
     if picture is not None:

@@ -20,14 +20,8 @@ _COLOUR_WEIGHT = 30.0  # of colours against spectra, in standard deviations
 
 
 def band_nodes(bands: Bands, light: Array, count: int) -> Array:
-    """Wavelengths in nm where few bands serve best, increasing, shape (count,).
-
-    Half of them follow the light as the observer sees it, half are spread over what is visible.
-
-    Args:
-        bands: of the light.
-        light: spectral power in these bands, shape (L,).
-        count: how many.
+    """Wavelengths in nm where few bands serve best, increasing, shape (count,): half follow the light, spectral power
+    (L,) in its bands, as the observer sees it, half are spread over what is visible.
     """
     seen = _sensed(bands, light).sum(axis=1)
     even = ((_SEEN_NM >= 400.0) & (_SEEN_NM <= 700.0)).astype(float)
@@ -37,14 +31,11 @@ def band_nodes(bands: Bands, light: Array, count: int) -> Array:
 
 
 def few_bands(source: Bands, bands: Bands, light: Array, count: int) -> tuple[Array, Array]:
-    """Nodes in nm (r,) that stand for a spectrum under a light, and the matrix (r, B) from its B values to them.
+    """Nodes in nm (r,) that stand for a spectrum under a light, and the matrix (r, B) from its B values to them;
+    `bands`, `light` and `count` as in `band_nodes`.
 
-    By least squares. Between nodes a spectrum is linear, beyond them constant. What counts most is the colour under
-    the light, which three nodes already keep; the freedom that is left keeps the spectrum, where the observer sees.
-
-    Args:
-        source: the B bands of the spectrum.
-        bands, light, count: as in `band_nodes`.
+    By least squares. Between nodes a spectrum is linear, beyond them constant. What counts most is the colour under the
+    light, which three nodes already keep; the freedom that is left keeps the spectrum, where the observer sees.
     """
     nodes, sensed = band_nodes(bands, light, count), _sensed(bands, light)
     level = np.sqrt(sensed.sum(axis=1) / sensed.sum() + 1e-3 / len(_SEEN_NM))[:, None]
@@ -76,13 +67,8 @@ def with_bands(file: BsdfFile, nodes: Array, projection: Array) -> BsdfFile:
 
 
 def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: int) -> BsdfFile:
-    """A file on coarser grids of directions.
-
-    Args:
-        file: what to reduce.
-        theta_i: indices of the incident elevations to keep, increasing.
-        resolution: nodes per axis of the outgoing grid.
-        warp_nodes: nodes per axis of the distribution of visible normals.
+    """A file at some incident elevations, by their indices, increasing, with so many nodes per axis of the outgoing
+    grid and of the distribution of visible normals.
     """
     brdf = MeasuredBRDF(replace(file, rotation_rad=0.0))  # nodes are where the sample was measured
     vndf = _resampled(file.vndf[:, theta_i], warp_nodes)
@@ -126,15 +112,11 @@ def _resampled(values: Array, n: int) -> Array:
 
 
 def kept_elevations(file: BsdfFile, theta_rad: Array, count: int) -> Array:
-    """Indices of the incident elevations of a file that a scene misses least, increasing, shape (count,).
+    """Indices of at least two incident elevations of a file that a scene of elevations (M,) misses least, increasing,
+    shape (count,).
 
     One after the other goes the node whose neighbours stand in for it best, weighed by how often its surroundings
     occur; the first and the last stay.
-
-    Args:
-        file: any file.
-        theta_rad: incident elevations that occur, shape (M,).
-        count: how many to keep, at least 2.
     """
     nodes = np.asarray(file.theta_i_rad, dtype=float)
     mean = file.spectra.mean(axis=(0, 2))  # (T, H, W)

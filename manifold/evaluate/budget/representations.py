@@ -41,7 +41,6 @@ class Representation:
     """One way to represent a material.
 
     Attributes:
-        name: in words.
         size: bytes of its numbers in single precision, or of its file.
         bsdf: dictionary of Mitsuba, in the scene's kind of colour.
         predicted: mean CIEDE2000 in direct light.
@@ -66,8 +65,6 @@ class _Builder:
     """Makes the candidates of one material, and predicts how each appears.
 
     Attributes:
-        file: of the material.
-        lighting: where and by what light the scene shows it.
         rows: samples of the lighting that count, shape (m,).
         found: candidates so far.
     """
@@ -134,12 +131,8 @@ class _Builder:
 
 
 def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> list[Representation]:
-    """All representations of a measured file, cheapest first; the whole file is among them.
-
-    Args:
-        path: the file.
-        lighting, survey: where and by what light the scene shows it.
-        folder: where reduced files are written; made if missing.
+    """All representations of a measured file, cheapest first, the whole file among them; reduced files are written to
+    the folder.
     """
     folder.mkdir(exist_ok=True)
     builder = _Builder(path, lighting, survey, folder)

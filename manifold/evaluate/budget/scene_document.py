@@ -48,12 +48,7 @@ class SceneMaterial:
 
 
 class SceneDocument:
-    """A scene as Mitsuba has parsed it, of which no plugin is loaded yet.
-
-    Attributes:
-        origin: name of the scene.
-        materials: measured materials, each once.
-    """
+    """A scene as Mitsuba has parsed it, of which no plugin is loaded yet, and its measured materials, each once."""
 
     def __init__(self, state: Any, origin: str) -> None:
         """Take Mitsuba's `ParserState`; see `read`."""
@@ -128,7 +123,7 @@ class SceneDocument:
         return _accepted(instantiate, self.origin)
 
     def write(self, path: Path, bsdfs: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the scene as XML, with BSDFs by key in place of its materials. Raises: UsageError."""
+        """Write the scene as XML, with BSDFs by key in place of its materials."""
         mi = backend.mitsuba("rgb", Backend("scalar"))
         state = self._with(mi, bsdfs)
         for node in state.nodes:
@@ -148,7 +143,7 @@ class SceneDocument:
 
 
 def _material(props: Any, origin: str) -> SceneMaterial:
-    """A material of its plugin's properties. Raises: UsageError, where one would be ignored."""
+    """A material of its plugin's properties; one that would be ignored is refused."""
     kind = props.plugin_name()
     own = {name: str(props[name]) for name in sorted(props.keys())}
     for name in own:
@@ -182,7 +177,7 @@ def _children(mi: Any, props: Any) -> list[tuple[str, int]]:
 
 
 def _accepted(work: Any, origin: str) -> Any:
-    """The result of some work of Mitsuba's. Raises: UsageError, where Mitsuba refuses the scene."""
+    """The result of some work of Mitsuba's, whose refusal of the scene becomes a UsageError."""
     try:
         return work()
     except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
@@ -204,7 +199,7 @@ def _parse_xml(mi: Any, config: Any, scene: Path) -> tuple[Any, list[Path]]:
 
 
 def _dictionary(scene: Path | Mapping[str, Any], origin: str) -> dict[str, Any]:
-    """Plain values of a scene whose plugins may be loaded. Raises: FileFormatError, UsageError."""
+    """Plain values of a scene whose plugins may be loaded."""
     content = disk.read_json(scene, "a Mitsuba scene, .xml or .json") if isinstance(scene, Path) else scene
     if not isinstance(content, Mapping) or content.get("type") != "scene":
         raise FileFormatError(

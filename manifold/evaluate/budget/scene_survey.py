@@ -109,10 +109,9 @@ class Survey:
         return images.tone_map(xyz_to_srgb(radiance / self.white[1], self.white / self.white[1]))
 
     def film(self) -> dict[str, Any]:
-        """The film for renders whose first three channels `display` takes.
-
-        Spectral: X, Y, Z, and a fourth channel that only steers wavelengths to where the light has power, so that
-        the lines of fluorescent lamps are sampled as often as they matter.
+        """The film for renders whose first three channels `display` takes; spectral ones are X, Y, Z, and a channel
+        that only steers wavelengths to where the light has power, so that lines of fluorescent lamps are sampled as
+        often as they matter.
         """
         width, height = self.size
         common = {"width": width, "height": height, "rfilter": {"type": "box"}}
@@ -133,13 +132,8 @@ class Survey:
 
 
 def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, size: int) -> Survey:
-    """Look at a scene.
-
-    Args:
-        document: the scene.
-        files: the measured file of each of its materials, by key.
-        is_rgb: whether these are linear sRGB.
-        size: pixels of the longer side of the analysed picture.
+    """Light and view of a scene's materials, by their measured files, in linear sRGB or not, in a picture of `size`
+    pixels on the longer side.
     """
     mi = backend.mitsuba("rgb" if is_rgb else "spectral", Backend("scalar"))
     width, height = document.film_size

@@ -99,12 +99,9 @@ def search(
 ) -> Answer:
     """Find the cheapest choice within a tolerance.
 
-    Args:
-        candidates: per material, cheapest first; the last resort, `Representation.is_full`, is among them.
-        tolerance: see there.
-        verify: renders a choice; called once for each.
-        milliseconds: time of a candidate; needed where the tolerance limits it.
-        others: bytes of materials that stay as they are; they count where the tolerance limits bytes.
+    Candidates of each material are sorted, cheapest first; the last resort, `Representation.is_full`, is among them.
+    `verify` renders a choice, and is called once for each. Times of candidates are needed where the tolerance limits
+    them; where it limits bytes, those of `others`, which stay as they are, count.
     """
     alone: dict[str, dict[str, Difference]] = {key: {} for key in candidates}
 

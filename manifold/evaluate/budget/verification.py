@@ -61,12 +61,9 @@ class Pictures:
 
 
 def without_noise(whole: float, halves: Sequence[float]) -> float:
-    """A mean difference between renders as it would be without noise.
+    """A mean difference between renders as it would be without noise, from that with all samples, and those with half
+    of them each.
 
     Squared, noise adds a share that is inverse to the samples: what halves show beyond the whole is the whole's share.
-
-    Args:
-        whole: the difference with all samples.
-        halves: the differences with half of them each.
     """
     return float(np.sqrt(max(2.0 * whole**2 - float(np.mean(np.square(halves))), 0.0)))

@@ -2,27 +2,12 @@
 
 from __future__ import annotations
 
-from manifold.evaluate.stability import (
-    data_failures,
-    extrapolation_failures,
-    fit_failures,
-    library_failures,
-    model_failures,
-    search_failures,
-)
+from manifold.evaluate.stability import data_failures, fit_failures, model_failures
 from manifold.evaluate.stability.trials import FINE, OUTCOMES, WRONG, Mode, Row, Stability
 from manifold.model.settings import KINDS
 from manifold.names import counted
 
-MODES: tuple[Mode, ...] = (
-    *model_failures.MODES,
-    *extrapolation_failures.MODES,
-    *search_failures.MODES,
-    *data_failures.MODES,
-    *library_failures.MODES,
-    *fit_failures.MODES,
-)
-
+MODES: tuple[Mode, ...] = (*model_failures.MODES, *data_failures.MODES, *fit_failures.MODES)
 
 COLUMNS = ("failure mode", "method", "undetected", "limit", "outcome")
 _MODE_WIDTH, _METHOD_WIDTH = 21, 15
@@ -30,9 +15,8 @@ FALSE_ALARM = "false alarm"
 
 
 def table(made: Stability) -> list[list[str]]:
-    """A row per mode and method: the largest error without a message, its limit, and what happened.
-
-    A mode is named in its first row only.
+    """A row per mode, named in its first row only, and method: the largest error without a message, its limit, and what
+    happened.
     """
     rows, previous = [], None
     for row in made.rows:

@@ -1,10 +1,13 @@
-"""Failure modes of data in files: unmeasured cells, grazing directions, sharp lobes, coarse grids, versions."""
+"""Failure modes of data: unmeasured cells, grazing directions, sharp lobes, coarse grids, changed libraries."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -15,6 +18,9 @@ from manifold.directions import from_spherical
 from manifold.evaluate.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, named, plastic, predict
 from manifold.evaluate.stability.trials import SAME_RESULT, Limit, Measurement, Mode
 from manifold.fit.principled import fit_bsdf
+from manifold.io_rgl import write_bsdf
+from manifold.library.importing import import_files
+from manifold.library.store import Library
 from manifold.metrics import relative_error
 from manifold.model.diagnostics import diagnose
 from manifold.model.located import locate
@@ -22,7 +28,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions, output_file
 from manifold.model.places import Place
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import BsdfFile, Mask
+from manifold.records import Array, BsdfFile, Mask
 
 _AS_A_FILE = Limit(
     "relative difference to the result of whole files (of the roughness for the fit)",
@@ -186,6 +192,54 @@ def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
     return replace(file, spectra=((stored + unit // 2) & ~(unit - np.uint32(1))).view(np.float32))
 
 
+Change = Callable[[Path, float], None]
+"""Done to a folder of `library.zarr` and `model.h5` by a severity; 0 does nothing."""
+
+
+def _after_change(change: Change, bed: TestBed, severity: float) -> Measurement:
+    """A prediction half way between two materials after a change of the library, beside that before."""
+
+    def make() -> Path:
+        model = bed.fit(middle_of_family(bed), "material")
+        model.save(model.library.path.parent / "model.h5")
+        return model.library.path.parent
+
+    def values(folder: Path) -> Array:
+        model = Manifold.load(folder / "model.h5")
+        return model.predict(model.between(*_PAIR, 0.5)).eval(bed.pairs.wi, bed.pairs.wo)
+
+    with TemporaryDirectory() as temporary:
+        folder = Path(shutil.copytree(bed.cached("storage", make), temporary, dirs_exist_ok=True))
+        whole = values(folder)
+        change(folder, severity)
+        return Measurement(relative_error(whole, values(folder)))
+
+
+def _exchange(folder: Path, count: float) -> None:
+    """Exchange materials of the library for others under the same names."""
+    library = Library.open(folder / "library.zarr")
+    (folder / "new").mkdir()
+    for name in _materials(library)[: int(count)]:
+        file = library.read(name)
+        write_bsdf(
+            folder / "new" / f"{name}_spec.bsdf", replace(file, spectra=file.spectra * np.float32(0.5))
+        )
+    if count:
+        import_files(library.path, [folder / "new"], replace=True)
+
+
+def _remove(folder: Path, count: float) -> None:
+    """Remove materials from the library."""
+    library = Library.open(folder / "library.zarr")
+    for name in _materials(library)[: int(count)]:
+        shutil.rmtree(library.path / "materials" / name)
+
+
+def _materials(library: Library) -> list[str]:
+    """Names of the materials, those that predictions are between first."""
+    return [*_PAIR, *(name for name in library.names if name not in _PAIR)]
+
+
 MODES: tuple[Mode, ...] = (
     _unmeasured(
         "exact_zeros", "cells that contain zeros although they are marked as measured", _zeroed,
@@ -242,5 +296,11 @@ MODES: tuple[Mode, ...] = (
             "Principled fit": partial(_fitted, _rounded),
         },
         "Single precision exceeds the accuracy of measurements; half precision suffices for storage.",
+    ),
+    Mode(
+        "changed_library", "materials of a library exchanged, or removed, after a model was fitted to it",
+        "materials", (0.0, 1.0, 3.0), SAME_RESULT,
+        {"exchanged": partial(_after_change, _exchange), "removed": partial(_after_change, _remove)},
+        "Embed again after every change of a library.",
     ),
 )  # fmt: skip

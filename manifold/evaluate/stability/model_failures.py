@@ -1,4 +1,4 @@
-"""Failure modes of manifolds: settings, libraries and latents that give unreliable predictions.
+"""Failure modes of manifolds: settings, libraries, places and searches that give unreliable predictions.
 
 Most of them ask for a plastic that lies between the measured ones, and count its error in that of the nearest
 measured material.
@@ -6,7 +6,7 @@ measured material.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,11 +14,19 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.evaluate.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, in_space, predict
+from manifold.evaluate.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, in_space, named, predict
 from manifold.evaluate.stability.trials import BALL, HALF_OF_NEAREST, Limit, Measurement, Mode, Trial
+from manifold.gplvm import GPLVM
+from manifold.gpr import GaussianProcess
+from manifold.kernels import SquaredExponential
+from manifold.likelihood import centre_gram, pca_start
+from manifold.mapping import MAPPINGS
+from manifold.model.combination import Combination
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.manifold import Manifold
-from manifold.records import BsdfFile
+from manifold.model.material_space import MaterialSpace
+from manifold.model.prediction import PredictedBRDF
+from manifold.records import Array, BsdfFile
 
 KINDS = ("material", "blend")
 
@@ -137,6 +145,125 @@ def _requested(bed: TestBed, reflectance: float) -> list[Measurement]:
     return found
 
 
+# -- away from the materials -------------------------------------------------------------------------------
+
+_RAYS = 6
+
+Places = Callable[[TestBed, float], Iterator[tuple[PredictedBRDF, tuple[str, ...]]]]
+"""Predictions at a distance outside the materials, with their diagnostics."""
+
+
+def _from_outermost(
+    kind: str, mapping: str, bed: TestBed, distance: float
+) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
+    """From the outermost material in each of several directions further in that direction."""
+    model = bed.model(kind, mapping)
+    angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
+    for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
+        outermost = model.X[np.argmax(model.X @ ray)]
+        yield predict(model, outermost + distance * model.space.kernel.length_scale * ray)
+
+
+def _brighter(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
+    """At materials' own structures, in colours moved up."""
+    model = bed.model("blend")
+    for x, colours in zip(model.X[::3], model.space.own_colours[::3], strict=True):
+        yield predict(model, x, colours + distance * model.space.kernel.length_scale)
+
+
+def _outside(places: Places, bed: TestBed, distance: float) -> list[Measurement]:
+    """Differences between the balls of predictions and of the nearest plastic, wherever its latent would be."""
+    return [
+        Measurement(bed.ball_difference_to_plastics(brdf), messages)
+        for brdf, messages in places(bed, distance)
+    ]
+
+
+def _across(ratio: float) -> tuple[str, str, float]:
+    """Two members of the family, as far apart in roughness as a ratio, and the roughness halfway."""
+    rough = ALPHAS[-1]
+    smooth = min(ALPHAS, key=lambda alpha: abs(rough / alpha - ratio))
+    return named(smooth, 1), named(rough, 1), float(np.sqrt(smooth * rough))
+
+
+def _on_the_map(kind: str, bed: TestBed, a: str, b: str, t: float) -> BRDF:
+    """What lies between two materials on a map."""
+    model = bed.model(kind)
+    return model.predict(model.between(a, b, t))
+
+
+def _on_the_walk(bed: TestBed, a: str, b: str, t: float) -> BRDF:
+    return bed.model("blend").interpolate(a, b, t)
+
+
+def _on_the_way(walk: Callable[[TestBed, str, str, float], BRDF], bed: TestBed, ratio: float) -> Measurement:
+    """The best of nine places on the way from one material to another, beside the plastic halfway."""
+    a, b, middle = _across(ratio)
+    truth = held_out(bed, middle)
+    ends = [MeasuredBRDF(file) for file in bed.family if file.name in (a, b)]
+    nearest = min(bed.error(end, truth) for end in ends)
+    found = min(bed.error(walk(bed, a, b, float(t)), truth) for t in np.linspace(0.1, 0.9, 9))
+    return Measurement(found / nearest)
+
+
+# -- the search for latents --------------------------------------------------------------------------------
+
+_MAPPING = MAPPINGS["cube-root"]
+_SEARCHES = ("dls", "l-bfgs")
+
+
+def _gram(bed: TestBed) -> Array:
+    """Inner products of the family, in the order of its models."""
+    names = [file.name for file in bed.family]
+    order = [names.index(name) for name in bed.model("material").names]
+    return bed.data.gram(_MAPPING)[np.ix_(order, order)]
+
+
+def _fit(bed: TestBed, S: Array, optimizer: str, start: Array | None = None) -> GPLVM:
+    return GPLVM(2, optimizer=optimizer).fit_gram(S, bed.data.n_outputs, X0=start)
+
+
+def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
+    """The held-out plastic, embedded in a manifold with these latents of the family."""
+    truth = held_out(bed)
+    space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
+    brdf, messages = bed.embed(in_space(bed.model("material"), space), truth)
+    return Measurement(in_error_of_nearest(bed, brdf), messages)
+
+
+# -- starts and ambiguities --------------------------------------------------------------------------------
+
+
+def _from_start(optimizer: str, bed: TestBed, scale: float) -> Measurement:
+    """A fit from principal components that are disturbed by a standard deviation."""
+    S = _gram(bed)
+    start = pca_start(centre_gram(S), 2) + scale * np.random.default_rng(0).normal(size=(len(S), 2))
+    return _held_out_by(bed, _fit(bed, S, optimizer, start))
+
+
+def _again(optimizer: str, bed: TestBed, change: float) -> Measurement:
+    """The same library, its materials in another order and their values changed a little: how far latents move."""
+    S, rng = _gram(bed), np.random.default_rng(0)
+    first = bed.cached(("fit", optimizer), lambda: _fit(bed, S, optimizer).embedding_)
+    order, scale = rng.permutation(len(S)), 1.0 + change * rng.normal(size=len(S))
+    other = (S * scale[:, None] * scale)[np.ix_(order, order)]
+    X = np.empty_like(first)
+    X[order] = _fit(bed, other, optimizer).embedding_
+    return Measurement(float(np.abs(X - first).max() / np.ptp(first)))
+
+
+# -- numbers -----------------------------------------------------------------------------------------------
+
+
+def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
+    """The held-out plastic from the weights of a kernel without observation noise."""
+    model, truth = bed.model("material"), held_out(bed)
+    x = bed.cached("latent of the held-out plastic", lambda: model.embed(truth).latent)
+    weights = GaussianProcess(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
+    brdf = PredictedBRDF(model.materials.filled(), Combination(model.mapping, weights))
+    return Measurement(in_error_of_nearest(bed, brdf))
+
+
 MODES: tuple[Mode, ...] = (
     Mode(
         "short_length_scale", "the kernel of a shorter length scale with latents that were fitted for l = "
@@ -202,5 +329,52 @@ MODES: tuple[Mode, ...] = (
         {"blend": _requested},
         "Request a reflectance between those of the surrounding materials; the warning gives the error of the "
         "nearest one.",
+    ),
+    Mode(
+        "outside_materials", "predictions outside the materials", "length scales from the outermost material",
+        (0.0, 0.25, 0.5, 1.0, 2.0),
+        Limit("CIEDE2000 between the balls of the prediction and of the nearest "
+        "plastic", BALL.value, BALL.reason),
+        {
+            "material": partial(_outside, partial(_from_outermost, "material", "cube-root")),
+            "raw values": partial(_outside, partial(_from_outermost, "material", "identity")),
+            "blend": partial(_outside, partial(_from_outermost, "blend", "cube-root")),
+            "brighter": partial(_outside, _brighter),
+        },
+        "Stay between the materials, or write a physical file: negative values are clipped, the albedo is scaled, "
+        "and f made reciprocal.",
+    ),
+    Mode(
+        "across_classes", "path between a smooth and a rough material", "ratio of roughness",
+        (ALPHAS[3] / ALPHAS[2], ALPHAS[3] / ALPHAS[1], ALPHAS[3] / ALPHAS[0]),
+        HALF_OF_NEAREST,
+        {
+            "GP, material": partial(_on_the_way, partial(_on_the_map, "material")),
+            "blend": partial(_on_the_way, partial(_on_the_map, "blend")),
+            "walk": partial(_on_the_way, _on_the_walk),
+        },
+        "Use `interpolate`: a straight path of latents may pass other materials, and an average of a narrow and a "
+        "wide lobe has both lobes, not one of intermediate width.",
+        ("blend",),
+    ),
+    Mode(
+        "bad_starts", "fits from disturbed principal components", "standard deviation, in length scales",
+        (0.1, 1.0, 10.0, 100.0), HALF_OF_NEAREST, {name: partial(_from_start, name) for name in _SEARCHES},
+        "Keep the start from principal components: from a distant start no search converges.",
+    ),
+    Mode(
+        "run_to_run", "a second fit, with another order of materials and perturbed values", "relative change",
+        (0.0, 1e-9, 1e-6, 1e-4),
+        Limit(
+            "largest shift of a latent, in widths of the map", 0.25,
+            "a material moves to another quarter of the map",
+        ),
+        {name: partial(_again, name) for name in _SEARCHES},
+        "Compare distances, not coordinates, between maps of different libraries; axes may be mirrored.",
+    ),
+    Mode(
+        "ill_conditioned_kernel", "weights of a kernel without observation noise", "length scale l",
+        (1.0, 10.0, 1e2, 1e4, 1e7), HALF_OF_NEAREST, {"GP": _ill_conditioned},
+        "Raise mu to the value in the warning; with a nearly singular kernel matrix, digits are lost.",
     ),
 )  # fmt: skip

@@ -76,7 +76,6 @@ class Mode:
     """One way to fail.
 
     Attributes:
-        key: name.
         concerns: what is done to a method, in a few words.
         severity, severities: what they are, with their unit; from harmless to severe.
         limit: of the error.
@@ -100,7 +99,6 @@ class TrialResult:
     """One trial.
 
     Attributes:
-        severity: of the mode.
         error: the largest; None where the method gave no result.
         undetected_error: the largest without a message; None where every result had one.
         outcome: one of `OUTCOMES`.
@@ -199,14 +197,7 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
 
 
 def run_modes(modes: Sequence[Mode], workers: Executor | None = None) -> Stability:
-    """Run every method of every mode at every severity.
-
-    Args:
-        modes: what to try.
-        workers: see `work.run`; they make test beds of their own.
-    Raises:
-        ManifoldError: a worker was lost.
-    """
+    """Run every method of every mode at every severity; workers make test beds of their own."""
     tasks = [(mode, method) for mode in modes for method in mode.methods]
     found: dict[int, Row | str] = {}
     with TestBed() as bed:
@@ -235,9 +226,8 @@ def _bed_of_worker() -> TestBed:
 
 
 def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialResult:
-    """Run a method at a severity and classify it by its errors and its messages.
-
-    An exception that is not one of this package's errors counts as silently wrong.
+    """Run a method at a severity and classify it by its errors and its messages; an exception that is not one of this
+    package's errors counts as silently wrong.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

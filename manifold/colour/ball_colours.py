@@ -29,10 +29,8 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def environment() -> Array:
-    """The studio's light in coarse cells, which soften its edges, and that of its floor from below.
-
-    Returns:
-        Radiance, float32, laid out as `studio.studio` does, shape (20, 40, 3).
+    """The studio's light in coarse cells, which soften its edges, and that of its floor from below: radiance, float32,
+    laid out as `studio.studio` does, shape (20, 40, 3).
     """
     fine = lights.studio(_ENVIRONMENT_ROWS * _BLUR)
     image: Array = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
@@ -72,13 +70,8 @@ class Picture(Pairs):
         return np.asarray(self.sums.sum(axis=0))
 
     def xyz(self, f: Array, bands: Bands) -> Array:
-        """CIE XYZ under D65 of each pixel, as a display shows it: shape (K, 3).
-
-        What lies outside the range of linear sRGB is clipped to it, as in a picture without tone mapping.
-
-        Args:
-            f: BRDF values at the direction pairs in 1/sr, shape (P, B).
-            bands: of f.
+        """CIE XYZ under D65 of each pixel, as a display shows it, shape (K, 3), of BRDF values (P, B) in 1/sr; what
+        lies outside the range of linear sRGB is clipped to it, as in a picture without tone mapping.
         """
         linear = xyz_to_srgb(self.of(to_xyz(f, bands)), to_xyz(np.ones(bands.count), bands))
         return srgb_to_xyz(np.clip(linear, 0.0, 1.0))
@@ -117,9 +110,7 @@ def ball(
 ) -> Picture:
     """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors; cached: do not write to it.
 
-    Args:
-        pixels, rings, spokes: how fine.
-        turned_deg: how far the studio is turned about the vertical; 180 has its key light behind the ball.
+    The studio is turned about the vertical; by 180 degrees it has its key light behind the ball.
     """
     white, world = white_ball(pixels, rings, spokes)
     return white.under(radiance_at(environment(), rotate_z(world, np.deg2rad(turned_deg))))
@@ -162,13 +153,11 @@ def frames(pixels: int) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=32)
 def sun_ball(degrees: float, pixels: int) -> Picture:
-    """The lit pixels of a ball under a distant lamp, one direction pair each; cached: do not write to it.
+    """The lit pixels of a ball, so many across, under a distant lamp, one direction pair each; cached: do not write to
+    it.
 
-    A white diffuser that faces the lamp has the radiance 1.
-
-    Args:
-        degrees: between lamp and view, to the right; above 90 the lamp stands behind the ball.
-        pixels: across the ball.
+    A white diffuser that faces the lamp has the radiance 1. The lamp is to the right of the view by `degrees`; above 90
+    it stands behind the ball.
     """
     x, y, frame = frames(pixels)
     right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))

@@ -24,12 +24,8 @@ from manifold.records import Array
 
 
 def cached(name: str, key: str, compute: Callable[[], Any]) -> Any:
-    """Plain values, as JSON holds them: from a file of the user's cache folder, or else computed and stored there.
-
-    Args:
-        name: of the file.
-        key: what the values depend on; a file with another key, or a damaged one, is replaced.
-        compute: makes the values.
+    """Plain values, as JSON holds them: from a file of the user's cache folder, or else computed and stored there; a
+    damaged file, or one with another key, which tells what the values depend on, is replaced.
     """
     path = user_cache_path("manifold") / name
     with suppress(OSError, ValueError):
@@ -89,9 +85,8 @@ OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 @lru_cache(maxsize=1)
 def colour_science() -> ModuleType:
-    """The package colour-science, imported without its remarks on optional packages.
-
-    It changes how NumPy prints arrays; the caller's options are restored.
+    """The package colour-science, imported without its remarks on optional packages, and without its changes to how
+    NumPy prints arrays.
     """
     with warnings.catch_warnings(), np.printoptions():
         warnings.simplefilter("ignore")

@@ -34,21 +34,11 @@ class InvisibleBandsWarning(UserWarning):
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
-    """CIE XYZ of reflectance-like spectra; a perfect diffuser has Y = 1 under every illuminant.
+    """CIE XYZ (..., 3) of reflectance-like spectra (..., B); a perfect diffuser has Y = 1 under every illuminant.
 
-    The spectrum is taken as piecewise linear between the bands and constant beyond them, and integrated
-    at 1 nm against the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) carry
-    no spectrum: they are converted by the sRGB matrix, and the illuminant is only checked to exist.
-
-    Args:
-        values: spectra, shape (..., B).
-        bands: their B bands.
-        illuminant: one of `illuminant_names()`.
-    Returns:
-        XYZ, shape (..., 3).
-    Raises:
-        UsageError: there is no such illuminant, or it gives no light where the observer sees.
-        ShapeError: the last axis of `values` is not B.
+    The spectrum is taken as piecewise linear between the bands and constant beyond them, and integrated at 1 nm against
+    the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) carry no spectrum: they are
+    converted by the sRGB matrix, and the illuminant is only checked to exist.
 
     >>> bands = Bands(tuple(range(400, 701, 10)))
     >>> to_xyz(np.ones(bands.count), bands, "A").round(3)
@@ -105,12 +95,8 @@ def file_to_srgb(file: BsdfFile) -> BsdfFile:
 
 
 def luminance(values: Array, bands: Bands) -> Array:
-    """Y of reflectance-like spectra (..., B) under D65, shape (...): 1 for a perfect diffuser.
-
-    D65 is the choice that agrees with the Y of linear sRGB, so spectral and RGB materials compare.
-
-    Raises:
-        ShapeError: the last axis of `values` is not B.
+    """Y of reflectance-like spectra (..., B), shape (...): 1 for a perfect diffuser; under D65, which agrees with the Y
+    of linear sRGB, so that spectral and RGB materials compare.
     """
     weights = _RGB_WEIGHTS if bands.is_rgb else xyz_weights(bands)
     return _require_bands(values, bands) @ weights[:, 1]
@@ -127,14 +113,8 @@ def xyz_weights(bands: Bands, illuminant: str = "D65", observer_deg: int = 2) ->
 
 
 def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Array, Array]:
-    """Spectral weights of a colorimetric sensor for reflectances: the light times the matching functions.
-
-    Args:
-        illuminant: the light.
-        observer_deg: field of view of CIE's standard observer, 2 (1931) or 10 (1964).
-    Returns:
-        wavelengths in nm, shape (K,), every 1 nm, and weights, shape (K, 3), whose sums over wavelengths are the XYZ
-        of the perfect diffuser, with Y = 1.
+    """Wavelengths in nm, (K,), every 1 nm, and the light times the matching functions of CIE's 2 (1931) or 10 degree
+    observer (1964), (K, 3), whose sums over wavelengths are the XYZ of the perfect diffuser, with Y = 1.
     """
     if observer_deg not in (2, 10):
         raise UsageError(f"an observer of {observer_deg} degrees, expected 2 (CIE 1931) or 10 (CIE 1964)")

@@ -47,8 +47,6 @@ class ColourCorrection:
     """From three bands of one instrument to B bands of a reference.
 
     Attributes:
-        source: the bands that are corrected.
-        reference: the bands of the result.
         form: one of `FORMS`.
         matrix: of the terms, shape (T, B).
         scale: by which values are divided before terms are made of them.
@@ -103,19 +101,11 @@ def learn_correction(
     forms: Sequence[str] = FORMS,
     groups: Indices | None = None,
 ) -> ColourCorrection:
-    """The correction that is best on values left out; only forms with fewer terms than values are tried.
+    """The correction from x (n, 3), at least 0, to y (n, B) that is best on values left out, or on samples where
+    `groups` (n,) tells of which each value is; only forms with fewer terms than values are tried.
 
     Of forms some do not make more than a quarter of the samples worse than no correction does: the best of these, or
     where there are none, of those that make the fewest worse.
-
-    Args:
-        x: of the instrument to correct, at least 0, shape (n, 3).
-        y: of the reference at the same places, shape (n, B).
-        source: bands of x.
-        reference: bands of y.
-        forms: which to try.
-        groups: of which physical sample each value is, shape (n,), to leave out one sample at a time; by default
-            values are left out one by one.
     """
     x, y = np.maximum(np.asarray(x, np.float64), 0.0), np.asarray(y, np.float64)
     if len(x) < 4 or not x.max() > 0.0:

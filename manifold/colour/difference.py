@@ -43,19 +43,10 @@ def illuminants_for(bands: Bands) -> tuple[str, ...]:
 
 
 def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -> tuple[Array, Array]:
-    """CIEDE2000 and spectral angle between BRDF values, one of each per pair of spectra.
+    """CIEDE2000 (...) and spectral angle in degrees (...) between measured and predicted BRDF values (..., B) in 1/sr.
 
-    Args:
-        f: measured values in 1/sr, shape (..., B).
-        f_star: predicted values, same shape.
-        bands: their B bands.
-        illuminant: whose white the colours are relative to. The spectral angle is that between the spectra of
-            the reflected light; of RGB bands, between linear sRGB vectors.
-    Returns:
-        CIEDE2000, shape (...), and the spectral angle in degrees, shape (...).
-    Raises:
-        ShapeError: the shapes differ, or do not end in B.
-        UsageError: there is no such illuminant.
+    Colours are relative to the illuminant's white. The spectral angle is that between the spectra of the reflected
+    light; of RGB bands, between linear sRGB vectors.
     """
     f, f_star = np.asarray(f), np.asarray(f_star)
     if f.shape != f_star.shape:
@@ -79,13 +70,10 @@ def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
 
 
 def lab_under_d65(lab: Array, viewing: Viewing) -> Array:
-    """CIELAB (..., 3) under D65 and the 2 degree observer of what has a colour under another light, or to another eye.
+    """CIELAB (..., 3) under D65 and the 2 degree observer of what has a CIELAB (..., 3), relative to its white, under
+    another light, or to another eye.
 
     Of all spectra of the colour, the one that is a combination of the smooth ones of the primaries is taken.
-
-    Args:
-        lab: CIELAB under the illuminant, relative to its white, shape (..., 3).
-        viewing: its light and observer.
     Source: Mallett & Yuksel 2019, for the spectra.
     """
     if viewing == DAYLIGHT:
@@ -119,10 +107,8 @@ def delta_e_2000_lab(lab: Array, lab_star: Array) -> Array:
 
 
 def delta_e_itp(xyz: Array, xyz_star: Array) -> Array:
-    """Delta E_ITP between colours of a display whose white is D65 at 100 cd/m^2, shape (...); 1 is just seen.
+    """Delta E_ITP (...) between XYZ (..., 3) of a display whose white, Y = 1, is D65 at 100 cd/m^2; 1 is just seen.
 
-    Args:
-        xyz, xyz_star: CIE XYZ, shape (..., 3), of which white has Y = 1.
     Source: ITU-R BT.2124.
     """
     colour = colour_science()

@@ -25,10 +25,9 @@ def illuminant_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Illuminant:
-    """The relative spectral power of a light.
+    """The relative spectral power of a light, named as by CIE, or as the file that it was read from.
 
     Attributes:
-        name: of a CIE illuminant, or of the file it was read from.
         wavelengths_nm: increasing.
         power: one value per wavelength, linear between, 0 beyond.
     """
@@ -39,11 +38,7 @@ class Illuminant:
 
     @classmethod
     def named(cls, name: str) -> Illuminant:
-        """One of `illuminant_names()`.
-
-        Raises:
-            UsageError: there is no such illuminant.
-        """
+        """One of `illuminant_names()`."""
         key, known = _CIE_FLUORESCENT.get(name, name), standard_tables().illuminants
         if key not in known:
             raise UnknownNameError(
@@ -54,12 +49,7 @@ class Illuminant:
 
     @classmethod
     def read(cls, path: Path) -> Illuminant:
-        """A text file of two columns, wavelength in nm and power in any unit; laid out as in `read_reflectance`.
-
-        Raises:
-            FileFormatError: there are not two rows of two such numbers, wavelengths repeat, or power is negative.
-            UsageError: the file cannot be read.
-        """
+        """A text file of two columns, wavelength in nm and power in any unit; laid out as in `read_reflectance`."""
         nm, power = read_columns(path, "power")
         if power.min() < 0 or not 0 < power.max() < _MOST_POWER:
             raise FileFormatError(
@@ -79,9 +69,8 @@ class Illuminant:
 
 
 def illuminant_power(bands: Bands, illuminant: str) -> Array:
-    """Relative spectral power of an illuminant at the bands, shape (B,); 1 for RGB bands.
-
-    0 where its table does not reach.
+    """Relative spectral power of an illuminant at the bands, shape (B,): 1 for RGB bands, 0 where its table does not
+    reach.
     """
     lamp = Illuminant.named(illuminant)
     return np.ones(bands.count) if bands.is_rgb else lamp.at(np.asarray(bands.wavelengths_nm))

@@ -26,11 +26,8 @@ _ZENITH, _HORIZON = 0.9, 0.28
 def studio(height: int = 256) -> Array:
     """The package's own environment: a dim dome and three soft boxes, linear and without colour.
 
-    Args:
-        height: rows; there are twice as many columns.
-    Returns:
-        Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right
-        from there.
+    Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right from
+    there.
     """
     direction = directions(height)
     elevation = np.maximum(direction[..., 2], 0.0)
@@ -56,10 +53,8 @@ def soft_box(
 
 
 def exposed(environment: Array) -> Array:
-    """An environment scaled so that a white diffuser that lies on the floor has the mean radiance 1.
-
-    Args:
-        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio` does.
+    """An environment (H, W, 3), laid out as `studio` does, scaled so that a white diffuser that lies on the floor has
+    the mean radiance 1.
     """
     require_light(environment)
     theta = np.pi * (np.arange(len(environment)) + 0.5) / len(environment)
@@ -110,14 +105,9 @@ _LAMP, _DARK = (
 
 
 def environment(name: str, height: int = 128) -> Array:
-    """One of `ENVIRONMENTS`, with the light of its floor from below.
-
-    Args:
-        name: which.
-        height: rows; there are twice as many columns.
-    Returns:
-        Linear sRGB radiance, float32, laid out as `studio.studio` does, shape (height, 2 height, 3): a white diffuser
-        that lies on the floor has the mean radiance 1.
+    """One of `ENVIRONMENTS`, with the light of its floor from below: linear sRGB radiance, float32, laid out as
+    `studio.studio` does, shape (height, 2 height, 3), in which a white diffuser that lies on the floor has the mean
+    radiance 1.
     """
     make, floor = ENVIRONMENTS[name]
     image = exposed(make(height))

@@ -44,9 +44,8 @@ def estimate_spectra(values: Array, bands: Bands) -> Array:
 
 
 def with_spectra(readings: Readings) -> Readings:
-    """Readings in three narrow bands as spectra, with a note of the expected error of their colours; others as is.
-
-    Linear sRGB relative to another light than D65, or another observer, becomes relative to these.
+    """Readings in three narrow bands as spectra, with a note of the expected error of their colours; others as is, but
+    linear sRGB relative to another light than D65, or another observer, becomes relative to these.
     """
     if readings.wavelengths_nm is None and readings.viewing != DAYLIGHT:
         return _in_daylight(readings)
@@ -93,9 +92,8 @@ def conversion_errors(viewing: Viewing) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)
 def colour_errors(bands: Bands) -> tuple[float, float]:
-    """Median and 90th percentile of the CIEDE2000 (D65) of measured reflectances, estimated from all others.
-
-    Reflectances of one name, such as the patches of several ColorCheckers, are left out together.
+    """Median and 90th percentile of the CIEDE2000 (D65) of measured reflectances, estimated from all others but those
+    of the same name, such as the patches of several ColorCheckers.
     """
     names, spectra = _reflectances()
     read = _at(spectra, bands)

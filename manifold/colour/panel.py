@@ -32,12 +32,7 @@ _SUN_PIXELS = 32  # across the ball
 
 
 class Panel(Picture):
-    """A ball in several lights: the pixels of one after those of the other.
-
-    Attributes:
-        names: of the L lights.
-        counts: of the pixels of each, shape (L,).
-    """
+    """A ball in L lights: the pixels of one after those of the other, (L,) of them."""
 
     def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[scipy.sparse.csr_array]) -> None:
         """Pixels of each light as sums over the same pairs."""
@@ -64,12 +59,10 @@ class Panel(Picture):
 
 @lru_cache(maxsize=8)
 def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
-    """A panel of lights by their names; cached: do not write to it.
+    """A panel of lights by their names, as in `FITTED` and `JUDGED`; cached: do not write to it.
 
-    Args:
-        names: as in `FITTED` and `JUDGED`.
-        lit: pixels, rings and spokes of the balls in soft lights, as in `ball_colours.ball`.
-        sun_pixels: across the balls under suns.
+    `lit` is pixels, rings and spokes of the balls in soft lights, as in `ball_colours.ball`; `sun_pixels` are those
+    across the balls under suns.
     """
     white, world = ball_colours.white_ball(*lit)
     pairs, parts = white[:], list[tuple[int, scipy.sparse.csr_array]]()

@@ -41,7 +41,6 @@ class Image:
     """A picture in linear values.
 
     Attributes:
-        path: where it was read.
         values: linear sRGB, shape (H, W, 3), float32; of transparent pixels as the file has them.
         is_opaque: pixels that are not transparent, shape (H, W).
         is_clipped: pixels that were at least as bright as their values: integers at their largest value; floats where

@@ -31,16 +31,10 @@ def diffuse_reflectance_names() -> tuple[str, ...]:
 def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
     """A measured diffuse reflectance, in [0, 1], in the shape of `wavelengths_nm`.
 
-    Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`),
-    380 to 780 (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and
-    infrared bands of RGL files are continuations, not measurements.
-
-    Args:
-        name: one of `diffuse_reflectance_names()`, or its part after the slash, which means the first set
-            that has it (`dark skin` is `ohta/dark skin`).
-        wavelengths_nm: wavelengths in nm, any shape.
-    Raises:
-        UsageError: there is no such spectrum.
+    Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`), 380 to 780
+    (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and infrared bands of RGL
+    files are continuations, not measurements. A name is one of `diffuse_reflectance_names()`, or its part after the
+    slash, which means the first set that has it (`dark skin` is `ohta/dark skin`).
     Source: colour-science's `SDS_COLOURCHECKERS`, `SDS_TCS`, `SDS_VS`.
     """
     known = _reflectances()
@@ -94,11 +88,8 @@ class ReflectanceSpectrum:
     """A reflectance over wavelengths, linear between them, its ends held.
 
     Attributes:
-        wavelengths_nm: increasing, at least two.
+        wavelengths_nm: increasing, at least two, that cover half of what is visible.
         values: from 0 to 1, as many.
-        name: what it is called.
-    Raises:
-        UsageError: it is anything else, or covers less than half of what is visible.
     """
 
     wavelengths_nm: tuple[float, ...]
@@ -247,18 +238,12 @@ def weights_at(wavelengths_nm: Array) -> Array:
 
 
 def spectral_changes(ratios: Array, mean: Array, bands: Bands) -> Array:
-    """Changes of red, green and blue weights that give points their colours.
+    """Changes of red, green and blue weights, (..., 3), above 0, that give points their colours, by linear sRGB over
+    the mean's, (..., 3), above 0, and the mean's spectrum (B,).
 
     The spectrum of a point is that of the mean times `weights_at(wavelengths) @ changes`: smooth, never negative, and
     that of the mean where all ratios are 1. Its linear sRGB has the given ratios to the mean's, except for points so
-    saturated that a weight would be negative.
-
-    Args:
-        ratios: linear sRGB over the mean's, shape (..., 3), above 0.
-        mean: spectrum of the mean, shape (B,).
-        bands: of it; for RGB bands the ratios are the changes.
-    Returns:
-        Changes, shape (..., 3), above 0.
+    saturated that a weight would be negative. For RGB bands the ratios are the changes.
     """
     if bands.is_rgb:
         return ratios

@@ -64,7 +64,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
         return _scatter(self._eval, pairs.shape, self.bands.count, pairs.wi, pairs.wo)
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B). Raises: as `eval`."""
+        """f * cos(theta_o) in 1/sr, shape (..., B)."""
         f_cos = self.eval(wi, wo)
         f_cos *= np.maximum(np.asarray(wo, float)[..., 2], 0.0)[..., None]
         return f_cos
@@ -88,7 +88,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
         return wo.reshape(*shape, 3), pdf[..., 0]
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr of solid angle, shape (...). Raises: as `eval`."""
+        """Density of `sample` in 1/sr of solid angle, shape (...)."""
         pairs = Pairs(wi, wo)
         pdf = _scatter(lambda a, b: self._pdf(a, b)[:, None], pairs.shape, 1, pairs.wi, pairs.wo)
         return pdf[..., 0]
@@ -135,15 +135,15 @@ class Lambert(AnalyticBRDF):
 class Sheen(AnalyticBRDF):
     """Back-scattering fuzz of cloth: fibres that stand off the surface.
 
-    D(h) = (2 + 1/r) sin(theta_h)^(1/r) / (2 pi), shadowing is 1 / (4 (cos_i + cos_o - cos_i cos_o)), all
-    scaled by one number per roughness where its albedo would pass 1, which keeps it reciprocal.
+    D(h) = (2 + 1/r) sin(theta_h)^(1/r) / (2 pi), shadowing is 1 / (4 (cos_i + cos_o - cos_i cos_o)), all scaled by one
+    number per roughness where its albedo would pass 1, which keeps it reciprocal.
 
     Attributes:
         roughness: r in [0.05, 1]: small is a narrow rim near grazing, 1 is broad.
         colour: in [0, 1], shape (B,) or a single number.
-        bands: the spectral axis.
-    Sources: Estevez & Kulla 2017, "Production Friendly Microfacet Sheen BRDF" (the distribution);
-    Ashikhmin & Premoze 2007, "Distribution-based BRDFs" (the shadowing term, symmetric and cheap).
+
+    Sources: Estevez & Kulla 2017, "Production Friendly Microfacet Sheen BRDF" (the distribution); Ashikhmin & Premoze
+    2007, "Distribution-based BRDFs" (the shadowing term, symmetric and cheap).
     """
 
     roughness: float

@@ -55,9 +55,7 @@ def _felt(spectrum: str, fuzz: float, width: float, rough: float, glint: float, 
     return recipe
 
 
-def _matte(
-    spectrum: str, lobes: Lobes, rough: float, back: float, eta: float = 1.5, scale: float = 1.0
-) -> Recipe:
+def _matte(spectrum: str, lobes: Lobes, rough: float, back: float, eta: float, scale: float = 1.0) -> Recipe:
     """Paper, wall paint, card: rough pigment, some of it reflecting back to the light, with a surface of its own."""
 
     def recipe(bands: Bands) -> BRDF:

@@ -22,7 +22,7 @@ class RoughDiffuse(AnalyticBRDF):
     Attributes:
         reflectance: of a facet, in [0, 1], shape (B,) or a single number; a white surface returns all light.
         roughness: r in [0, 1]; 0 is Lambert.
-        bands: the spectral axis.
+
     Source: Portsmouth, Kutz & Hill 2024, "EON: A Practical Energy-Preserving Rough Diffuse BRDF", after Fujii's form of
     Oren & Nayar 1994.
     """

@@ -58,12 +58,7 @@ class Lobes:
         return np.where(shape < len(self.shapes), shape, -1)
 
     def values(self, wi: Array, wo: Array, chosen: Indices | None = None) -> Array:
-        """f of lobes at P direction pairs in 1/sr, 0 below the horizon: shape (n, P).
-
-        Args:
-            wi, wo: unit vectors (P, 3).
-            chosen: which lobes, shape (n,); by default all.
-        """
+        """f of lobes, by default all, at unit vectors (P, 3) in 1/sr, 0 below the horizon: shape (n, P)."""
         chosen = np.arange(len(self)) if chosen is None else chosen
         shape, power = self.shape_of(chosen), (chosen - 1) % (self.degree + 1)
         f = np.full((len(chosen), len(wi)), 1.0 / np.pi)
@@ -92,12 +87,7 @@ class Lobes:
 def microfacet_lobe(wi: Array, wo: Array, alpha: float, tail: float = 2.0) -> Array:
     """`D G / (4 cos(theta_i) cos(theta_o))` of a perfect reflector in 1/sr, shape (P,); below the horizon anything.
 
-    Masking is that of GGX, whatever the tail.
-
-    Args:
-        wi, wo: unit vectors (P, 3).
-        alpha: roughness.
-        tail: see `normal_distribution`.
+    Masking is that of GGX, whatever the tail; see `normal_distribution`.
     """
     return normal_distribution(cos_theta_h(wi, wo), alpha, tail) * _masking(wi, wo, alpha)
 

@@ -15,11 +15,8 @@ from manifold.threads import serialised
 
 
 def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
-    """Reflectance of a transparent medium of real index `eta`, 1 beyond the critical angle if eta < 1.
-
-    Args:
-        cos_theta: cosines (n,) in [0, 1].
-        eta: index of refraction relative to air, shape (B,).
+    """Reflectance of a transparent medium of index (B,) relative to air, at cosines (n,) in [0, 1]; 1 beyond the
+    critical angle if eta < 1.
     """
     parallel, perpendicular = _dielectric(cos_theta, eta)
     return 0.5 * (perpendicular + parallel)
@@ -27,7 +24,6 @@ def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
 
 def _dielectric(cos_theta: Array, eta: Array) -> tuple[Array, Array]:
     """`fresnel_polarised` of a real index, in NumPy: fits call it for few cosines, many times.
-
     Source: Born & Wolf, section 1.5.2.
     """
     c = np.clip(np.asarray(cos_theta, float), 0.0, 1.0)[:, None]
@@ -44,23 +40,17 @@ def _dielectric(cos_theta: Array, eta: Array) -> tuple[Array, Array]:
 
 
 def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
-    """Reflectance of a medium of complex index eta + i k, exact.
+    """Reflectance of a medium of index eta + i k relative to air, (B,) or (1,), exact, at cosines (n,) in [0, 1].
 
-    Args:
-        cos_theta: cosines (n,) in [0, 1].
-        eta, k: real and imaginary part of the index relative to air, shapes (B,) or (1,).
-    Source: Born & Wolf, Principles of Optics, section 14.2, in the real form of Lagarde 2013, "Memo on
-    Fresnel equations".
+    Source: Born & Wolf, Principles of Optics, section 14.2, in the real form of Lagarde 2013, "Memo on Fresnel
+    equations".
     """
     parallel, perpendicular = fresnel_polarised(cos_theta, eta, k)
     return 0.5 * (perpendicular + parallel)
 
 
 def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Array]:
-    """The same of light polarised parallel and perpendicular to the plane of incidence, (n, B) each.
-
-    Args, source: as `fresnel_conductor`.
-    """
+    """`fresnel_conductor` of light polarised parallel and perpendicular to the plane of incidence, (n, B) each."""
     if not np.any(k):
         return _dielectric(cos_theta, eta)
     eta, k = _same_shape(eta, k)
@@ -71,16 +61,11 @@ def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Ar
 def fresnel_thin_film(
     cos_theta: Array, wavelengths_nm: Array, film_eta: Array, thickness_nm: float, eta: Array, k: Array
 ) -> Array:
-    """Reflectance of a transparent film on a base of index eta + i k, all internal reflections summed.
+    """Reflectance of a transparent film on a base of index eta + i k (B,), all internal reflections summed, at cosines
+    (n,) in [0, 1] and wavelengths (B,) in air; the film's index (B,) is at least 1, its thickness 0 for the bare base.
 
-    Args:
-        cos_theta: cosines (n,) in [0, 1].
-        wavelengths_nm: wavelengths in air in nm, shape (B,).
-        film_eta: index of the film, at least 1, shape (B,).
-        thickness_nm: thickness of the film in nm; 0 is the bare base.
-        eta, k: index of the base relative to air, both of shape (B,).
-    Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently;
-    Belcour & Barla 2017, whose spectral integration to RGB is not needed here.
+    Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently; Belcour & Barla
+    2017, whose spectral integration to RGB is not needed here.
     """
     wavelengths, film, eta, k = _same_shape(wavelengths_nm, film_eta, eta, k)
     phase = 2.0 * np.pi * thickness_nm / wavelengths
@@ -88,9 +73,8 @@ def fresnel_thin_film(
 
 
 def _same_shape(*values: Array) -> list[Array]:
-    """Values per band, (B,) or (1,), all as contiguous arrays (B,): the loops below do not broadcast.
-
-    Copies, because a view is read-only, and read-only arrays are another type to compile for.
+    """Values per band, (B,) or (1,), all as contiguous arrays (B,): the loops below do not broadcast. They are copies:
+    a view is read-only, and read-only arrays are another type to compile for.
     """
     return [np.array(a, float, order="C") for a in np.broadcast_arrays(*map(np.atleast_1d, values))]
 

@@ -176,11 +176,8 @@ class GGX:
 
 @dataclass(frozen=True, eq=False)
 class AlbedoTable:
-    """Directional albedo per band, tabulated over stretched elevation and azimuth.
-
-    Attributes:
-        ggx: the surface.
-        values: albedo, shape (elevations, azimuths, B); one azimuth for an isotropic surface.
+    """Directional albedo over stretched elevation and azimuth, shape (elevations, azimuths, B); one azimuth for an
+    isotropic surface.
     """
 
     ggx: GGX
@@ -209,12 +206,8 @@ class AlbedoTable:
 
 @dataclass(frozen=True, eq=False)
 class GGXMixture:
-    """Isotropic GGX microsurfaces, each on its share of the area; it stands in for a `GGX`.
-
-    Attributes:
-        parts: pairs (share of the area, roughness alpha), shares with sum 1.
-    Raises:
-        UsageError: there are no parts, or their shares do not sum to 1.
+    """Isotropic GGX microsurfaces, pairs of the share of the area and roughness alpha, shares with sum 1; it stands in
+    for a `GGX`.
     """
 
     parts: Sequence[tuple[float, float]]
@@ -255,11 +248,7 @@ class GGXMixture:
 
 @dataclass(frozen=True, eq=False)
 class MixedAlbedo:
-    """The mean of tables of directional albedo, which it stands in for.
-
-    Attributes:
-        parts: pairs (share, table).
-    """
+    """The mean of tables of directional albedo, by their shares, which it stands in for."""
 
     parts: Sequence[tuple[float, AlbedoTable]]
 
@@ -319,13 +308,11 @@ def _blend(a: Array, b: Array, t: Array) -> Array:
 
 @lru_cache(maxsize=256)
 def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
-    """Directional albedo as a linear map of the Fresnel reflectance at `facet_cosines()`.
+    """Directional albedo as a linear map of the Fresnel reflectance at `facet_cosines()`, read-only, shape (elevations,
+    azimuths, n_cosines).
 
-    E(wi) is the mean of F(<wi, h>) G2 / G1(wi) over visible normals h: by Gauss-Legendre over the height of
-    the cap and an even azimuth, F being linear between the cosines. One table serves any Fresnel term.
-
-    Returns:
-        Shape (elevations, azimuths, n_cosines), read-only.
+    E(wi) is the mean of F(<wi, h>) G2 / G1(wi) over visible normals h: by Gauss-Legendre over the height of the cap and
+    an even azimuth, F being linear between the cosines. One table serves any Fresnel term.
     """
     isotropic = alpha_x == alpha_y
     t = np.linspace(0.0, 1.0, _N_ELEVATIONS)

@@ -26,8 +26,7 @@ class Immersed(AnalyticBRDF):
         brdf: what lies below.
         eta: index of refraction of the layer, at least 1.
         transmittance: of the layer along its normal, one way, in [0, 1], shape (B,) or a single number.
-    Raises:
-        UsageError: eta or transmittance is out of range.
+
     Source: Weidlich & Wilkie 2007, "Arbitrarily Layered Micro-Facet Surfaces", with the radiance's factor 1 / eta^2.
     """
 
@@ -77,12 +76,7 @@ class Immersed(AnalyticBRDF):
 class Retroreflection(AnalyticBRDF):
     """An isotropic BRDF turned back to the light: its value for wi after half a turn about the normal, and wo.
 
-    A lobe around the mirror direction becomes one around wi.
-
-    Attributes:
-        brdf: any isotropic BRDF.
-    Raises:
-        UsageError: the BRDF is anisotropic, and the result would not be reciprocal.
+    A lobe around the mirror direction becomes one around wi. Of an anisotropic BRDF the result would not be reciprocal.
     Source: the back vector of Belcour et al. 2014, "Bidirectional reflectance distribution function measurements and
     analysis of retroreflective materials".
     """
@@ -141,13 +135,8 @@ class _Compound(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class MixedBRDF(_Compound):
-    """A weighted sum of BRDFs with the same bands, such as flakes of several kinds side by side.
-
-    Attributes:
-        components: pairs (weight, BRDF), weights at least 0 with a sum above 0 and at most 1.
-    Raises:
-        UsageError: there are no components, or the weights are not as said.
-        BandMismatchError: the components have different bands.
+    """A weighted sum of BRDFs with the same bands, such as flakes of several kinds side by side: pairs (weight, BRDF),
+    weights at least 0 with a sum above 0 and at most 1.
     """
 
     components: Sequence[tuple[float, BRDF]]
@@ -189,16 +178,11 @@ class MixedBRDF(_Compound):
 
 @dataclass(frozen=True, eq=False)
 class Layered(_Compound):
-    """One BRDF over another: a coat over metallic paint, sheen over felt.
+    """One BRDF over another of the same bands: a coat over metallic paint, sheen over felt.
 
-    f = f_top + (1 - E(wi)) (1 - E(wo)) f_base, E being the albedo of the top: what the top does not reflect
-    reaches the base, undeflected, and leaves likewise. Reciprocal, and reflects at most what arrives if both
-    layers do; light that would go back and forth between them is lost (`Plastic` loses none).
-
-    Attributes:
-        top, base: BRDFs with the same bands.
-    Raises:
-        BandMismatchError: they have different bands.
+    f = f_top + (1 - E(wi)) (1 - E(wo)) f_base, E being the albedo of the top: what the top does not reflect reaches the
+    base, undeflected, and leaves likewise. Reciprocal, and reflects at most what arrives if both layers do; light that
+    would go back and forth between them is lost (`Plastic` loses none).
     Source: the albedo scaling of Kulla & Conty 2017, made symmetric.
     """
 

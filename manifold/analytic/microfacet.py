@@ -138,12 +138,12 @@ class ThinFilm(_RoughReflector):
     """A rough base under a thin transparent film: iridescence by interference, exact per band.
 
     Attributes:
-        ggx: the microsurface.
         film_eta: index of the film, at least 1, shape (B,) or a single number.
-        thickness_nm: thickness of the film in nm, at least 0.
+        thickness_nm: at least 0.
         eta, k: complex index of the base, shape (B,) each; k = 0 is a dielectric.
-        bands: the spectral axis; RGB is taken at 611.4, 549.1 and 464.3 nm.
+        bands: RGB is taken at 611.4, 549.1 and 464.3 nm.
         multiple_scattering: whether to return the light that single scattering loses.
+
     Source: see `fresnel_thin_film`.
     """
 
@@ -172,12 +172,8 @@ class ThinFilm(_RoughReflector):
 
 @dataclass(frozen=True, eq=False)
 class RoughDielectric(_RoughReflector):
-    """The reflection of a rough dielectric boundary; transmitted light is lost (see `Plastic`, `Layered`).
-
-    Attributes:
-        ggx: the microsurface.
-        eta: index of refraction relative to air, above 0, shape (B,) or a single number.
-        bands: the spectral axis.
+    """The reflection of a rough dielectric boundary, of an index above 0 relative to air, shape (B,) or a single
+    number; transmitted light is lost (see `Plastic`, `Layered`).
     """
 
     ggx: GGX | GGXMixture

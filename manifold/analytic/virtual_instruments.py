@@ -30,12 +30,8 @@ _FLAKY = ("metallic", "flake", "iridescent")
 
 
 def ma_t12_readings(brdf: BRDF, name: str, rng: np.random.Generator | None = None) -> Readings:
-    """Readings at the 12 geometries; the BRDF must have `MA_T12_BANDS`, or be RGB.
-
-    Args:
-        brdf: what is measured.
-        name: of the sample.
-        rng: of the noise: 0.3 % of the value, and 3e-4 of reflectance factor; none without it.
+    """Readings at the 12 geometries; the BRDF must have `MA_T12_BANDS`, or be RGB. `rng` adds noise: 0.3 % of the
+    value, and 3e-4 of reflectance factor.
     """
     wi, wo = geometry_ma_t12()
     R = np.pi * np.asarray(brdf.eval(wi, wo), dtype=float)
@@ -48,14 +44,9 @@ def ma_t12_readings(brdf: BRDF, name: str, rng: np.random.Generator | None = Non
     return Readings(name, "X-Rite MA-T12", wi, wo, None if nm is None else np.array(nm), R / np.pi)
 
 
-def mini_diff_table(brdf: BRDF, rng: np.random.Generator | None = None) -> tuple[Array, Array]:
-    """The whole table of a Mini-Diff V2, padding included.
-
-    Args:
-        brdf: what is measured.
-        rng: of the noise: 1 % of the value, and 2e-4 in 1/sr, so that dark values may be negative.
-    Returns:
-        theta_i, phi_i, theta_s, phi_s in radians, shape (P, 4), and f in 1/sr, shape (P, B).
+def mini_diff_table(brdf: BRDF, rng: np.random.Generator | None) -> tuple[Array, Array]:
+    """The whole table of a Mini-Diff V2, padding included: theta_i, phi_i, theta_s, phi_s in radians, (P, 4), and f in
+    1/sr, (P, B). `rng` adds noise: 1 % of the value, and 2e-4 in 1/sr, so that dark values may be negative.
     """
     phi, theta = np.meshgrid(np.arange(0.0, 360.0, 10.0), np.arange(1.0, 91.0), indexing="ij")
     phi_s = np.deg2rad(np.concatenate([[0.0], phi.reshape(-1)]))
@@ -137,13 +128,8 @@ def write(
     seed: int = 0,
     materials: Callable[[], tuple[Material, ...]] = isotropic_materials,
 ) -> list[Path]:
-    """Readings of every isotropic material of the corpus, one file each.
-
-    Args:
-        folder: made if missing.
-        instrument: `ma-t12` (workbooks) or `mini-diff` (ASTM).
-        seed: of the noise.
-        materials: which.
+    """Readings by `ma-t12` (workbooks) or `mini-diff` (ASTM) of every isotropic material of the corpus, one file each,
+    in a folder, made if missing.
     """
     bands, suffix = INSTRUMENTS[instrument]
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from bench_goniometer import corpus_error
 
 from manifold import progress
 from manifold.analytic import corpus
@@ -17,9 +15,6 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-from bench_goniometer import corpus_error
 
 ISOTROPIC = {m.name: m for m in corpus.isotropic_materials()}
 FAMILIES = {

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from bench_goniometer import ALPHAS, mean_relative_error
 
 from manifold.analytic import GGX, Lambert, Plastic, RoughConductor
 from manifold.brdf import goniometer, unmeasured
@@ -18,9 +16,6 @@ from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model.output_file import output_file
 from manifold.records import Bands
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-from bench_goniometer import ALPHAS, mean_relative_error
 
 RGB = Bands(None)
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from urllib.parse import quote
 
+import bench_page
 import numpy as np
 import pytest
 from helpers.browser import control, follow, settle, shown, state, visit
-from helpers.paths import REPOSITORY
 from helpers.small_library import NAMES, small_library
 
 from manifold.colour import ball_colours
@@ -23,9 +22,6 @@ from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.page.page import make_page
 from manifold.page.page_data import AngleGrid, tabulate, tabulated_pairs, to_document
-
-sys.path.insert(0, str(REPOSITORY / "benchmarks"))
-import bench_page
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 

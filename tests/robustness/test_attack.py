@@ -9,12 +9,9 @@ import subprocess
 import sys
 
 import pytest
-from helpers.paths import REPOSITORY
-
-sys.path.insert(0, str(REPOSITORY / "tools"))
-
 from attack import sandbox
 from attack.mutations import of_bytes, of_text
+from helpers.paths import REPOSITORY
 
 
 def test_what_a_case_must_not_do_is_told(tmp_path):

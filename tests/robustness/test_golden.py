@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
-from helpers.paths import REPOSITORY
-
-sys.path.insert(0, str(REPOSITORY / "tools"))
-
 from golden import comparison
 from golden.values import flat
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from attack.mutations import XML_TOKENS, of_bytes, of_json, of_text
+from attack.mutations import XML_TOKENS, of_archive, of_bytes, of_json, of_text
 from attack.sandbox import Ended
 
 Judge = Callable[[Ended], "str | None"]
@@ -43,6 +43,7 @@ def command(*arguments: object) -> Callable[[], object]:
 def prepare(base: Path) -> None:
     """Make what is mutated: small files, a library, a model, a fit, scenes, pictures."""
     import numpy as np
+    from helpers.instrument_files import write_every_format
     from helpers.sample_files import write_samples
     from helpers.small_library import small_model
 
@@ -50,6 +51,8 @@ def prepare(base: Path) -> None:
     from manifold.library.importing import import_files
     from manifold.render import bsdf_parameters
 
+    (base / "instruments").mkdir()
+    write_every_format(base / "instruments")
     write_samples(base / "small", 2)
     import_files(base / "small.zarr", [base / "small"])
     small_model(base / "whole")
@@ -98,6 +101,30 @@ def files(base: Path, folder: Path, rng: random.Random) -> Case:
         command("info", "library.zarr", "--verify")()
 
     return Case(task, _anything, "import")
+
+
+def instruments(base: Path, folder: Path, rng: random.Random) -> Case:
+    """A file of an instrument or a simulator of which something is changed: whole where it is read."""
+    source = rng.choice(sorted((base / "instruments").iterdir()))
+    change = of_archive if source.suffix == ".xlsx" and rng.random() < 0.5 else of_bytes
+    (folder / source.name).write_bytes(change(source.read_bytes(), rng))
+    return Case(_refusing(lambda: read_whole(folder / source.name)), _anything, source.name)
+
+
+def read_whole(path: Path) -> None:
+    """Read all records of a file; one that is not whole is a RuntimeError."""
+    import numpy as np
+
+    from manifold.formats import registry
+    from manifold.formats.readings import Readings
+
+    records = registry.read_all(path)
+    for record in records:
+        parts = [record.wi, record.wo] if isinstance(record, Readings) else []
+        if np.any(np.isinf(record.values)) or not all(np.all(np.isfinite(part)) for part in parts):
+            raise RuntimeError("a record that is not whole")
+    if not records:
+        raise RuntimeError("no record, and no error")
 
 
 def models(base: Path, folder: Path, rng: random.Random) -> Case:
@@ -270,5 +297,5 @@ def servers(base: Path, folder: Path, rng: random.Random) -> Case:
 
 KINDS = {
     "files": files, "models": models, "libraries": libraries, "scenes": scenes, "fits": fits, "servers": servers,
-    "texts": texts,
+    "texts": texts, "instruments": instruments,
 }  # fmt: skip

@@ -1,8 +1,12 @@
-"""Changed bytes and texts."""
+"""Changed bytes, texts, documents and archives."""
 
 from __future__ import annotations
 
+import io
 import random
+import re
+import zipfile
+from collections.abc import Sequence
 
 TOKENS = (
     "null", "[]", "{}", "-1", "0", "1e999", "NaN", "9" * 5000, '""', '"../evil"', "true", "[[[[", "}", "$x", "\\ud800",
@@ -13,6 +17,19 @@ XML_TOKENS = (
     "<bsdf type='../x'/>", "<scene>", "type=''", "<string name='filename' value='/dev/zero'/>", "<!-- -->", "<![CDATA[",
     "&amp;", "&x;",
 )  # fmt: skip
+WORDS = (
+    *(token.encode("utf-8", "surrogatepass") for token in TOKENS),
+    b"-",
+    b",",
+    b"\n",
+    b"\xff\xfe",
+    bytes(9),
+)
+NUMBER = re.compile(rb"[-+]?\d+(\.\d+)?")
+FLOATS = tuple(
+    bytes.fromhex(f) for f in ("0000c07f", "0000807f", "000080ff", "000080bf", "01000000", "9ec97f7f")
+)
+"""NaN, infinities, -1, the least and nearly the largest number of single precision."""
 INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
 
 
@@ -34,13 +51,21 @@ VALUES = (
 )
 
 
-def of_bytes(content: bytes, rng: random.Random) -> bytes:
-    """Some bits, bytes, lengths or ends changed; nearer to the start, where structure lies, more often."""
+def of_bytes(content: bytes, rng: random.Random, places: Sequence[int] = ()) -> bytes:
+    """Some bits, bytes, numbers, words, lengths or ends changed; where structure lies more often.
+
+    Args:
+        content: what is changed.
+        rng: of the change.
+        places: where structure lies; by default nearer to the start.
+    """
     data = bytearray(content)
     for _ in range(rng.choice((1, 1, 1, 2, 8))):
         place = int(len(data) * rng.random() ** rng.choice((1, 4))) if data else 0
-        kind = rng.randrange(7)
-        if kind == 0 and data:
+        if places and rng.random() < 0.7:
+            place = rng.choice(places)
+        kind = rng.randrange(10)
+        if kind == 0 and place < len(data):
             data[place] ^= 1 << rng.randrange(8)
         elif kind == 1:
             data[place : place + rng.choice((1, 4, 64))] = rng.randbytes(rng.choice((1, 4, 64)))
@@ -53,9 +78,31 @@ def of_bytes(content: bytes, rng: random.Random) -> bytes:
             del data[place : place + rng.choice((1, 8, 512))]
         elif kind == 5:
             data[place:place] = data[rng.randrange(len(data) + 1) :][: rng.choice((8, 512))]
-        else:
+        elif kind == 6:
             data += bytes(rng.choice((1, 4096)))
+        elif kind == 7:
+            data[place:place] = rng.choice(WORDS)
+        elif kind == 8:
+            at = place // 4 * 4
+            data[at : at + 4] = rng.choice(FLOATS)
+        elif found := NUMBER.search(data, place, place + 200):
+            data[found.start() : found.end()] = rng.choice(WORDS)
     return bytes(data)
+
+
+def of_archive(content: bytes, rng: random.Random) -> bytes:
+    """A zip archive, such as a workbook, of which one part is changed; packed anew."""
+    out = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(content)) as archive,
+        zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as made,
+    ):
+        names = archive.namelist()
+        chosen = rng.choice(names)
+        for name in names:
+            part = archive.read(name)
+            made.writestr(name, of_bytes(part, rng) if name == chosen else part)
+    return out.getvalue()
 
 
 def of_text(text: str, rng: random.Random, tokens: tuple[str, ...] = TOKENS) -> str:

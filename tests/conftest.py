@@ -60,15 +60,15 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def library(tmp_path_factory) -> Path:
-    """A library of a few RGB materials."""
+    """A library of a few RGB materials, to which tests add nothing but what it caches."""
     from helpers.small_library import small_library
 
     return small_library(tmp_path_factory.mktemp("library"))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def atoms(library):
     """The atoms of which readings are completed."""
     from manifold.estimate import LibraryAtoms
@@ -80,8 +80,13 @@ def atoms(library):
 @pytest.fixture
 def run(capsys, monkeypatch):
     """The command in this process, in a given folder: status, stdout, stderr."""
+    from manifold import work
     from manifold.cli import terminal
     from manifold.cli.main import run as run_main
+
+    # To import the package takes a process seconds: tests of several processes say how many.
+    processes = work.processes
+    monkeypatch.setattr(work, "processes", lambda count=None: processes(count or 1))
 
     # Lines that only say that a command lives depend on the speed of the machine.
     monkeypatch.setattr(terminal, "_SILENT_SECONDS", 1e3)

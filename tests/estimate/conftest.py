@@ -9,12 +9,21 @@ import pytest
 from helpers.small_library import measured
 
 from manifold.colour.lights import environment
+from manifold.estimate import photographs, reports
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.io_rgl import write_bsdf
 from manifold.render.render import render_floating_ball
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch) -> None:
+    """Reports and pictures of photographs in fewer pixels, with fewer samples: no test looks at their noise."""
+    monkeypatch.setattr(reports, "_BALL", 64)
+    monkeypatch.setattr(photographs, "_SIZE", 128)
+    monkeypatch.setattr(photographs, "_SAMPLES", 8)
+
+
+@pytest.fixture(scope="session")
 def photo_atoms(atoms) -> LibraryAtoms:
     """Those of the small library, as pixels see them."""
     return atoms.in_values

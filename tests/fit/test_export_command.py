@@ -16,7 +16,7 @@ from manifold.batch import batch
 from manifold.cli.main import app
 from manifold.errors import ManifoldError, UsageError
 from manifold.fit import exporting
-from manifold.fit.exports import TARGETS
+from manifold.fit.exports import TARGETS, direct
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.model.manifold import Manifold
@@ -24,6 +24,12 @@ from manifold.render import fit_json
 from manifold.render.bsdf_parameters import principled
 
 COPPER = "syn_metal_copper"
+
+
+@pytest.fixture(autouse=True)
+def few_pairs(monkeypatch):
+    """A quarter of the samples of direct fits."""
+    monkeypatch.setattr(direct, "_PAIRS", 128)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +117,16 @@ def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
 def test_a_prediction_is_exported(tmp_path):
     library = small_library(tmp_path)
     Manifold.fit(exporting.Library.open(library), calibrate=False).save(tmp_path / "model.h5")
-    words = ["export", "--latent", NAMES[0], "-M", tmp_path / "model.h5", "-o", tmp_path / "felt.usda"]
+    words = [
+        "export",
+        "--latent",
+        NAMES[0],
+        "-M",
+        tmp_path / "model.h5",
+        "-o",
+        tmp_path / "felt.usda",
+        "--mapped",
+    ]
     result = run(*words, "--json", tmp_path / "report.json")
     assert result.exit_code == 0, result.output
     (made,) = json.loads((tmp_path / "report.json").read_text())["exports"]
@@ -121,7 +136,9 @@ def test_a_prediction_is_exported(tmp_path):
 
 
 def exported(source, out):
-    return batch(exporting.exports(TARGETS["gltf"]), exporting.export_sources(source), out).outcomes
+    return batch(
+        exporting.exports(TARGETS["gltf"], is_mapped=True), exporting.export_sources(source), out
+    ).outcomes
 
 
 def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
@@ -148,26 +165,31 @@ def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
 
 
 def test_a_library_is_exported(tmp_path, monkeypatch, folder):
-    library = small_library(tmp_path, names=NAMES[:2])
+    library = small_library(tmp_path, names=NAMES[:1])
+    fitted_as_copper(monkeypatch, folder)
+    result = run("export", library, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in (tmp_path / "out").glob("[!.]*")} == {
+        f"{NAMES[0]}.glb", "exports.csv", "exports.json", "exports.jsonl"
+    }  # fmt: skip
+    (made,) = json.loads((tmp_path / "r.json").read_text())["exports"]
+    assert made["material"] == NAMES[0]
+    assert made["errors"]["ball"] < 3.0  # though it began as copper
+    assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
+
+
+def fitted_as_copper(monkeypatch, folder):
+    """No file is fitted: each begins as the copper of the folder."""
     content = fit_json.read(folder / "copper_rgb.fit.json")
     monkeypatch.setattr(exporting, "fit_bsdf", lambda samples: None)
     monkeypatch.setattr(exporting.fit_json, "document", lambda result, source: content)
-    result = run("export", library, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
-    assert result.exit_code == 0, result.output
-    assert sorted(path.name for path in (tmp_path / "out").glob("[!.]*")) == sorted(
-        [*(f"{name}.glb" for name in NAMES[:2]), "exports.csv", "exports.json", "exports.jsonl"]
-    )
-    report = json.loads((tmp_path / "r.json").read_text())
-    assert [made["material"] for made in report["exports"]] == sorted(NAMES[:2])
-    assert max(made["errors"]["ball"] for made in report["exports"]) < 3.0  # though all began as copper
-    assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
 
 
 def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, folder):
     library = small_library(tmp_path, names=NAMES[:2])
-    content = fit_json.read(folder / "copper_rgb.fit.json")
-    monkeypatch.setattr(exporting, "fit_bsdf", lambda samples: None)
-    monkeypatch.setattr(exporting.fit_json, "document", lambda result, source: content)
+    fitted_as_copper(monkeypatch, folder)
+    monkeypatch.setattr(exporting, "_PACK_RINGS", 12)
+    monkeypatch.setattr(exporting, "_PACK_SPOKES", 8)
     out = tmp_path / "pack"
     result = run("export", library, "--pack", out, "--mapped", "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
@@ -190,7 +212,7 @@ def test_a_name_that_is_no_file_s_on_every_system_fails_alone(folder, tmp_path):
     source.mkdir()
     for name in ("copper", "CON", "new\nline", ".hidden"):
         shutil.copy(folder / "copper_rgb.fit.json", source / f"{name}.fit.json")
-    result = run("export", source, "-o", out)
+    result = run("export", source, "-o", out, "--mapped")
     assert "'CON' cannot be the name of a material on every system" in str(result.exception)
     assert "\n" not in str(result.exception)
     assert [path.name for path in out.glob("*.glb")] == ["copper.glb"]

@@ -22,7 +22,7 @@ from manifold.errors import ShapeError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
 
-PAIRS = 20_000
+PAIRS = 5_000
 ANISOTROPIC = {m.name for m in corpus.anisotropic_materials()}
 BY_NAME = {m.name: m for m in corpus.isotropic_materials() + corpus.anisotropic_materials()}
 
@@ -184,9 +184,12 @@ def test_evaluation_agrees_with_plain_numpy(corpus_file, rng, name):
     np.testing.assert_allclose(brdf.pdf(wi, wo), pdf, rtol=1e-6, atol=1e-9 * pdf.max())
 
 
-@pytest.mark.parametrize(("name", "rgb"), [CASES[2], CASES[4], CASES[6], CASES[8]])
-@pytest.mark.parametrize("theta_deg", [0.0, 40.0, 80.0])
-def test_samples_follow_the_pdf(corpus_file, rng, name, rgb, theta_deg):
+@pytest.mark.parametrize(
+    ("case", "theta_deg"),
+    [(CASES[2], 80.0), (CASES[4], 40.0), (CASES[6], 0.0), (CASES[6], 80.0), (CASES[8], 40.0)],
+)
+def test_samples_follow_the_pdf(corpus_file, rng, case, theta_deg):
+    name, rgb = case
     brdf = MeasuredBRDF(read_bsdf(corpus_file(name, rgb)))
     wi = from_spherical(np.deg2rad(theta_deg), 0.7)
     # Chrome's lobes, three degrees wide, need 24 points a cell for their expected counts.

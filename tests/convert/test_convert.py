@@ -127,9 +127,9 @@ def test_files_of_several_incidences_become_one_brdf(files, tmp_path):
         paths.append(tmp_path / f"incidence{k}.txt")
         rows = np.flatnonzero(np.isclose(readings.wi[:, 2], z, atol=1e-5))
         write_pab_opto(paths[-1], readings.select_pairs(rows))
-    made = convert(paths, tmp_path / "out.bsdf")
+    made = convert(paths, tmp_path / "out.bsdf", options=Options(resolution=24, n_theta_i=12))
     assert made.nodes == len(readings)
-    assert made.errors.linear < 0.01
+    assert made.errors.linear < 0.02  # of 24 nodes
     with pytest.raises(UsageError, match="dense tables"):
         convert([files["merl"], *paths], tmp_path / "out.bsdf")
 

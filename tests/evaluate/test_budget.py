@@ -33,7 +33,7 @@ from manifold.model.manifold import Manifold
 from manifold.records import Bands
 from manifold.render import backend, render
 
-SMALL = BudgetSettings(size=48, samples=64)
+SMALL = BudgetSettings(size=40, samples=32)
 BANDS = Bands.from_array(np.linspace(380.0, 760.0, 20))
 
 

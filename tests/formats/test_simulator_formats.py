@@ -331,13 +331,11 @@ def error_of(path, expected) -> float:
 
 def test_formats_of_one_band_get_the_luminance(files, tmp_path):
     material = smooth(Bands(None))
-    for name, to in (("fred.txt", "fred"), ("x.anisotropicbsdf", None)):
-        made = convert([files["utia"]], tmp_path / name, to=to)
-        assert made.errors.linear < 0.005
-        assert any("luminance (CIE Y under D65)" in note for note in made.notes)
-        assert (
-            error_of(tmp_path / name, lambda *w: luminance(material.eval(*w), Bands(None))[:, None]) < 0.005
-        )
+    made = convert([files["utia"]], tmp_path / "fred.txt", to="fred")
+    assert made.errors.linear < 0.005
+    assert any("luminance (CIE Y under D65)" in note for note in made.notes)
+    found = error_of(tmp_path / "fred.txt", lambda *w: luminance(material.eval(*w), Bands(None))[:, None])
+    assert found < 0.005
 
 
 def test_formats_of_wavelengths_refuse_linear_srgb(files, tmp_path):

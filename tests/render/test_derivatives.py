@@ -29,7 +29,9 @@ def models(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("derivatives")
     materials = {m.name: m for m in corpus.isotropic_materials()}
     for name in ("syn_felt_orange", "syn_metal_copper", "syn_paper_blue"):
-        write_bsdf(folder / f"{name}_spec.bsdf", corpus.measure(materials[name]))
+        file = corpus.measure(materials[name])
+        few = replace(file, wavelengths_nm=file.wavelengths_nm[::13], spectra=file.spectra[:, :, ::13])
+        write_bsdf(folder / f"{name}_spec.bsdf", few)
     assert not import_files(folder / "library.zarr", [folder]).failed
     rgb, spectral = small_library(tmp_path_factory.mktemp("rgb")), folder / "library.zarr"
     file, fewer = measured("syn_gloss_red"), [0, 1, 2, 3, 4, 6, 7]  # tables of another size: another loop
@@ -159,7 +161,11 @@ def test_weights_of_textures_are_those_of_the_model_and_slopes_their_differences
 
 @pytest.mark.parametrize(
     ("kind", "integrator"),
-    [("rgb blend", "prb"), ("rgb blend", "direct"), ("rgb material", "prb"), ("spectral blend", "prb")],
+    [
+        ("rgb blend", "prb"),
+        ("rgb material", "direct"),
+        pytest.param("spectral blend", "prb", marks=pytest.mark.slow),
+    ],
 )
 def test_derivatives_by_textures_are_central_differences(models, rng, monkeypatch, kind, integrator):
     model = Manifold.load(models[kind])
@@ -179,9 +185,7 @@ def test_derivatives_by_textures_are_central_differences(models, rng, monkeypatc
     ("kind", "given", "integrator"),
     [
         ("rgb blend", {}, "prb"),
-        ("rgb blend", {"srgb": "#b06030"}, "direct"),
         ("rgb material", {"tolerance": 0.05}, "direct"),
-        ("spectral blend", {}, "direct"),
         ("spectral blend", {"srgb": "#b06030"}, "direct"),
     ],
 )

@@ -183,7 +183,7 @@ def _rows(content: dict[str, Any]) -> dict[str, object]:
 
 @app.command(
     "export",
-    short_help="Write a material for engines: glTF, MaterialX, USD, Blender, Unreal, Unity.",
+    short_help="Write a material for engines and renderers.",
     epilog="Example: manifold export satin_gold_spec.bsdf -o satin_gold.glb",
 )
 def export(

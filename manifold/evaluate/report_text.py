@@ -1,4 +1,4 @@
-"""A report as text for people, at most 80 columns wide."""
+"""A report as text for people."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.fit import comparison, fit_samples
 from manifold.fit.exports.direct import at_bounds, fit_target
-from manifold.fit.exports.document import BASE_COLOURS, Export, TextureFiles
+from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
@@ -180,9 +180,7 @@ def export(
         errors=ball_errors(model, material),
         principled_errors=None if subject.material is None else ball_errors(fitted, material),
         against=subject.against,
-        textures=None
-        if textures is None
-        else textures(next(parameters[key] for key in BASE_COLOURS if key in parameters)),
+        textures=None if textures is None else textures(parameters[target.base_colour]),
     )
     disk.write_bytes(path, target.content(made, principled))
     if picture is not None:

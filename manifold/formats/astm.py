@@ -15,7 +15,7 @@ from manifold import disk
 from manifold.errors import ShapeError
 from manifold.formats.column_heads import Quantity, angle_name, angle_unit, quantity, value_head, wavelength
 from manifold.formats.csv_table import angles_deg, band_heads
-from manifold.formats.geometry_names import directions, exceed_radians
+from manifold.formats.geometries import directions, exceed_radians
 from manifold.formats.readings import Readings
 from manifold.formats.text import (
     MOST_ROWS,

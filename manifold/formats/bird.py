@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__, disk
-from manifold.formats.geometry_names import directions
+from manifold.formats.geometries import by_band, directions
 from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.names import in_one_line
-from manifold.records import Array, Indices
+from manifold.records import Array
 
 _REMEDY = "export the file again"
 _LARGEST = 200_000_000  # bytes
@@ -70,19 +70,10 @@ def read(path: Path) -> list[Readings]:
     f = f[kept]
     uncertainty = _uncertainty(data, len(kept), context)[kept]
     nm = _wavelengths(data, len(kept), context)[kept]
-    bands, band = np.unique(np.round(nm, 6), return_inverse=True)
-    first, pair = _pairs(np.hstack([wi, wo]))
-    cell = pair * bands.size + band.reshape(-1)
-    count = np.bincount(cell, minlength=len(first) * bands.size)
-    if len(first) * bands.size > 10 * len(f) + 1000:
-        raise context.error(
-            f"{bands.size} bands at {len(first)} pairs of directions in {len(f)} rows: few have a value"
-        )
-    if count.max() > 1:
+    rows = by_band(np.hstack([wi, wo]), nm, context)
+    if rows.repeated:
         if "polarization_i" not in data and "polarization_r" not in data:
-            notes.append(
-                f"{int(np.sum(count[count > 1] - 1))} values repeat directions and wavelength: their means are taken"
-            )
+            notes.append(f"{rows.repeated} values repeat directions and wavelength: their means are taken")
         else:
             notes.append(
                 "values of several states of polarisation: their means are taken, as for unpolarised light"
@@ -90,11 +81,7 @@ def read(path: Path) -> list[Readings]:
     elif "polarization_i" in data or "polarization_r" in data:
         notes.append("values of one state of polarisation: taken as those of unpolarised light")
 
-    def mean(rows: Array) -> Array:
-        with np.errstate(invalid="ignore"):
-            return (np.bincount(cell, rows, len(count)) / count).reshape(len(first), bands.size)
-
-    values, errors = mean(f), mean(uncertainty * f)
+    values, errors = rows.table(f), rows.table(uncertainty * f)
     scatter = (
         np.sqrt(np.nanmean((errors / np.maximum(values, np.finfo(float).tiny)) ** 2, axis=1)) / 3.0
     )  # of roots
@@ -107,8 +94,9 @@ def read(path: Path) -> list[Readings]:
     instrument = instrumentation.get("name") if isinstance(instrumentation, dict) else None
     return [
         Readings(
-            str(name), str(instrument or "BiRD file"), wi[first], wo[first], bands, values, weights, tuple(notes),
-            scatter=scatter, repeatability=3.0 * float(np.median(scatter)) if has_uncertainty else GONIOMETER,
+            str(name), str(instrument or "BiRD file"), wi[rows.first], wo[rows.first], rows.wavelengths_nm, values,
+            weights, tuple(notes), scatter=scatter,
+            repeatability=3.0 * float(np.median(scatter)) if has_uncertainty else GONIOMETER,
         )
     ]  # fmt: skip
 
@@ -164,15 +152,6 @@ def _uncertainty(data: dict[str, Any], count: int, context: ErrorContext) -> Arr
     if unit not in ("1/sr", "sr^-1"):
         raise context.error(f"of unit '{unit}', expected sr^-1 or %", field="uBRDF")
     return np.divide(values, f, out=np.zeros(count), where=f > 0.0)
-
-
-def _pairs(directions: Array) -> tuple[Indices, Indices]:
-    """First row of every pair of directions in rows (n, 6), in order, and the pair that every row is of."""
-    _, first, inverse = np.unique(np.round(directions, 9), axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[inverse.reshape(-1)]
 
 
 def write(path: Path, readings: Readings, method: str) -> None:

@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from manifold.formats.geometry_names import geometry_directions
+from manifold.formats.geometries import geometry_directions
 from manifold.formats.readings import Readings, aspecular_pair, mean_of_repeats
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.formats.values import looks_like_percent

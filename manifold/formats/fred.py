@@ -15,7 +15,7 @@ import numpy as np
 
 from manifold import disk
 from manifold.formats.dense import DenseTable
-from manifold.formats.geometry_names import directions
+from manifold.formats.geometries import directions
 from manifold.formats.readings import Readings
 from manifold.formats.text import ErrorContext, data_lines, decode, read_lines
 from manifold.formats.values import unnamed_band

@@ -22,7 +22,7 @@ import numpy as np
 from manifold import disk
 from manifold.errors import FileFormatError
 from manifold.formats.column_heads import lab_head, viewing
-from manifold.formats.geometry_names import parse_geometry
+from manifold.formats.geometries import parse_geometry
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing, aspecular_pair
 from manifold.formats.tables import HEADERS, Cell, Columns, Table, find_columns, in_one_unit, read_table
 from manifold.formats.text import ErrorContext, read_bytes

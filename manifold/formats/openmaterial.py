@@ -19,7 +19,7 @@ import numpy as np
 from manifold import disk
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.dense import DenseTable
-from manifold.formats.geometry_names import directions, exceed_radians
+from manifold.formats.geometries import by_band, directions, exceed_radians
 from manifold.formats.readings import Readings
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.names import in_one_line
@@ -50,22 +50,17 @@ def read(path: Path) -> list[Readings]:
     except (KeyError, TypeError, AttributeError):
         raise context.error("no brdf.lookupTable, expected a BRDF table of OpenMATERIAL 3D") from None
     table = _table(rows, context)
-    nm, band = np.unique(np.round(1e9 * table[:, 0], 6), return_inverse=True)
-    pairs, pair = np.unique(table[:, 1:4], axis=0, return_inverse=True)
-    if nm.size * len(pairs) > 10 * len(table) + 1000:
-        raise context.error(
-            f"{nm.size} bands at {len(pairs)} pairs of directions in {len(table)} rows: few have a value"
-        )
-    values = np.full((len(pairs), nm.size), np.nan)
-    values[pair.reshape(-1), band.reshape(-1)] = table[:, 4]
-    if len(np.unique(pair.reshape(-1) * nm.size + band.reshape(-1))) < len(table):
+    table = table[np.lexsort(table[:, 3:0:-1].T)]  # by angles, as if no row were missing
+    cells = by_band(table[:, 1:4], 1e9 * table[:, 0], context)
+    if cells.repeated:
         raise context.error("two rows of the same wavelength and directions, expected one")
     notes: list[str] = []
-    angles = dict(zip(("theta_i", "theta_o", RELATIVE), pairs.T, strict=True))
+    angles = dict(zip(("theta_i", "theta_o", RELATIVE), table[cells.first, 1:4].T, strict=True))
     if exceed_radians(angles):
         raise context.error("angles beyond a full turn, as in degrees, expected radians")
     kept, wi, wo = directions(angles, context, notes)
-    return [Readings(str(name), "OpenMATERIAL 3D", wi, wo, nm, values[kept], notes=tuple(notes))]
+    values = cells.table(table[:, 4])[kept]
+    return [Readings(str(name), "OpenMATERIAL 3D", wi, wo, cells.wavelengths_nm, values, notes=tuple(notes))]
 
 
 def _table(rows: Any, context: ErrorContext) -> Array:

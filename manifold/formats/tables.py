@@ -15,7 +15,7 @@ import numpy as np
 
 from manifold.formats import column_heads
 from manifold.formats.column_heads import Quantity, angle_name, channel, gloss_angle, wavelength
-from manifold.formats.geometry_names import (
+from manifold.formats.geometries import (
     directions,
     directions_of,
     exceed_radians,

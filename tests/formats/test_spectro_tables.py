@@ -16,7 +16,7 @@ from manifold.colour.difference import lab_under_d65, lab_values
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import FileFormatError
 from manifold.formats import registry
-from manifold.formats.geometry_names import parse_aspecular, parse_geometry
+from manifold.formats.geometries import parse_aspecular, parse_geometry
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Viewing
 
 SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")

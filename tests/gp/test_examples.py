@@ -10,7 +10,7 @@ import pytest
 MODULES = (
     "manifold.dls", "manifold.gplvm", "manifold.estimators", "manifold.mapping", "manifold.metrics",
     "manifold.analytic.base", "manifold.brdf.goniometer", "manifold.colour.conversion",
-    "manifold.colour.difference", "manifold.colour.reflectances", "manifold.formats.geometry_names",
+    "manifold.colour.difference", "manifold.colour.reflectances", "manifold.formats.geometries",
     "manifold.formats.readings", "manifold.formats.values", "manifold.gpr", "manifold.kernels",
     "manifold.nonnegative", "manifold.render.images",
 )  # fmt: skip

@@ -37,6 +37,7 @@ PARAMETERS = {
 
 DEFAULTS = defaults(PARAMETERS)
 
+BASE_COLOUR = "Base Color"
 COAT = ("Coat Weight", "Coat Roughness")
 SHEEN = ("Sheen Weight", "Sheen Tint", "Sheen Roughness")
 FILM = ("Thin Film Thickness", "Thin Film IOR")

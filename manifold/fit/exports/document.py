@@ -37,10 +37,6 @@ def defaults(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {name: parameter.default for name, parameter in parameters.items()}
 
 
-BASE_COLOURS = ("base_color", "baseColorFactor", "diffuseColor", "Base Color", "BaseColor", "_BaseColor")
-"""What targets call the colour that a texture replaces."""
-
-
 CURVE_COSINES = (0.0, 0.35, 0.6, 0.8, 1.0)
 """Between normal and view, of the colours of a base that changes with the angle; linear between."""
 

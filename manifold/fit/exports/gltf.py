@@ -39,6 +39,7 @@ PARAMETERS = {
 
 DEFAULTS = defaults(PARAMETERS)
 
+BASE_COLOUR = "baseColorFactor"
 COAT = ("clearcoatFactor", "clearcoatRoughnessFactor")
 SHEEN = ("sheenColorFactor", "sheenRoughnessFactor")
 FILM = ("iridescenceFactor", "iridescenceThicknessMaximum", "iridescenceIor")

@@ -42,6 +42,7 @@ PARAMETERS = {
 
 DEFAULTS = defaults(PARAMETERS)
 
+BASE_COLOUR = "base_color"
 COAT = ("coat_weight", "coat_roughness", "coat_ior", "coat_darkening")
 SHEEN = ("fuzz_weight", "fuzz_color", "fuzz_roughness")
 FILM = ("thin_film_weight", "thin_film_thickness", "thin_film_ior")

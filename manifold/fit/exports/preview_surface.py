@@ -25,6 +25,7 @@ PARAMETERS = {
 
 DEFAULTS = defaults(PARAMETERS)
 
+BASE_COLOUR = "diffuseColor"
 COAT = ("clearcoat", "clearcoatRoughness")
 
 HUED = ("specularColor",)

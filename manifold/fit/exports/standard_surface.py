@@ -40,6 +40,7 @@ PARAMETERS = {
 
 DEFAULTS = defaults(PARAMETERS)
 
+BASE_COLOUR = "base_color"
 COAT = ("coat", "coat_roughness")
 SHEEN = ("sheen", "sheen_color", "sheen_roughness")
 FILM = ("thin_film_thickness", "thin_film_IOR")

@@ -46,6 +46,7 @@ class Target:
         parameters: values of all of them for a material.
         brdf: the target's own shading model, f in 1/sr of parameters and pairs.
         content: the file of an export.
+        base_colour: the parameter that a texture replaces.
         coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
         film: those of the thin film, the thickness and the index last; empty where there is none.
         curve: the base colour by the angle of view, and the one that it replaces; empty where there is none.
@@ -59,6 +60,7 @@ class Target:
     parameters: Callable[[Principled], dict[str, Any]]
     brdf: Brdf
     content: Content
+    base_colour: str
     coat: tuple[str, ...]
     sheen: tuple[str, ...]
     film: tuple[str, ...]
@@ -121,6 +123,7 @@ def _target(name: str, suffix: str, title: str, model: ModuleType, content: Cont
         model.parameters,
         model.brdf,
         content,
+        model.BASE_COLOUR,
         model.COAT,
         sheen,
         film,

@@ -26,6 +26,7 @@ PARAMETERS = {
 
 DEFAULTS = defaults(PARAMETERS)
 
+BASE_COLOUR = "_BaseColor"
 COAT = ("_CoatMask",)
 
 CONVENTIONS: dict[str, str] = {

@@ -28,6 +28,7 @@ PARAMETERS = {
 
 DEFAULTS = defaults(PARAMETERS)
 
+BASE_COLOUR = "BaseColor"
 COAT = ("ClearCoat", "ClearCoatRoughness")
 
 CURVE = ("BaseColorCurve", "BaseColor")

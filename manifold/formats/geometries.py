@@ -1,5 +1,6 @@
-"""Names of geometries: `45as-15`, `r15as_45`, `45as25az90`, `45asMinus15`, `45/0`; `as15`, `-15°`, `15d`, `-15DP`.
+"""Directions of readings: by their angles, or by the name of a geometry.
 
+Names are `45as-15`, `r15as_45`, `45as25az90`, `45asMinus15`, `45/0`; `as15`, `-15°`, `15d`, `-15DP`.
 A path of two is named DP (double path): a sample is read from both sides and the mean taken, so that isotropic
 samples have the value of one side, SP.
 """
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from manifold.directions import from_spherical
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.readings import aspecular_pair
 from manifold.formats.text import ErrorContext
-from manifold.records import Array
+from manifold.records import Array, Indices
 
 _ROUNDING = 0.01  # radians
 
@@ -68,6 +70,46 @@ def directions(
     )
     wi[:, 2], wo[:, 2] = np.maximum(wi[:, 2], 0.0), np.maximum(wo[:, 2], 0.0)  # rounding at the horizon
     return keep, wi, wo
+
+
+class SingleValues(NamedTuple):
+    """Rows with the value of one pair of directions at one wavelength each, as a table of P pairs and B bands.
+
+    Attributes:
+        first: the first row of every pair, in their order, shape (P,).
+        wavelengths_nm: shape (B,).
+        cell: of every row (n,), its index in a table (P, B).
+    """
+
+    first: Indices
+    wavelengths_nm: Array
+    cell: Indices
+
+    def table(self, rows: Array) -> Array:
+        """Values of the rows (n,), means where there are several, and NaN where there is none; shape (P, B)."""
+        count = np.bincount(self.cell, minlength=self.first.size * self.wavelengths_nm.size)
+        with np.errstate(invalid="ignore"):
+            mean = np.bincount(self.cell, rows, len(count)) / count
+        return mean.reshape(self.first.size, -1)
+
+    @property
+    def repeated(self) -> int:
+        """How many rows repeat the directions and the wavelength of another."""
+        return len(self.cell) - len(np.unique(self.cell))
+
+
+def by_band(where: Array, nm: Array, context: ErrorContext) -> SingleValues:
+    """Rows at angles or directions (n, d) and wavelengths (n,) in nm, pair by pair and band by band."""
+    bands, band = np.unique(np.round(nm, 6), return_inverse=True)
+    _, first, inverse = np.unique(np.round(where, 9), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    if len(first) * bands.size > 10 * len(nm) + 1000:
+        raise context.error(
+            f"{bands.size} bands at {len(first)} pairs of directions in {len(nm)} rows: few have a value"
+        )
+    return SingleValues(first[order], bands, rank[inverse.reshape(-1)] * bands.size + band.reshape(-1))
 
 
 _LONGEST = 40  # letters; names of geometries are shorter

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from manifold.brdf.measured import EvaluableBRDF
 from manifold.records import Array, Mask
@@ -114,33 +114,37 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
 def _fitted(logs: Array, response: Response, trusted: Array, prior: Array) -> tuple[Array, Array, Array]:
     """Slopes and third factor (H, W, 3), log albedo (H, W, 3), and the mean covariance of the former (3, 3).
 
-    The albedo of each channel is eliminated: what is left are normal equations of three unknowns a point.
+    The albedo of each channel is eliminated: what is left are normal equations of three unknowns a point. Points at
+    which the same pictures are trusted share one linear map from logs to unknowns.
     """
-    factors, weights = response.factors, response.weights
-    normal = np.zeros((*logs.shape[1:3], 3, 3))
-    normal += np.diag(prior)
-    right = np.zeros((*logs.shape[1:3], 3))
-    means = []
-    for c in range(3):
-        w = weights[:, c, None, None] * trusted
-        total = w.sum(axis=0)
-        factor_mean = np.einsum("jhw,jk->hwk", w, factors) / total[..., None]
-        log_mean = np.sum(w * logs[..., c], axis=0) / total
-        normal += np.einsum("jhw,jk,jl->hwkl", w, factors, factors, optimize=True)
-        normal -= total[..., None, None] * factor_mean[..., :, None] * factor_mean[..., None, :]
-        right += np.einsum("jhw,jk->hwk", w * logs[..., c], factors, optimize=True)
-        right -= total[..., None] * factor_mean * log_mean[..., None]
-        means.append((log_mean, factor_mean))
-    state = np.linalg.solve(normal, right[..., None])[..., 0]
-    albedo = np.stack([log - np.sum(factor * state, axis=-1) for log, factor in means], axis=-1)
-    return state, albedo, np.linalg.inv(normal.mean(axis=(0, 1)))
+    J, H, W, _ = logs.shape
+    by_point = np.moveaxis(logs, 0, 2).reshape(H * W, 3 * J)
+    patterns, which, counts = np.unique(
+        np.packbits(trusted.reshape(J, H * W) > 0.0, axis=0), axis=1, return_inverse=True, return_counts=True
+    )
+    found, mean_normal = np.empty((H * W, 6)), np.zeros((3, 3))
+    for k, pattern in enumerate(np.unpackbits(patterns, axis=0, count=J).T):
+        weights = response.weights * pattern[:, None]  # [J, channel]
+        shares = weights / weights.sum(axis=0)
+        apart = response.factors[:, None] - (shares.T @ response.factors)  # [J, channel, factor]
+        normal = np.diag(prior) + np.einsum("jc,jck,jcl->kl", weights, apart, apart)
+        of_state = np.linalg.solve(normal, (weights[..., None] * apart).reshape(3 * J, 3).T)
+        of_albedo = np.einsum("jc,cd->djc", shares, np.eye(3)).reshape(3, 3 * J)
+        of_albedo -= shares.T @ response.factors @ of_state
+        at = which == k
+        found[at] = by_point[at] @ np.concatenate([of_state, of_albedo]).T
+        mean_normal += counts[k] / (H * W) * normal
+    state, albedo = (part.reshape(H, W, 3) for part in np.split(found, 2, axis=1))
+    return state, albedo, np.linalg.inv(mean_normal)
 
 
 def _glints(values: Array, residual: Array, pictures: SurfacePictures) -> Mask:
     """Points under lamps near the normal that are much brighter than their surroundings and than the fit."""
-    glints = residual > np.log(SPARKLE) / 2.0
-    for found, picture, is_middle in zip(glints, values.mean(axis=-1), _is_middle(pictures), strict=True):
-        found &= is_middle and picture > SPARKLE * median_filter(picture, _SURROUNDINGS_PX, mode="nearest")
+    glints = (residual > np.log(SPARKLE) / 2.0) & _is_middle(pictures)[:, None, None]
+    for found, picture in zip(glints, values.mean(axis=-1), strict=True):
+        around = np.pad(picture, _SURROUNDINGS_PX // 2, mode="edge")
+        windows = sliding_window_view(around, (_SURROUNDINGS_PX, _SURROUNDINGS_PX))[found]
+        found[found] = picture[found] > SPARKLE * np.median(windows.reshape(-1, _SURROUNDINGS_PX**2), axis=1)
     return np.asarray(glints)
 
 

@@ -186,7 +186,7 @@ def _write_textures(
         changes = spectral_changes(textures.albedo, brdf.eval(wi, wo)[0], brdf.bands)
         paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
         disk.write_text(paths["mitsuba"], mitsuba_document(paths | {"mean": mean}, flakes))
-    write_image(paths["changes"], changes)
+    write_image(paths["changes"], changes.astype(np.float16))  # steps of 1 / 2000
     if brdf is not None and backend.is_available() and backend.choose().kind != "scalar":
         paths["picture"] = folder / f"{stem}.png"
         write_image(paths["picture"], preview.strip(mean, textures.normal, changes, flakes))

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, shift
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter
 
 from manifold.colour.pictures import SUFFIXES, read_picture
 from manifold.errors import FileFormatError, UsageError
@@ -189,9 +190,9 @@ def _registered(values: Array) -> tuple[Array, tuple[str, ...]]:
             notes.append(f"{name} has too little detail to register it with green")
             continue
         if abs(steps[best]) >= _SHIFT_STEP_PX:
-            moved[..., channel] = shift(
-                values[..., channel], (0.0, steps[best], 0.0), order=3, mode="nearest"
-            )
+            rows = np.arange(values.shape[1])
+            spline = make_interp_spline(rows, values[..., channel], axis=1, check_finite=False)
+            moved[..., channel] = spline(rows - steps[best])
             notes.append(f"{name} moved by {steps[best]:+.2f} pixels along the rows onto green")
     margin = int(_MOST_SHIFT_PX) + 1
     return np.maximum(moved[:, margin:-margin], _HALF_CODE), tuple(notes)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter, label
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from manifold.errors import UsageError
 from manifold.records import Array, Indices, Mask
@@ -28,6 +28,7 @@ _EDGE_DIFFERENCE = (
 _DUST = 6.0  # robust standard deviations of smoothed colour
 _DUST_PX = 2.0  # standard deviation of that smoothing
 _LEAST_DUST_PX = 12  # area
+_QUANTILES = 1025  # of the distribution, evenly spaced in standard deviations
 _OFFSETS = 16  # random offsets of a tile, of which the one with the least dust is taken
 
 
@@ -149,8 +150,10 @@ def _tent(edges: Indices, cell: int, size: int) -> tuple[Indices, Array]:
 
 def _to_gaussian(sample: Array, counted: Mask) -> tuple[Array, Callable[[Array], Array]]:
     """A sample whose channels are normally distributed over the pixels that are counted, and the function back."""
-    quantiles = np.sort(sample[counted], axis=0)
-    ranks = ndtri((np.arange(len(quantiles)) + 0.5) / len(quantiles))
+    ordered = np.sort(sample[counted], axis=0)
+    ranks = ndtri(0.5 / len(ordered)) * np.linspace(1.0, -1.0, _QUANTILES)
+    at = np.round(len(ordered) * ndtr(ranks) - 0.5).astype(int)
+    quantiles = ordered[at]
 
     def mapped(values: Array, forth: bool) -> Array:
         tables = [(own, ranks) if forth else (ranks, own) for own in quantiles.T]

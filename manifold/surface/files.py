@@ -24,7 +24,6 @@ from manifold.fit.exports.document import TextureFiles
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.progress import Stages
-from manifold.render import backend
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, estimate_surface
@@ -186,10 +185,9 @@ def _write_textures(
         changes = spectral_changes(textures.albedo, brdf.eval(wi, wo)[0], brdf.bands)
         paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
         disk.write_text(paths["mitsuba"], mitsuba_document(paths | {"mean": mean}, flakes))
-    write_image(paths["changes"], changes.astype(np.float16))  # steps of 1 / 2000
-    if brdf is not None and backend.is_available() and backend.choose().kind != "scalar":
         paths["picture"] = folder / f"{stem}.png"
-        write_image(paths["picture"], preview.strip(mean, textures.normal, changes, flakes))
+        write_image(paths["picture"], preview.strip(brdf, textures, flakes))
+    write_image(paths["changes"], changes.astype(np.float16))  # steps of 1 / 2000
     return paths
 
 

@@ -1,44 +1,121 @@
-"""Renders of a surface: a plane under a moving lamp, and a ball in the studio, by Mitsuba."""
+"""A surface as it looks: a plane under a moving lamp, a ball in the studio; and scenes of it for Mitsuba."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from manifold.records import Array
-from manifold.render import backend, scenes
-from manifold.render.render import RenderSettings, render_scene, rgb_film
+from manifold.brdf.measured import EvaluableBRDF
+from manifold.colour import ball_colours
+from manifold.colour.conversion import to_srgb
+from manifold.directions import normalize
+from manifold.records import Array, Mask
+from manifold.render.render import rgb_film
 from manifold.surface import bsdf
 from manifold.surface.lamp_pictures import in_plane
+from manifold.surface.response import shaded
 from manifold.surface.sparkle import DrawnFlakes
+from manifold.surface.tiling import Textures
 
 _LAMPS_DEG = np.array([60.0, 20.0, -50.0])  # from the normal, in the plane of the instrument's lamps
-_SIZE, _SAMPLES = 320, 16
+_SIZE, _FINER = 320, 2  # pixels of a side, and samples across each
+_STEEPEST, _SLOPES = 2.5, 301  # range of slopes under a lamp, and nodes across it
+_BALL_PIXELS, _RINGS, _SPOKES = 40, 32, 32
+_BLOCK = 128  # pixels of the ball that are evaluated at once
+_BALL_RADIUS, _EDGE, _GROUND = 0.9, 0.98, 0.05  # of half a side; of the ball; linear sRGB around it
 
 
-def strip(mean: Path, normal: Array, changes: Array, flakes: DrawnFlakes | None = None) -> Array:
+def strip(brdf: EvaluableBRDF, textures: Textures, flakes: DrawnFlakes | None = None) -> Array:
     """A plane under three lamps, then a ball in the studio, side by side in linear sRGB, shape (S, 4 S, 3).
 
+    All are seen from afar, so that a lit facet's radiance is a function of its normal: tables of it are interpolated.
+
     Args:
-        mean: an RGL file of linear sRGB or a spectrum.
-        normal: unit normals, shape (H, W, 3).
-        changes: of `spectral_changes`, shape (H, W, 3).
+        brdf: of the mean; isotropic.
+        textures: of the surface.
         flakes: between the rest; None for none.
     """
-    from manifold.io_rgl import read_bsdf
+    fine = (np.arange(_FINER * _SIZE) + 0.5) / (_FINER * _SIZE)
+    above = np.array([0.0, 0.0, 1.0])
+    columns, rows = np.meshgrid(fine, fine)
 
-    mi = backend.mitsuba("rgb" if read_bsdf(mean).bands.is_rgb else "spectral")
-    bsdf.register()
-    settings = RenderSettings(size=_SIZE, samples=_SAMPLES)
-    material = material_of(mi, mean, normal, changes, flakes)
-    plane = {"type": "rectangle", "material": material}
-    planes = [mi.load_dict(under_lamp(mi, plane, lamp)) for lamp in in_plane(_LAMPS_DEG)]
-    ball = material_of(mi, mean, normal, changes, flakes, repeats=(2.0, 1.0))
-    shown = mi.load_dict(scenes.material_ball(mi, ball, rgb_film(_SIZE)))
-    return np.concatenate([render_scene(mi, scene, settings) for scene in (*planes, shown)], axis=1)
+    def of_plane(facets: EvaluableBRDF, slope: Array, where: Mask, lamp: Array) -> Array:
+        across = np.linspace(-_STEEPEST, _STEEPEST, _SLOPES)
+        grid = np.stack(np.meshgrid(across, across), axis=-1)
+        at = (np.clip(slope[where] / _STEEPEST, -1.0, 1.0) + 1.0) * 0.5 * (_SLOPES - 1)
+        return _interpolated(shaded(facets, grid, lamp, above), at)
+
+    made = [
+        _drawn(brdf, textures, flakes, rows, columns, partial(of_plane, lamp=lamp))
+        for lamp in in_plane(_LAMPS_DEG)
+    ]
+    x, y = (2.0 * columns - 1.0) / _BALL_RADIUS, (1.0 - 2.0 * rows) / _BALL_RADIUS
+    inside = x**2 + y**2 < 1.0
+    x, y = x[inside], y[inside]
+    z = np.sqrt(1.0 - x**2 - y**2)
+    ring = np.sqrt(1.0 - y**2)
+    right = np.stack([z / ring, 0.0 * x, -x / ring], axis=-1)
+    up = np.stack([-x * y / ring, ring, -y * z / ring], axis=-1)
+
+    def of_ball(facets: EvaluableBRDF, slope: Array, where: Mask) -> Array:
+        normal = np.stack([x, y, z], axis=-1) + slope[..., :1] * right + slope[..., 1:] * up
+        normal = normalize(normal[where])
+        at = np.clip(normal[:, :2] * [1.0, -1.0], -_EDGE, _EDGE)
+        return _interpolated(_lit_ball(facets), (0.5 + 0.5 * at) * _BALL_PIXELS - 0.5)
+
+    ball = np.full((*inside.shape, 3), _GROUND)
+    ball[inside] = _drawn(
+        brdf, textures, flakes, np.arccos(y) / np.pi, 0.5 + np.arctan2(x, z) / np.pi, of_ball
+    )
+    return np.concatenate([_coarser(each) for each in (*made, ball)], axis=1)
+
+
+def _drawn(
+    brdf: EvaluableBRDF, textures: Textures, flakes: DrawnFlakes | None, rows: Array, columns: Array,
+    lit: Callable[[EvaluableBRDF, Array, Mask], Array],
+) -> Array:  # fmt: skip
+    """Radiance of points of the textures, rows and columns from 0 to 1, (..., 3).
+
+    `lit` is that of facets, by slopes of all points, of some of them.
+    """
+    size = len(textures.albedo)
+    at = tuple(np.minimum((each * size).astype(int), size - 1) for each in (rows, columns))
+    everywhere = np.ones(rows.shape, dtype=bool)
+    radiance = textures.albedo[at] * lit(brdf, textures.slope[at], everywhere).reshape(*rows.shape, 3)
+    if flakes is not None:
+        slope, covered = flakes.normal[at][..., :2] / flakes.normal[at][..., 2:], flakes.mask[at]
+        radiance[covered] += flakes.share * (lit(flakes.facet, slope, covered) - radiance[covered])
+    return radiance
+
+
+def _lit_ball(brdf: EvaluableBRDF) -> Array:
+    """A ball in the studio, seen from afar: linear sRGB, rows from above, what surrounds it as at its edge."""
+    ball = ball_colours.ball(_BALL_PIXELS, _RINGS, _SPOKES)
+    column, row = ((0.5 + 0.5 * ball.places * [1.0, -1.0]) * _BALL_PIXELS).astype(int).T
+    image, inside = np.zeros((_BALL_PIXELS, _BALL_PIXELS, 3)), np.zeros((_BALL_PIXELS, _BALL_PIXELS), bool)
+    for first in range(0, len(row), _BLOCK):
+        pixels = slice(first, first + _BLOCK)
+        part = ball.of_pixels(pixels)
+        image[row[pixels], column[pixels]] = to_srgb(part.of(brdf.eval(part.wi, part.wo)), brdf.bands)
+    inside[row, column] = True
+    nearest = distance_transform_edt(~inside, return_distances=False, return_indices=True)
+    return np.asarray(image[tuple(nearest)])
+
+
+def _interpolated(table: Array, at: Array) -> Array:
+    """Bilinear values of a table (R, C, 3) at columns and rows (..., 2)."""
+    where = np.moveaxis(at, -1, 0)[::-1]
+    channels = np.moveaxis(table, -1, 0)
+    return np.stack([map_coordinates(each, where, order=1, mode="nearest") for each in channels], axis=-1)
+
+
+def _coarser(picture: Array) -> Array:
+    return np.asarray(picture.reshape(_SIZE, _FINER, _SIZE, _FINER, 3).mean(axis=(1, 3)))
 
 
 def material_of(

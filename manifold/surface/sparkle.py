@@ -8,7 +8,8 @@ import numpy as np
 from scipy.ndimage import label, maximum_filter, uniform_filter
 from scipy.optimize import brentq
 
-from manifold.records import Array, Indices, Mask
+from manifold.analytic.ggx import GGX
+from manifold.records import Array, Bands, Indices, Mask
 from manifold.surface.estimate import SPARKLE, Surface
 
 _PER = 1e4  # pixels that densities are counted by
@@ -61,6 +62,24 @@ class Flakes:
 
 
 @dataclass(frozen=True, eq=False)
+class Facet:
+    """A rough mirror without colour, as a BRDF in linear sRGB."""
+
+    ggx: GGX
+    reflectance: float
+    bands: Bands = Bands(None)  # noqa: RUF009
+    is_isotropic: bool = True
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., 3); 0 below the horizon."""
+        wi, wo = np.broadcast_arrays(wi, wo)
+        above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
+        f = np.zeros(wi.shape)
+        f[above] = self.reflectance * self.ggx.reflection_factor(wi[above], wo[above])[:, None]
+        return f
+
+
+@dataclass(frozen=True, eq=False)
 class DrawnFlakes:
     """Flakes as textures that repeat.
 
@@ -73,6 +92,11 @@ class DrawnFlakes:
     flakes: Flakes
     normal: Array
     mask: Mask
+
+    @property
+    def facet(self) -> Facet:
+        """What covers that share of the pixel."""
+        return Facet(GGX.isotropic(self.flakes.roughness), self.flakes.reflectance / self.share)
 
     @property
     def share(self) -> float:

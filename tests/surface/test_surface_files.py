@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+import surface_twins
 from helpers.exported_files import read_glb
 from surface_twins import CAPTIONS, workbook
 from typer.testing import CliRunner
@@ -28,6 +29,7 @@ from manifold.surface import preview
 from manifold.surface.files import mitsuba_document
 from manifold.surface.lamp_pictures import in_plane
 from manifold.surface.sparkle import Flakes
+from manifold.surface.tiling import Textures
 
 
 @pytest.fixture(scope="module")
@@ -252,3 +254,33 @@ def test_mitsuba_lights_slopes_that_lean_towards_the_lamp(mean):
     rows = np.array(mi.render(_lit_from_below(mi, material), spp=16))
     third = rows.shape[0] // 3
     assert rows[-third:].mean() > 1.15 * rows[:third].mean()  # the lamp stands below, at negative y
+
+
+def test_a_flat_surface_has_the_radiance_of_its_mean_under_every_lamp_of_its_picture(mean):
+    brdf = MeasuredBRDF(read_bsdf(mean))
+    flat = Textures(np.ones((192, 192, 3)), np.zeros((192, 192, 2)), np.zeros((192, 192)))
+    planes = np.split(preview.strip(brdf, flat), 4, axis=1)[:3]
+    for plane, angle in zip(planes, (60.0, 20.0, -50.0), strict=True):
+        light = np.array([[0.0, -np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))]])
+        f = brdf.eval(np.array([[0.0, 0.0, 1.0]]), light)[0]
+        np.testing.assert_allclose(plane, np.broadcast_to(np.pi * f, plane.shape), rtol=1e-6)
+
+
+@pytest.mark.skipif(not backend.choose().is_llvm, reason="the plugin needs an LLVM variant")
+def test_the_picture_of_a_surface_is_mitsuba_s(mean, rng):
+    mi = backend.mitsuba("rgb")
+    preview.bsdf.register()
+    slope = np.stack([0.1 * surface_twins.rough(rng, (192, 192)) for _ in range(2)], axis=-1)
+    albedo = np.exp(0.2 * surface_twins.rough(rng, (192, 192)))[..., None] * np.ones(3)
+    textures = Textures(albedo / albedo.mean(), slope, np.zeros((192, 192)))
+    flakes = Flakes(100.0, 9.0, 0.3, 0.2, 0.04).drawn(192, rng)
+    own = preview.strip(MeasuredBRDF(read_bsdf(mean)), textures, flakes)[:, 320:640]
+    plane = {
+        "type": "rectangle",
+        "material": preview.material_of(mi, mean, textures.normal, textures.albedo, flakes),
+    }
+    drawn = np.array(mi.render(mi.load_dict(preview.under_lamp(mi, plane, in_plane(20.0))), spp=16))
+    assert own.std() == pytest.approx(drawn.std(), rel=0.1)  # textures are filtered otherwise
+    np.testing.assert_allclose(own.mean(axis=(0, 1)), drawn.mean(axis=(0, 1)), rtol=0.02)
+    blocks = [each[..., 1].reshape(80, 4, 80, 4).mean(axis=(1, 3)).ravel() for each in (own, drawn)]
+    assert np.corrcoef(*blocks)[0, 1] > 0.97

@@ -6,8 +6,9 @@ Balls: predictions at random places between four materials each, and beside five
 page shows them at rest, against renders of the same in Mitsuba: a sphere that floats in the page's studio, seen from
 where the page sees it, of the `.bsdf` of the
 prediction and, with `--direct`, of the measured materials evaluated while rendering. Mean CIEDE2000 over the ball, of
-pictures without tone mapping; beside it that of two renders with other noise. Drag: the main thread from the change
-of a place on, and until a pixel is read back, so that WebGL has finished; the ball is drawn at 256 x 256.
+pictures without tone mapping; beside it that of two renders with other noise. Steps of a drag on the map, and of the
+light that is turned: the main thread from the change on, and until a pixel is read back, so that WebGL has finished;
+the ball is drawn at 256 x 256.
 """
 
 from __future__ import annotations
@@ -158,23 +159,32 @@ def diffuse_places(model: Manifold, count: int) -> Array:
     return 0.9 * model.X[least[:-1]] + 0.1 * model.X[least[1:]]
 
 
-def drag_ms(page: Any, steps: int = 100) -> dict[str, dict[str, float]]:
-    """Time of a step of a drag in ms, of the main thread and until WebGL has drawn too."""
+STEPS = {
+    "drag": """const { low, high } = explorer.map, x = [...explorer.state.x];
+      for (const q of [0, 1]) x[q] = low[q] + (high[q] - low[q]) * (0.5 + 0.4 * Math.sin((q + 2) * 3 * t));
+      const change = { x, at: undefined, path: null };""",
+    "turn": "const change = { turn: 360 * t };",
+}
+"""What changes from step to step, t from 0 to 1: the place on the map, or the azimuth of the light."""
+
+
+def step_ms(page: Any, change: str, steps: int = 100) -> dict[str, dict[str, float]]:
+    """Time of a step in ms, of the main thread and until WebGL has drawn too."""
     script = """(steps) => {
-      const { explorer } = window, { low, high } = explorer.map, times = [];
+      const { explorer } = window, times = [];
       const gl = explorer.balls.gl, pixel = new Uint8Array(4);
       for (let k = 0; k < steps; k++) {
-        const t = k / steps, x = [...explorer.state.x];
-        for (const q of [0, 1]) x[q] = low[q] + (high[q] - low[q]) * (0.5 + 0.4 * Math.sin((q + 2) * 3 * t));
+        const t = k / steps;
+        CHANGE
         const began = performance.now();
-        Object.assign(explorer.state, { x, at: undefined, path: null });
+        Object.assign(explorer.state, change);
         explorer.refresh();
         const done = performance.now();
         gl.readPixels(1, 1, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
         times.push([done - began, performance.now() - began]);
       }
       return times;
-    }"""
+    }""".replace("CHANGE", change)
     page.evaluate("Object.assign(document.getElementById('ball').style, { width: '256px', height: '256px' })")
     times = np.array(page.evaluate(script, steps)).T
     return {
@@ -203,7 +213,7 @@ def main() -> None:
         page = visit(browser, html.as_uri()).page
         first = float(page.evaluate("document.body.dataset.ready"))
         page.wait_for_selector("[data-complete]", state="attached")
-        drag = drag_ms(page)
+        steps = {f"{name}_ms": step_ms(page, change) for name, change in STEPS.items()}
         found, diffuse = (
             [
                 compare_balls(page, model, x, given.samples, given.model if given.direct else None)
@@ -211,7 +221,7 @@ def main() -> None:
             ]
             for where in (places(model, given.count, given.seed), diffuse_places(model, _DIFFUSE))
         )
-    figures: dict[str, Any] = {"bytes": size, "first_picture_ms": first, "drag_ms": drag}
+    figures: dict[str, Any] = {"bytes": size, "first_picture_ms": first, **steps}
     for kind in ("file", "noise", *["direct"] * given.direct):
         for which, of in (("", found), ("_diffuse", diffuse)):
             errors = [getattr(errors, kind) for errors in of]

@@ -50,11 +50,7 @@ def completions_of(
 ) -> Command[Sample]:  # fmt: skip
     """Complete the samples that `inputs.find_samples` finds through a library; see `completions.complete`.
 
-    Args:
-        library: of measured materials.
-        correction: of colours, a file.
-        count, instrument, options: as there.
-        report: page that lists a report of each, which lie in a folder beside it; None for none.
+    The correction of colours is a file; the report is a page that lists one of each, which lie in a folder beside it.
     """
     how = {
         "library": Library(library).content_hash,
@@ -102,7 +98,7 @@ def _list_reports(report: Path, made: Batch[Sample]) -> None:
         for one in made.outcomes
         if one.content is not None and (report.parent / pages / f"{one.path.stem}.html").is_file()
     ]
-    reports.write_index(report, "Completions", cards)
+    reports.write_index(report, cards)
 
 
 def _complete(
@@ -122,10 +118,7 @@ def _complete(
 def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> Command[ColourSample]:
     """Make materials of the colours and gloss that `coat.read_colours` reads; see `coat.complete`.
 
-    Args:
-        library: of measured materials.
-        is_mixture: of the library's materials, as those without gloss always are.
-        options: of the files.
+    Mixtures are of the library's materials, as those of samples without gloss always are.
     """
     columns: Columns = {**APPEARANCE, "expected CIEDE2000": lambda content: content["expected"]["ball"]}
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
@@ -202,7 +195,7 @@ def _predict(source: Input, path: Path, *, options: OutputOptions) -> Content:
     return predictions.predict(model, place.place, path, colour=place.colour, options=options).to_json()
 
 
-def locations(model: Path, *, library: Path | None = None, options: OutputOptions) -> Command[Input]:
+def locations(model: Path, *, library: Path | None, options: OutputOptions) -> Command[Input]:
     """Find the latents of measured files, and write the predictions there; see `predictions.locate`."""
     columns: Columns = {
         "latent": lambda content: " ".join(content["coordinates"]),
@@ -224,7 +217,7 @@ def _locate(
 
 
 def reconstructions_of(
-    library: Path, *, without: tuple[str, ...] = (), numbers: int | None = None, options: OutputOptions
+    library: Path, *, without: tuple[str, ...], numbers: int | None, options: OutputOptions
 ) -> Command[Input]:
     """Reconstruct measured files from a library; see `predictions.reconstruct`."""
     columns = {**APPEARANCE, **_ERRORS}
@@ -275,10 +268,8 @@ def renders(
 ) -> Command[Input]:
     """Render the balls of materials; see `pictures.renders.render`.
 
-    Args:
-        settings: of all pictures.
-        model, library: of all materials, where they are places of a table; there is no sheet of these.
-        direct: evaluate the measured materials of predictions while rendering.
+    A model and library are of all materials, where they are places of a table; there is no sheet of these. `direct`
+    evaluates the measured materials of predictions while rendering.
     """
     columns: Columns = {
         "material": lambda content: content["route"],

@@ -54,12 +54,7 @@ _JUST_VISIBLE = np.log(1.2)  # of log gloss: a fifth more, about as visible as a
 
 @dataclass(frozen=True)
 class Wanted:
-    """A value that is asked for.
-
-    Attributes:
-        value: itself, or what is added.
-        is_relative: whether it is added to what the given material has.
-    """
+    """A value that is asked for, or, if `is_relative`, what is added to that of the given material."""
 
     value: float
     is_relative: bool = False
@@ -196,13 +191,7 @@ class Adjusted:
 
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
-    """The place and colours nearest to a material that have some attributes.
-
-    Args:
-        model: a map of blends.
-        x: the material to begin with.
-        attributes: what it should become.
-        colour: its colour at present, as `choose_colour` takes it.
+    """The place on a map of blends and the colours nearest to a material at x that have some attributes.
 
     >>> adjust(model, "syn_card_brown", Attributes({60.0: Wanted(40.0)}, hue=Wanted(30.0)))  # doctest: +SKIP
     """
@@ -333,7 +322,6 @@ class Found:
     """A measured material beside what was looked for.
 
     Attributes:
-        name: of the material.
         lab: its CIELAB colour in the geometry 45/0, shape (3,).
         gloss: its gloss units by angle in degrees.
         ciede2000: to the colour looked for; None where none was given.
@@ -361,12 +349,9 @@ def find(
 ) -> list[Found]:
     """The materials of a library, those first that look most like another, or are nearest to a colour and gloss.
 
-    Args:
-        library: of measured materials.
-        material: a BRDF, compared as balls in the judged lights of `colour.panel`; or readings, compared at their
-            geometries, in which case materials without gloss near it may be listed.
-        lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any.
-        gloss: gloss units by angle in degrees, 20, 60 or 85.
+    BRDFs are compared as balls in the judged lights of `colour.panel`; readings at their geometries, in which case
+    materials without gloss near it may be listed. `lab` is in the geometry 45/0 under D65, shape (3,), None for any;
+    gloss is in units by angle, 20, 60 or 85 degrees.
     """
     differs = None if material is None else _difference_from(material)
     found = []

@@ -65,7 +65,6 @@ class ColourSample:
     """A colour and gloss that somebody read.
 
     Attributes:
-        name: of the sample.
         lab: CIELAB in the geometry 45/0, under D65 and to the 2 degree observer.
         gloss: gloss units by angle in degrees.
     """
@@ -84,7 +83,6 @@ class Coated:
     """A coat over a Lambertian, as written.
 
     Attributes:
-        path: the written file.
         sample: what was asked for.
         alpha, index: roughness and refractive index of the coat.
         lab: of the written file, (3,).
@@ -92,7 +90,6 @@ class Coated:
         expected: expected errors of what the colour and gloss leave open.
         plausibility: of the written file, read back.
         diagnostics: what a user should know, in sentences.
-        seconds: in all.
     """
 
     path: Path
@@ -147,14 +144,9 @@ class Coated:
 
 
 def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Plastic, float]:
-    """The coat over a Lambertian whose colour and gloss are nearest to some, and its alpha.
+    """The coat over a Lambertian nearest to a colour (CIELAB, 45/0, D65; (3,)) and gloss units by angle, and its alpha.
 
     Its index stays near 1.5 unless the gloss asks for another.
-
-    Args:
-        lab: CIELAB in the geometry 45/0 under D65, shape (3,).
-        gloss: gloss units by angle in degrees, one at least.
-        bands: of the result.
     """
     target = tinted(np.full(bands.count, 0.2), np.asarray(lab, float), bands)
 
@@ -174,13 +166,10 @@ def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
 def nearest_coat(
     target: Array, bands: Bands, off: Callable[[Plastic], Array], index: float = _INDEX
 ) -> tuple[Plastic, float]:
-    """The coat over a Lambertian of a reflectance factor (B,) at 45/0 with the least sum of squares, and its alpha.
+    """The coat over a Lambertian with the least sum of squares of residuals `off` (n,), and its alpha.
 
-    Args:
-        target: the factor; nearest to it where a base from 0 to 1 does not allow it.
-        bands: of the coat.
-        off: residuals (n,) of a coat.
-        index: near which its refractive index stays.
+    Its reflectance factor at 45/0 is `target` (B,), or nearest to it where a base from 0 to 1 does not allow it; its
+    refractive index stays near `index`.
     """
 
     def coat(x: Array) -> Plastic:
@@ -207,14 +196,10 @@ def complete(
     picture: Path | None = None,
     options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Coated:
-    """Write a coat over a Lambertian of a colour and gloss as an RGL file.
+    """Write a coat over a Lambertian of a colour and gloss as an RGL file named by its material.
 
-    Args:
-        library: whose bands the file has, and on whose materials the expected error is measured.
-        sample: the colour and gloss.
-        output: the file to write; its name becomes the material's.
-        picture: of the ball, to render.
-        options: of the file.
+    The library has the bands of the file, and the materials on which the expected error is measured; `picture` is of
+    the ball.
     """
     start = time.perf_counter()
     require_bsdf_output(output)
@@ -291,14 +276,10 @@ _GLOSS_HEAD = re.compile(r"gloss[ _]?(\d+)", re.IGNORECASE)
 
 
 def read_colours(path: Path, gloss: Mapping[float, float], viewing: Viewing = DAYLIGHT) -> list[ColourSample]:
-    """The colours of a text or CSV file, of which a line is `[name] L a b`.
+    """The colours, under some light, of a text or CSV file, of which a line is `[name] L a b`.
 
-    A first line of names may order the columns (`name`, `L`, `a`, `b`) and add gloss (`gloss_60`).
-
-    Args:
-        path: of the file.
-        gloss: of all samples, gloss units by angle in degrees; columns of gloss go before it.
-        viewing: light and observer of the colours.
+    A first line of names may order the columns (`name`, `L`, `a`, `b`) and add gloss (`gloss_60`), which goes before
+    the gloss of all samples, in units by angle in degrees.
     """
     text = disk.read_text(path, advice="name a text of lines of name, L, a, b")
     lines = [
@@ -344,13 +325,7 @@ class RecoatedBRDF(WrappedBRDF):
     """A BRDF whose coat is exchanged for another, see `exchanged`."""
 
     def __init__(self, brdf: BRDF, old: Plastic, new: Plastic, strength: Array):
-        """Exchange a coat.
-
-        Args:
-            brdf: the material.
-            old, new: coats over a Lambertian, in its bands.
-            strength: of the material's highlight against that of the old coat, shape (B,).
-        """
+        """Exchange coats over a Lambertian; the highlight is `strength` (B,) times the old coat's."""
         super().__init__(brdf)
         self._old, self._new, self._strength = old, new, strength
 
@@ -367,16 +342,11 @@ def _parts(coat: Plastic, wi: Array, wo: Array) -> tuple[Array, Array]:
 
 
 def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], strength: Array) -> Array:
-    """Values of a material with a new coat instead of an old one, in 1/sr, shape (..., B).
+    """Values f >= 0 of a material with a new coat instead of an old one, in 1/sr, shape (..., B).
 
     What the old coat's base explains of them changes as the base does. The rest, the highlight, changes as the surface
-    does: it is taken away in proportion, and added as strongly as the material's highlight is to the old coat's, so
-    that a metal's stays coloured.
-
-    Args:
-        f: the values, at least 0.
-        old, new: of the coats, see `_parts`.
-        strength: the largest ratio of the highlights, at least 1, shape (B,).
+    does: it is taken away in proportion, and added as strongly, at most `strength` (B,) >= 1, as the material's
+    highlight is to the old coat's, so that a metal's stays coloured. For coats see `_parts`.
     """
     (surface, base), (new_surface, new_base) = old, new
     below = np.minimum(f, base)
@@ -388,13 +358,9 @@ def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], stre
 
 
 def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
-    """A material with another coat, which gives it the gloss that is asked for and keeps its colour at 45/0.
+    """A material with another coat, of some gloss units above 0 by angle in degrees, that keeps its colour at 45/0.
 
     The present coat is the one over a Lambertian that has the material's gloss at 20, 60 and 85 degrees.
-
-    Args:
-        brdf: the material.
-        gloss: gloss units by angle in degrees, one at least, above 0.
     """
     bands, meters = brdf.bands, [gloss_meter(angle) for angle in gloss]
     old, _ = coat_of(lab_of(brdf), gloss_units(brdf), bands)

@@ -24,7 +24,7 @@ from manifold.estimate.expected import calibrate
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
-from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault
+from manifold.formats.readings import Readings, Viewing, gloss_fault
 from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.model import diagnostics
@@ -42,11 +42,9 @@ class Completed:
     """A completed material, as written.
 
     Attributes:
-        path: the written file.
         picture: of its ball; None where none was asked for.
         completion: with errors at the readings that are those of the file.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
-        expected: expected errors.
         plausibility: of the written file, read back.
         suggested: the next readings to take; None where none were asked for.
         diagnostics: what a user should know before trusting it, in sentences.
@@ -238,7 +236,7 @@ def atoms_of(library: Library) -> LibraryAtoms:
     return _kept[key]
 
 
-def parse_lab(text: str, viewing: Viewing = DAYLIGHT) -> Array:
+def parse_lab(text: str, viewing: Viewing) -> Array:
     """The CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer."""
     try:
         lab = np.array([float(part) for part in text.split(",")])

@@ -169,14 +169,8 @@ def leave_out(
     """Material m completed from all others in the bands of the atoms, from readings without noise.
 
     It is read in those of these bands that are nearest to the readings' only, so that errors of extrapolation to other
-    bands count.
-
-    Args:
-        atoms: of the library.
-        m: index of the material.
-        at_readings: cube roots of atoms at the readings, shape (n + 1, P).
-        readings: of which directions, bands, weights and angles of gloss are used.
-        at_gloss: cube roots of atoms at the gloss, shape (n + 1, G), if any.
+    bands count. Cube roots of atoms at the readings have shape (n + 1, P), at their gloss (n + 1, G); of the readings,
+    directions, bands, weights and angles of gloss are used.
     """
     own, axis = atoms.material_of == m, atoms.band_axis
     glossy = np.empty((len(own), 0)) if at_gloss is None else at_gloss
@@ -204,11 +198,7 @@ def _nearest(bands: Bands, to: Bands) -> Mask:
 def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Errors[float]:
     """Errors of f predicted for material m in the bands of the atoms; unknown where it is not finite.
 
-    Args:
-        atoms: of the library.
-        m: index of the material.
-        on_grid: f on the grid, shape (P_g, B_s).
-        on_ball: f at the pairs that light a ball in the judged lights, shape (P_b, B_s).
+    f is predicted on the grid, shape (P_g, B_s), and at the pairs that light a ball in the judged lights, (P_b, B_s).
     """
     if not np.all(np.isfinite(on_ball)):
         return Errors()

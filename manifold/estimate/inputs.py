@@ -67,13 +67,10 @@ def safe_name(name: str) -> str:
 
 
 def find_samples(sources: Iterable[Path]) -> list[Sample]:
-    """The samples that instruments' files hold; readings of one by several instruments are put together.
+    """The samples in instruments' files, of folders, too; readings of one by several instruments are put together.
 
     Files are of one sample where it has one name in them and instruments differ. Where one instrument has read a name
     twice, they may be two samples, and stay apart, named by their files.
-
-    Args:
-        sources: files, patterns, and folders, which are searched for files of readings.
     """
     groups: dict[str, list[_Part]] = {}
     given = [path for source in sources for path in matching(str(source))]
@@ -145,7 +142,6 @@ class Input:
 
     Attributes:
         name: of what is made of it.
-        source: where it is.
         sample: which, in a file of several.
         line: of a table that names it.
     """
@@ -200,12 +196,8 @@ def is_many(sources: Sequence[MaterialSource]) -> bool:
 def find_inputs(
     sources: Iterable[MaterialSource], is_wanted: Callable[[Path], bool] = is_rgl, *, samples: bool = False
 ) -> list[Input]:
-    """The materials of sources, none read yet.
-
-    Args:
-        sources: files, folders, which are searched at every depth, libraries, materials of these, and places.
-        is_wanted: which files of folders.
-        samples: whether every sample of an instrument's file is a material.
+    """The materials of sources, none read yet: wanted files of folders at every depth, and, if asked, all of their
+    samples.
     """
     found: list[Input] = []
     for source in sources:

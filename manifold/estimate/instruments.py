@@ -42,13 +42,7 @@ _SIMPLEX = 4  # points needed to interpolate in three coordinates
 
 @dataclass(frozen=True, eq=False)
 class CalibratedInstrument:
-    """A colour correction that was learned from samples, and written.
-
-    Attributes:
-        path: the written file.
-        correction: what was learned.
-        samples: names of the S samples.
-    """
+    """A colour correction that was learned from samples, whose names it has, and written."""
 
     path: Path
     correction: ColourCorrection
@@ -105,10 +99,8 @@ class CalibratedInstrument:
 
 
 def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:
-    """The correction of an instrument by another, from samples that both read.
-
-    Args:
-        pairs: of every sample the reference's readings and the other's, all in the same bands.
+    """The correction of an instrument by another, from their readings (reference, other) of samples, all in the same
+    bands.
     """
     for pair in pairs[1:]:
         for one, first in zip(pair, pairs[0], strict=True):
@@ -141,13 +133,10 @@ def correct_colours(readings: Readings, correction: ColourCorrection) -> Reading
 
 
 def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrection | None]:
-    """Readings of one sample by two instruments, in the bands of the first.
+    """Readings of one sample by two instruments, in the bands of the first, and the colour correction that was learned.
 
-    Args:
-        reference: of a spectrophotometer, to whose colours the other is corrected.
-        other: a goniometer's, in the same bands, or in three.
-    Returns:
-        The readings, and the correction that was learned; None where the bands are the same.
+    The reference is a spectrophotometer, to whose colours the other is corrected: a goniometer, in the same bands,
+    which leave nothing to correct (None), or in three.
     """
     if reference.bands == other.bands:
         return _joined(reference, other), None
@@ -167,9 +156,8 @@ def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrect
 def between_measurements(parts: Sequence[Readings]) -> Between | None:
     """How far measurements of one sample differ beyond what each repeats; None where no two share a direction pair.
 
-    Args:
-        parts: readings of one sample in the same bands, each of one file or instrument.
-    Source: Mandel & Paule 1970; over all pairs of directions with one between-measurement variance.
+    Parts are in the same bands, each of one file or instrument. Source: Mandel & Paule 1970; over all pairs of
+    directions with one between-measurement variance.
     """
     at = np.vstack([_coordinates(part.wi, part.wo) for part in parts])
     values = np.vstack([part.values for part in parts])
@@ -253,16 +241,12 @@ def read(
     gloss: Mapping[float, float] = MappingProxyType({}),
     unit: str | None = None,
 ) -> tuple[Readings, ColourCorrection | None]:
-    """Readings of one sample from its files; those of several instruments are put together.
+    """Readings of one sample from its files, and the colour correction that was learned from two instruments' files, if
+    any.
 
-    Args:
-        paths: of one instrument, or of several, whose colours are right first.
-        sample: which of a file's samples, of every file that holds several.
-        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
-        gloss: of the sample, in gloss units, by angle in degrees; that of the files, where they have some, otherwise.
-        unit: of values in files that say none, see `registry.read`.
-    Returns:
-        The readings, and the colour correction that was learned from the files of two instruments, if any.
+    The instrument whose colours are right stands first. `correction`, a file of `manifold calibrate`, is applied to
+    readings in three bands; `gloss`, in units by angle in degrees, goes before that of the files; `unit` is of values
+    in files that say none, see `registry.read`.
     """
     is_only = len(paths) == 1
     readings = [
@@ -302,12 +286,10 @@ def _merged(
 
 
 def calibrate(paths: Sequence[Path], output: Path) -> CalibratedInstrument:
-    """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
+    """Learn an instrument's colour correction from files of samples that two instruments read, and write it as JSON.
 
-    Args:
-        paths: of every sample, or several of the same names, the reference's file, then the other's; or a folder of
-            each instrument's, in which samples of the same names are used.
-        output: a JSON file.
+    Paths are of every sample, or several of the same names, the reference's file, then the other's; or a folder of each
+    instrument's, in which samples of the same names are used.
     """
     disk.require_writable(output)
     is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)

@@ -7,7 +7,7 @@ material only the angle between lamp and camera matters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,10 +75,7 @@ def plan_lamps(
 ) -> LampPlan:
     """The lamps that make the expected error of the ball least, chosen one after the other.
 
-    Args:
-        library: of measured materials, or its atoms of values.
-        count: how many.
-        known: rows of pictures there are, channel by channel; None where there are none.
+    The library may be its atoms of values; known are the rows of pictures there are, channel by channel, if any.
     """
     atoms = (
         library if isinstance(library, LibraryAtoms) else LibraryAtoms.of_library(Library(library)).in_values
@@ -99,13 +96,13 @@ def plan_lamps(
 
 
 def determined(
-    atoms: LibraryAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None = None
+    atoms: LibraryAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None
 ) -> Determined:
     """What pictures under far lamps at angles from the camera determine; args as of `plan_lamps`."""
     pictures = [_rows(atoms, angle) for angle in angles_deg]
     if known is not None:
         level = float(np.mean(known[0].weights))
-        pictures = [[_weighted(row, level) for row in rows] for rows in pictures]
+        pictures = [[replace(row, weights=level * row.weights) for row in rows] for rows in pictures]
         pictures.append(list(known))
     meter = gloss_meter(_GLOSS_DEG)
     pairs = [aspecular_pair(45.0, aspecular) for aspecular in (45.0, 15.0, 110.0)]
@@ -130,10 +127,6 @@ def determined(
             )
         )
     return Determined(tuple(angles_deg), *np.median(errors, axis=0).tolist())
-
-
-def _weighted(rows: Observation, level: float) -> Observation:
-    return Observation(rows.atoms, rows.seen, level * rows.weights, rows.is_bound)
 
 
 @lru_cache(maxsize=len(ANGLES_DEG))

@@ -138,12 +138,8 @@ def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[A
 def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tuple[Array, Array]:
     """Directions (..., 3) in frames of the surface to points of a lamp's disc, and irradiance from there (..., 3).
 
-    Args:
-        normal: of points of the ball, in the world, shape (..., 3).
-        frame: there, shape (..., 3, 3).
-        camera: in whose frame the lamp stands.
-        lamp: the lamp.
-        u: in [0, 1), shape (..., 2).
+    Normals of points of the ball are in the world, (..., 3), frames there (..., 3, 3), the lamp in the camera's frame;
+    u is in [0, 1), (..., 2).
     """
     axis = lamp.direction @ np.array(camera.axes)
     towards = np.broadcast_to(axis, normal.shape)
@@ -165,13 +161,9 @@ def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tu
 
 
 def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
-    """A ball under lamps as its camera sees it, shape (size, size, B), black beside it.
+    """A ball under lamps as its camera sees it, black beside it, and the lamps without colour: (size, size, B).
 
-    Args:
-        brdf: of the ball.
-        camera, lamps: as of `lamp_pairs`; colours are left out.
-        size: pixels a side.
-        margin: around the ball, in radii.
+    The margin around the ball is in radii.
     """
     across = (1.0 + margin) * (2.0 * (np.arange(size) + 0.5) / size - 1.0)
     x, y = np.meshgrid(across, -across)
@@ -192,12 +184,7 @@ def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, m
 def unwrapped(photograph: Photograph, circle: Circle, camera: Camera) -> Array:
     """The environment that a mirror ball shows a far camera, by latitude and longitude, shape (H, 2 H, 3).
 
-    What lies straight behind the ball is taken from its rim.
-
-    Args:
-        photograph: linear; what was not seen of it is black.
-        circle: outline of the mirror ball.
-        camera: whose frame the ball is seen in.
+    What lies straight behind the ball is taken from its rim; what was not seen of the photograph is black.
     """
     world = directions(_HEIGHT)[..., [1, 0, 2]]  # from straight ahead to the right
     seen = world @ np.array(camera.axes).T  # in the camera's frame

@@ -40,7 +40,6 @@ class Probe:
 
     Attributes:
         circle: the outline, alike in all.
-        lamps: of every photograph.
         gains: of every photograph, relative to the first.
         lamp_deg: standard deviation of every lamp's direction, in degrees.
         circle_error: standard deviation of centre and radius, in radii.
@@ -66,12 +65,9 @@ class Probe:
 def find_light(
     photographs: Sequence[Photograph], circle: Circle | None = None, distance: float = np.inf
 ) -> Probe:
-    """The outline of a ball that stays where it is, and the one lamp of every photograph.
+    """The outline of a ball that stays where it is, and the one lamp of every photograph; photographs are of one size.
 
-    Args:
-        photographs: of one size.
-        circle: the outline, where it is known nearly; it is refined.
-        distance: of the lamps from the middle of the ball, in its radii.
+    A circle that is known nearly is refined; lamps are `distance` radii from the middle of the ball.
     """
     sizes = {one.values.shape[:2] for one in photographs}
     if len(sizes) > 1:

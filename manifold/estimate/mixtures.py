@@ -69,10 +69,8 @@ class Mixtures:
     def fitted(cls, X: Array, y: Array, material_of: Indices, n_library: int | None = None) -> Mixtures:
         """All mixtures of atoms, with the scale and Lambertian of each that are of largest posterior density.
 
-        Args:
-            X: what atoms and, last, the Lambertian were seen to be, whitened: errors have variance 1; shape (n + 1, R).
-            y: what was seen, shape (R,).
-            material_of, n_library: as of `posterior`.
+        X (n + 1, R) is what atoms and, last, the Lambertian were seen to be, and y (R,) what was seen, whitened: errors
+        have variance 1. `material_of` and `n_library` are as of `posterior`.
         """
         N = int(material_of[-1])
         first, second, share = atom_pairs(N, (len(material_of) - 1) // N)
@@ -92,12 +90,8 @@ class Mixtures:
         """The same with posterior probabilities: the likelihood is Student's t, divided by a power of the norm.
 
         Errors are relative: a mixture as dark as possible would be the best, if what it misses did not count as light,
-        too.
-
-        Args:
-            count: how many independent errors the misfit is the sum of.
-            norm: squared norm of the mixtures over all directions and of what they do not explain, above 0, (H,).
-            exponent: of the norm.
+        too. The misfit is the sum of `count` independent errors; the squared norm (H,) > 0 is that of the mixtures over
+        all directions and of what they do not explain.
         """
         log = self.log_prior + log_likelihood(self.misfit, count) - 0.5 * exponent * np.log(norm)
         evidence = float(logsumexp(log))
@@ -148,11 +142,8 @@ class Hypotheses:
     mean: Array
 
     def spread(self, roots: Array, importance: Array | float = 1.0) -> float:
-        """Standard deviation over directions, relative to the mean, from cube roots of hypotheses there (H, P).
-
-        Args:
-            roots: of the hypotheses.
-            importance: of the directions, shape (P,).
+        """Standard deviation over directions of some importance (P,), relative to the mean, from cube roots there (H,
+        P).
         """
         mean = self.probability @ roots
         variance = self.probability @ (roots - mean) ** 2
@@ -168,14 +159,11 @@ def material_prior(N: int, n_library: int | None = None) -> Array:
 
 
 def log_prior_of(first: Indices, second: Indices, prior: Array) -> Array:
-    """Logarithms of prior probabilities of mixtures of two materials, or of one where both are the same: (H,).
+    """Logarithms of prior probabilities of mixtures of two of N materials, or of one where both are the same: (H,).
 
-    Those of one material have its probability times `LIKE_ONE` together. Those of two have the rest: measured ones
-    their share of it, the others the share of coats, most of which are of two coats: a highlight and its haze.
-
-    Args:
-        first, second: of N materials, shape (H,).
-        prior: of the materials, see `material_prior`, shape (N,).
+    Those of one material have its prior (N,), see `material_prior`, times `LIKE_ONE` together. Those of two have the
+    rest: measured ones their share of it, the others the share of coats, most of which are of two coats: a highlight
+    and its haze.
     """
     is_one = first == second
     one = prior[first] / np.maximum(np.bincount(first[is_one], minlength=len(prior)), 1)[first]
@@ -336,14 +324,12 @@ def posterior(
     """Posterior probabilities of mixtures of two atoms, given readings of a material in one band.
 
     The likelihood is Student's t in cube roots, with residuals that are correlated at nearby directions; its heavy
-    tails keep several mixtures probable where none fits the readings. It is divided by the fifth power of the
-    mixture's norm: a predicted highlight that does not exist costs more than one that is missing.
+    tails keep several mixtures probable where none fits the readings. It is divided by the fifth power of the mixture's
+    norm: a predicted highlight that does not exist costs more than one that is missing.
 
-    Args:
-        read: the readings, B = 1.
-        gram: inner products of atoms over all directions, shape (n + 1, n + 1).
-        material_of: which of N materials an atom is of, as many atoms of each; N for the Lambertian; shape (n + 1,).
-        n_library: how many of the materials, the first ones, are measured; all by default. The others are coats.
+    `gram` (n + 1, n + 1) has inner products of atoms over all directions; `material_of` (n + 1,) is which of N
+    materials an atom is of, as many atoms of each, and N for the Lambertian; the first `n_library` of them, or all, are
+    measured, the others coats.
     """
     X, (y,) = read.whitened()
     mixtures, n_readings = Mixtures.fitted(X, y, material_of, n_library), len(y)
@@ -364,13 +350,8 @@ def band_mixtures(
     """Posterior probabilities of mixtures of two materials, given readings in B bands.
 
     Weights >= 0 of the atoms of both materials and of the Lambertian are fitted to every band, with shares of materials
-    near those in the mean of all bands. The likelihood is that of `mixtures.posterior`.
-
-    Args:
-        mixtures: of atoms, fitted to the mean over bands.
-        read: the readings.
-        gram, material_of, n_library: of the atoms, as in `mixtures.posterior`.
-        gloss: readings of gloss, if there are any.
+    near those in the mean of all bands, to which the mixtures of atoms were fitted. The likelihood, `gram`,
+    `material_of` and `n_library` are those of `posterior`.
     """
     chosen = _of_different_materials(mixtures, material_of)
     structures = mixtures.weights(chosen)

@@ -34,7 +34,6 @@ class Photograph:
     """A picture in linear values.
 
     Attributes:
-        path: where it was read.
         values: shape (H, W, 3), float32; NaN where the picture is transparent or not finite.
         is_clipped: pixels that were at least as bright as their values, shape (H, W).
         notes: assumptions about the file, in sentences.
@@ -59,15 +58,7 @@ class Photograph:
 
 
 def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
-    """A photograph, see `colour.pictures.read_picture`.
-
-    Args:
-        path: of the picture.
-        is_linear: its values are linear, whatever kind of file it is.
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is no picture, too small or too large, or of a kind that is not supported.
-    """
+    """A photograph, see `colour.pictures.read_picture`; `is_linear`: whatever kind of file it is."""
     picture = read_picture(path)
     height, width = picture.values.shape[:2]
     if min(height, width) < _LEAST_SIZE:
@@ -96,12 +87,7 @@ def reduced(values: Array, factor: int) -> Array:
 
 @dataclass(frozen=True)
 class Circle:
-    """An outline, in pixels from the upper left corner of the picture.
-
-    Attributes:
-        x, y: centre, to the right and down.
-        radius: of the outline.
-    """
+    """An outline of centre (x, y), to the right and down, in pixels from the upper left corner of the picture."""
 
     x: float
     y: float
@@ -120,11 +106,7 @@ class Circle:
 
     @classmethod
     def parse(cls, text: str) -> Circle:
-        """A circle of `X,Y,R`, or the outline of an upright cylinder, of `X,Y,R,H`.
-
-        Raises:
-            UsageError: these are not three or four finite numbers, or radius or height is not positive.
-        """
+        """A circle of `X,Y,R`, or the outline of an upright cylinder, of `X,Y,R,H`."""
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
@@ -139,10 +121,8 @@ class Circle:
 
 @dataclass(frozen=True)
 class Cylinder(Circle):
-    """The outline of an upright cylinder, of which so much of the height is used.
-
-    Attributes:
-        height: in pixels, half of it above the centre.
+    """The outline of an upright cylinder, of which so many pixels of the height are used, half of them above the
+    centre.
     """
 
     height: float
@@ -156,12 +136,7 @@ class Cylinder(Circle):
 
 
 class Outline(NamedTuple):
-    """A circle that may be the outline of a ball.
-
-    Attributes:
-        circle: as it was found.
-        share: of the edges near it that lie on it.
-    """
+    """A circle that may be the outline of a ball, on which lies a share of the edges near it."""
 
     circle: Circle
     share: float
@@ -223,10 +198,8 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
 
     Gradients vote for centres along their direction, radius by radius; the best is refined to parts of a pixel. Of a
     ball that is lit from one side that is drawn to the terminator: the other version passes through the strongest edges
-    around it. The likelier one stands first.
+    around it. The likelier one stands first. An edge over less than half of its length is none.
 
-    Raises:
-        UsageError: no circle is an edge over half of its length.
     Source: Ballard 1981, "Generalizing the Hough transform to detect arbitrary shapes".
     """
     grey = np.cbrt(np.maximum(display.mean(axis=2), 0.0))

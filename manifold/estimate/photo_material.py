@@ -66,7 +66,6 @@ class PhotoMaterial:
     """A material found in photographs.
 
     Attributes:
-        atoms: of the library.
         weights: of atoms in the channels of the camera, shape (3, n).
         to_bands: from channels to the bands of the library, shape (B, 3).
         bands: of the library.
@@ -172,15 +171,10 @@ def find_material(
 ) -> PhotoMaterial:
     """The material that explains photographs, and readings in linear sRGB and gloss, if there are any, together.
 
-    Args:
-        atoms: of the library.
-        seen: of one material; at least one photograph, all by one camera.
-        bands: B, of the library.
-        to_bands: see `photographs.band_matrix`.
-        exposure: of the photographs relative to the light; None finds the one that the library's materials, and what
-            else was seen, make most probable.
-        each: whether every photograph has an exposure of its own, about this one.
-        library: that of the atoms, in whose cache errors of left-out materials are kept.
+    At least one is a photograph, and all are by one camera; for `to_bands` see `photographs.band_matrix`. Their
+    exposure is relative to the light; None finds the one that the library's materials, and what else was seen, make
+    most probable; with `each`, every photograph has its own about this one. The library keeps errors of left-out
+    materials in its cache.
     """
     sightings = [one for one in seen if isinstance(one, Sighting)]
     sums = [sighting.sums(atoms) for sighting in sightings]
@@ -232,11 +226,7 @@ def strength_of_spots(
 ) -> float:
     """How many times brighter than where the camera clipped them the spots of a light are: what explains pixels best.
 
-    Args:
-        atoms: of the library.
-        sightings: photographs in this light.
-        sums: their pixels, see `Sighting.sums`.
-        exposure: of the photographs; None where it is not known.
+    For sums of the pixels of sightings in this light see `Sighting.sums`; an exposure of None is not known.
     """
 
     def off(strength: float) -> float:
@@ -325,15 +315,10 @@ def probable_exposure(
     beside: Sequence[Observation | None],
     usable: Mask | None = None,
 ) -> float:
-    """The exposure at which the library's materials explain what was seen best: mean of its logarithm, posterior.
+    """The exposure at which the library's usable materials (n,) explain photographs best, and others beside them.
 
-    The prior is that of how bright they are in these pixels, none brighter than white. The ratio of highlights to what
-    is beside them says the rest, and counts little: many mixtures have it.
-
-    Args:
-        atoms: of the library.
-        pictures, beside: what was seen in every channel, of photographs and of others.
-        usable: which atoms may be used, shape (n,); by default all.
+    It is the posterior mean of its logarithm. The prior is that of how bright they are in these pixels, none brighter
+    than white. The ratio of highlights to what is beside them says the rest, and counts little: many mixtures have it.
     """
     every = np.ones(len(atoms), bool) if usable is None else usable
     grey, n = atoms.mixed[-1], atoms.n_measured
@@ -429,14 +414,10 @@ def errors_of(atoms: LibraryAtoms, own: Indices, weights: Array) -> Errors[float
 def estimate(
     atoms: LibraryAtoms, channels: Sequence[Observation], usable: Mask | None = None
 ) -> tuple[Array, list[Hypotheses]]:
-    """Weights of atoms, never negative, that explain every channel, (C, n), and mixtures of each as prior.
+    """Weights of usable atoms of values, never negative, that explain C channels, (C, n), and mixtures of each as
+    prior.
 
     That is of pixels alone: readings of a kind of material that the library lacks would choose a wrong one.
-
-    Args:
-        atoms: n, of values.
-        channels: of a camera, C.
-        usable: which atoms may be used, shape (n,); by default all.
     """
     usable = np.ones(len(atoms), bool) if usable is None else usable
     priors = [pixel_mixtures(atoms, rows.pixels, usable) for rows in channels]
@@ -453,14 +434,10 @@ def estimate(
 
 
 def pixel_posterior(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Mixtures:
-    """Posterior probabilities of mixtures of two of the usable atoms that are `mixed`, given pixels in one channel.
+    """Posterior probabilities of mixtures of two of the usable atoms (n,) that are `mixed`, given pixels in one
+    channel.
 
     As `posterior` has it for readings; mixtures and errors are of values, and those of bounds that hold are none.
-
-    Args:
-        atoms: n, of values.
-        rows: the pixels.
-        usable: which of the atoms may be used, shape (n,).
     """
     index = atoms.mixed[usable[atoms.mixed]]
     _, material_of = np.unique(atoms.material_of[index], return_inverse=True)

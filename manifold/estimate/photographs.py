@@ -60,14 +60,11 @@ class FromPhotographs:
     """A material that was found in photographs.
 
     Attributes:
-        balls: what was seen.
-        material: what was found.
         located: its place on a map, where it was asked for.
         output: the file that was written, if any.
         plausibility: of that file.
         picture: of photographs, predictions and differences, if it was asked for.
         diagnostics: what a user should know before trusting it, in sentences.
-        seconds: in all.
         plan: where to hold the lamp next, where that was asked for.
     """
 
@@ -133,17 +130,10 @@ def complete(
     count: int = 0,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> FromPhotographs:
-    """Find the material of photographed balls, and readings of it, with a library as prior, and write it.
+    """Find the material of photographed balls, and readings and gloss of it, with a library as prior, and write it.
 
-    Args:
-        library: of measured materials.
-        request: the photographs.
-        output: the `.bsdf` file to write.
-        readings: of the same material, if there are any.
-        gloss: units of a gloss meter by its angle in degrees, if there are any.
-        picture: of photographs, predictions and differences; None draws none.
-        count: how many further pictures to suggest.
-        options: of the output.
+    Gloss is in units by angle in degrees; `picture` is of photographs, predictions and differences; `count` further
+    pictures are suggested.
     """
     start = time.perf_counter()
     require_bsdf_output(output)
@@ -188,9 +178,7 @@ def locate(
 ) -> FromPhotographs:
     """Find the place of photographed balls on a fitted manifold; what is written is the prediction there.
 
-    Args and raises: as `complete`, and
-        model: a fitted manifold, or the path of one.
-        library: where its library is now, if not where the model remembers it.
+    The library is where it is now, if not where the model remembers it; `picture` is as of `complete`.
     """
     start = time.perf_counter()
     if output is not None:
@@ -362,10 +350,7 @@ def residual_figure(
 ) -> Figure:
     """A row for every photograph: as it was taken, as it is predicted, and the difference.
 
-    Args:
-        names: of the photographs.
-        seen, predicted: linear sRGB, shape (H, W, 3).
-        errors: CIEDE2000, NaN where nothing was compared, shape (H, W).
+    The first two are linear sRGB (H, W, 3); errors are CIEDE2000, NaN where nothing was compared, (H, W).
     """
     figure = figures.new_figure(9.0, 3.1 * len(names))
     axes = figure.subplots(len(names), 3, squeeze=False)
@@ -389,9 +374,7 @@ def srgb_responses(bands: Bands) -> Array:
 def read_responses(path: Path, bands: Bands) -> Array:
     """Responses (3, B) of a camera to reflectances under D65, 1 for a perfect diffuser.
 
-    Args:
-        path: text file of wavelengths in nm and three sensitivities, separated by commas or blanks.
-        bands: of the reflectances.
+    The file is text of wavelengths in nm and three sensitivities, separated by commas or blanks.
     """
     if bands.is_rgb:
         raise BandMismatchError(
@@ -425,12 +408,9 @@ def band_matrix(library: Library, names: tuple[str, ...], responses: Array) -> A
     """The matrix (B, 3) from channels of a camera to the bands of a library, by Wiener estimation.
 
     Deviations from a flat spectrum are linear in those of the channels, both relative to the mean of these: a neutral
-    colour stays neutral. Learned from the library's materials, off their highlights, and from measured reflectances.
+    colour stays neutral. Learned from the library's named materials, off their highlights, and from measured
+    reflectances; for responses see `srgb_responses`.
 
-    Args:
-        library: of B bands.
-        names: of the materials to learn from.
-        responses: of the camera, see `srgb_responses`.
     Source: Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of art paintings".
     """
     if library.bands.is_rgb:

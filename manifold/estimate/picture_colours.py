@@ -40,11 +40,9 @@ def colour_of(readings: Readings, reading: int | None) -> Array:
 
 
 def odd_picture(labels: tuple[str, ...], factors: Array) -> str | None:
-    """Which picture does not belong to the readings, and why; None where all do.
+    """Which of J pictures does not belong to the readings, and why; None where all do.
 
-    Args:
-        labels: J names.
-        factors: of each picture's mean over the colour of its reading, (J, 3); NaN where there is none.
+    Factors are of each picture's mean over the colour of its reading, (J, 3); NaN where there is none.
     """
     grey = factors.mean(axis=-1)
     relative = grey / np.nanmedian(grey)

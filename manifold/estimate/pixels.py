@@ -58,11 +58,7 @@ class Environment:
 
     @classmethod
     def of(cls, image: Array) -> Environment:
-        """From a picture by latitude and longitude of any resolution, shape (H, W, C).
-
-        Raises:
-            UsageError: it is not twice as wide as high, a value is not finite or negative, or it is black.
-        """
+        """From a picture by latitude and longitude of any resolution, shape (H, W, C)."""
         image = np.asarray(image, dtype=np.float64)
         H, W = image.shape[:2]
         if abs(W - 2 * H) > 0.05 * W:
@@ -181,12 +177,8 @@ class Blocks:
 
 
 def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Blocks:
-    """The blocks of a ball, or of a cylinder.
-
-    Args:
-        photograph: of it.
-        circle: its outline.
-        pictures: how many there are of it: each of more than ten has fewer blocks.
+    """The blocks of a ball, or of a cylinder, in a photograph; where there are more than ten of it, each has fewer
+    blocks.
     """
     path, (H, W) = photograph.path, photograph.values.shape[:2]
     is_cylinder = isinstance(circle, Cylinder)
@@ -286,22 +278,14 @@ class Camera:
         )
 
     def cylinder(self, x: Array) -> tuple[Array, Array]:
-        """The same of an upright cylinder that a far, level camera sees.
-
-        Args:
-            x: right of its middle in radii, any shape, `|x| <= 1`.
-        """
+        """The same of an upright cylinder that a far, level camera sees, x within 1 right of its middle, in radii."""
         right, _, towards = self.axes
         normal = x[..., None] * right + np.sqrt(np.maximum(1.0 - x * x, 0.0))[..., None] * towards
         return normal, np.broadcast_to(towards, normal.shape)
 
     def surface(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Normals, and directions to the camera, of points right and up of the centre, in radii of the outline.
-
-        Args:
-            x, y: any shape, `x^2 + y^2 <= 1`.
-        Returns:
-            Two arrays (..., 3) of unit vectors.
+        """Normals (..., 3), and directions (..., 3) to the camera, of points right and up of the centre, in radii,
+        within 1.
         """
         right, up, towards = self.axes
         flat = x[..., None] * right + y[..., None] * up
@@ -318,11 +302,11 @@ class Camera:
 def direction_pairs(
     blocks: Blocks, camera: Camera, environment: Environment, samples: int = SAMPLES
 ) -> tuple[Array, Array, Array]:
-    """Direction pairs that light blocks, and the light from there.
+    """Direction pairs that light blocks, wi to the camera and wo to the light, (K, S, 3), and the light from there, (K,
+    S, C).
 
-    Returns:
-        wi towards the camera, and wo towards the light, in frames of the surface, shape (K, S, 3); radiance times
-        cosine over density, in every channel, shape (K, S, C): the value of a block is the sum of light times f.
+    They are in frames of the surface; light is radiance times cosine over density: the value of a block is the sum of
+    light times f.
     """
     normal, view, u = sampled_surface(blocks, camera, samples)
     turn = np.deg2rad(camera.turn_deg)
@@ -388,12 +372,7 @@ def frames(normal: Array) -> Array:
 def block_sums(
     values: Callable[[Array, Array], Array], wi: Array, wo: Array, light: Array, at_once: int = 16384
 ) -> Array:
-    """Pixels of BRDFs: sums over the direction pairs of every block, shape (n, C, K).
-
-    Args:
-        values: f (n, P) of n BRDFs at direction pairs (P, 3).
-        wi, wo, light: of `direction_pairs`.
-    """
+    """Pixels of BRDFs of some values (n, P): sums over the direction pairs of every block, shape (n, C, K)."""
     K, S = light.shape[:2]
     per = max(1, at_once // S)
     parts = []

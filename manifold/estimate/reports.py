@@ -41,13 +41,7 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
 def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> None:
-    """Write the report of a completion.
-
-    Args:
-        path: of the page.
-        made: what was completed and written.
-        sources: files of its readings.
-    """
+    """Write the page that reports a completion of readings from some files."""
     completion, brdf = made.completion, MeasuredBRDF(read_bsdf(made.path))
     readings = completion.readings
     rows: dict[str, object] = {"from": [source.name for source in sources], **made.rows}
@@ -127,12 +121,12 @@ def balls(brdf: BRDF) -> Section:
     return Section("Ball", pictures=pictures)
 
 
-def write_index(path: Path, title: str, made: Sequence[tuple[str, str, str, str]]) -> None:
-    """Write a page of cards, one for each report: picture, link, name and a line. Raises: UsageError."""
+def write_index(path: Path, made: Sequence[tuple[str, str, str, str]]) -> None:
+    """Write a page of cards, one for each report: picture, link, name and a line."""
     cards = "".join(
         html_page.card(ball, f"ball of {name}", link, name, text) for ball, link, name, text in made
     )
-    html_page.write(path, title, f"{len(made)} reports.", f"<main>{cards}</main>")
+    html_page.write(path, "Completions", f"{len(made)} reports.", f"<main>{cards}</main>")
 
 
 def _of_colours(made: Completion) -> list[Section]:
@@ -172,12 +166,7 @@ def _of_colours(made: Completion) -> list[Section]:
 
 
 def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
-    """CIELAB of readings and completion over the aspecular angle, a line per incidence; None out of the plane.
-
-    Args:
-        angles: see `angles_of`, shape (P, 4).
-        read, found: CIELAB, shape (P, 3).
-    """
+    """CIELAB (P, 3) of readings and completion over aspecular angles, a line per incidence; None out of the plane."""
     incidences = np.round(angles[:, 0])
     in_plane = np.isfinite(angles[:, 3])
     common = [i for i in np.unique(incidences[in_plane]) if np.sum(in_plane & (incidences == i)) > 1]
@@ -205,13 +194,7 @@ def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
 
 
 def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
-    """Reflectance factors of readings and completion at some geometries, evenly chosen.
-
-    Args:
-        readings: in B bands.
-        found: of the completion there, in 1/sr, shape (P, B).
-        angles: as of `colours`.
-    """
+    """Reflectance factors of readings and completion (P, B), in 1/sr, at some geometries, evenly chosen."""
     from manifold.plots.figures import new_figure
 
     figure = new_figure(8.5, 3.0)

@@ -87,16 +87,12 @@ def coordinates(wi: Array, wo: Array) -> Array:
 def residual_factors(
     measured: Array, predicted: Array, where: Array, weights: Array, repeatability: float
 ) -> ResidualFactors:
-    """Factors by which the cube roots near readings differ from their prediction.
+    """Factors by which cube roots (B, P) measured at some coordinates (P, 3) differ from their prediction; NaN: no
+    reading.
 
-    They meet the readings within the repeatability of these, or what neighbours scatter if that is more.
+    They meet the readings, of some weights (P,), within the repeatability of these, the relative standard deviation of
+    a value that is read again, a third of which is that of its root; or within what neighbours scatter if that is more.
 
-    Args:
-        measured: cube roots read, NaN where not measured, shape (B, P).
-        predicted: cube roots predicted there, shape (B, P).
-        where: coordinates of the readings, shape (P, 3).
-        weights: of the readings, shape (P,).
-        repeatability: relative standard deviation of a value that is read again, a third of which is that of its root.
     Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.
     """
     cell = cells(where)
@@ -129,10 +125,7 @@ def _with_own(a: Array, b: Array) -> Array:
 def _noise(residual: Array, weights: Array, sums: Array, totals: Array, repeatability: float) -> float:
     """Variance of the noise of readings, that of readings within a cell if it is larger, as a share of the residual's.
 
-    Args:
-        residual, weights: of readings, shape (B, P).
-        sums, totals: of both over the cells, shape (B, C).
-        repeatability: relative, of values.
+    Residual and weights are of readings (B, P), sums and totals of both over the cells (B, C).
     """
     tiny = np.finfo(float).tiny
     total = max(float(totals.sum()), tiny)

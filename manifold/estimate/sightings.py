@@ -98,8 +98,6 @@ class Sighting:
     """A ball as a camera saw it under known light.
 
     Attributes:
-        blocks: of its picture.
-        camera: where it stood.
         light: an environment in its channels, or lamps.
         spots: lamps of unknown strength beside the environment, where it is clipped.
     """
@@ -122,10 +120,9 @@ class Sighting:
         return block_sums(atoms.at, *self.pairs), block_sums(atoms.at, *of_spots) if of_spots else 0.0
 
     def rows(self, sums: Array) -> list[Observation]:
-        """What each channel saw of atoms; small blocks count more than their share of pixels: highlights are small.
+        """What each channel saw of atoms, whose pixels are sums (n, C, K).
 
-        Args:
-            sums: pixels of atoms, shape (n, C, K).
+        Small blocks count more than their share of pixels: highlights are small.
         """
         counts, blocks = np.sqrt(self.blocks.counts), self.blocks
         channels = range(sums.shape[1])
@@ -137,10 +134,7 @@ class SeenBall:
     """A photograph, the ball in it, and its light as a picture.
 
     Attributes:
-        photograph: as read.
-        circle: of the ball.
         light: linear radiance, shape (H, W, 3); None of lamps.
-        sighting: of the ball.
         notes: assumptions about the files of both, in sentences.
     """
 

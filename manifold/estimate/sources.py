@@ -26,11 +26,7 @@ _FILE_ENDING = re.compile(r"\.[A-Za-z]\w*")
 
 @dataclass(frozen=True)
 class FileSource:
-    """A file, of whatever format, or a folder.
-
-    Attributes:
-        path: where it is.
-    """
+    """A file, of whatever format, or a folder."""
 
     path: Path
 
@@ -45,12 +41,7 @@ class FileSource:
 
 @dataclass(frozen=True)
 class LibrarySource:
-    """A measured material of a library.
-
-    Attributes:
-        library: path of the library.
-        name: of the material.
-    """
+    """A measured material of a library."""
 
     library: Path
     name: str
@@ -64,10 +55,7 @@ class PlaceSource:
     """The prediction at a place on the map of a model.
 
     Attributes:
-        model: path of the model.
-        place: on its map.
         library: of the model, if it was moved.
-        colour: of the prediction.
     """
 
     model: Path
@@ -91,16 +79,11 @@ MaterialSource = FileSource | LibrarySource | PlaceSource
 """What commands take for a material."""
 
 
-def parse_source(
-    text: str, model: Path, library: Path | None = None, colour: ColourChoice = NEAREST
-) -> MaterialSource:
+def parse_source(text: str, model: Path, library: Path | None = None) -> MaterialSource:
     """What a text means: a file, else a material of the library, else a folder, else a place on the map.
 
-    Args:
-        text: a path, the name of a material, coordinates with commas between, or `FROM:TO:T`.
-        model: path of the model whose map and library are meant; it need not exist for files.
-        library: path of another library, or of the model's, if it was moved.
-        colour: of a prediction.
+    A place is coordinates with commas between, or `FROM:TO:T`. The model need not exist for files; the library is
+    another, or the model's, if it was moved.
     """
     text = text.strip()
     path = Path(text)
@@ -121,7 +104,7 @@ def parse_source(
     if os.path.exists(path):
         return FileSource(path)
     if not looks_like_file and is_place(text):
-        return PlaceSource(model, text, library, colour)
+        return PlaceSource(model, text, library)
     if looks_like_file:
         raise MissingFileError(
             f"{text}: no such file or folder; name one, or a material of a library, or a place on a map"

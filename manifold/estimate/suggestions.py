@@ -61,16 +61,12 @@ class Deviations:
 
 
 def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
-    """The readings that reduce the expected errors most, chosen greedily.
+    """The readings that reduce the expected errors most, chosen greedily: indices of candidates in order, shape
+    (count,).
 
     The errors are the root mean square over all directions and the mean over the pixels of a ball of their standard
-    deviation. The product of the first and the cube of the second is minimised.
-
-    Args:
-        unknowns: independent of each other, all at the same D candidates.
-        count: how many to choose, at most D.
-    Returns:
-        Indices of candidates in the order in which to read them, each once, shape (count,).
+    deviation. The product of the first and the cube of the second is minimised. Unknowns are independent of each other,
+    all at the same D candidates.
     """
     left = list(unknowns)
     chosen: list[int] = []
@@ -106,11 +102,7 @@ _JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
 
 @dataclass(frozen=True, eq=False)
 class Suggested:
-    """Directions to read, in this order.
-
-    Attributes:
-        wi, wo: unit vectors (K, 3).
-    """
+    """Directions to read, in this order: unit vectors (K, 3)."""
 
     wi: Array
     wo: Array
@@ -140,9 +132,7 @@ def suggest(
     return Suggested(wi[chosen], wo[chosen])
 
 
-def directions_left(
-    count: int, readings: Readings | None = None, instrument: str | None = None
-) -> tuple[Array, Array]:
+def directions_left(count: int, readings: Readings | None, instrument: str | None) -> tuple[Array, Array]:
     """Directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3)."""
     wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
     total, of = len(wi), f" of {instrument}" if instrument else ""
@@ -163,14 +153,8 @@ def readings_to_take(
     """Indices of the candidates to read next, in order, shape (count,).
 
     Hypotheses are those of the completion so far; before the first reading they are the atoms, equally probable. See
-    `next_readings` for the three unknowns.
-
-    Args:
-        atoms: of the library.
-        at: cube roots of atoms at the candidates, shape (n + 1, D).
-        where: coordinates of the candidates, see `residual.coordinates`, shape (D, 3).
-        count: how many.
-        known: the completion of the readings so far.
+    `next_readings` for the three unknowns. Candidates have cube roots of atoms (n + 1, D), and coordinates (D, 3), see
+    `residual.coordinates`.
     """
     n = len(at) - 1
     if known is None:
@@ -205,12 +189,10 @@ def _structure(atoms: LibraryAtoms, weights: Array, probability: Array, at: Arra
 
 
 def _colours(atoms: LibraryAtoms, at: Array, square: Array, taken: Array, taken_square: Array) -> Deviations:
-    """Deviations of bands from the mean over the bands of their material, given the readings that were taken.
+    """Deviations of bands from the mean over the bands of their material, given the T readings that were taken.
 
-    Args:
-        atoms: of the library.
-        at, taken: their cube roots at the candidates (n + 1, D), and at the readings that were taken (n + 1, T).
-        square, taken_square: expected squares of the material's cube roots there, shapes (D,) and (T,).
+    Cube roots of atoms are (n + 1, D) at the candidates and (n + 1, T) at the readings; the expected squares of the
+    material's there (D,) and (T,).
     """
     n, D = atoms.n_measured, at.shape[1]
     root = 1.0 / np.sqrt(n)
@@ -228,10 +210,8 @@ def _colours(atoms: LibraryAtoms, at: Array, square: Array, taken: Array, taken_
 def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> Deviations:
     """Residuals of all hypotheses, relative to cube roots and correlated as in `residual`, given the readings taken.
 
-    Args:
-        where, taken: coordinates of the candidates (D, 3), and of the readings that were taken (T, 3).
-        level: expected cube roots at the candidates, shape (D,).
-        mean_on_ball: expected cube roots at the pairs that light a ball, shape (P_b,).
+    Candidates have coordinates (D, 3), readings (T, 3); expected cube roots are `level` (D,), and (P_b,) at pairs that
+    light a ball.
     """
     lights, f = panel.judged(), np.maximum(mean_on_ball, 0.0) ** 3
     total = np.maximum(lights.of(f), np.finfo(float).tiny)

@@ -155,14 +155,9 @@ def _uncertainty(data: dict[str, Any], count: int, context: ErrorContext) -> Arr
 
 
 def write(path: Path, readings: Readings, method: str) -> None:
-    """A file of the schema, with an uncertainty of every value where the readings have a scatter.
+    """A file of the schema, with an uncertainty of every value where the readings, in wavelengths, have a scatter.
 
-    Who measured, where and with what is left to be filled in.
-
-    Args:
-        path: where to.
-        readings: with wavelengths.
-        method: measurement or simulation.
+    The method is measurement or simulation; who measured, where and with what is left to be filled in.
     """
     nm = np.asarray(readings.bands.wavelengths_nm)
     pair, band = np.nonzero(readings.measured)

@@ -48,8 +48,6 @@ class BsdfText:
     """A file of blocks.
 
     Attributes:
-        context: for errors.
-        comments: its comment lines.
         lists: angles in degrees by plain key, such as `scatterradial`.
         blocks: its tables, in their order.
     """

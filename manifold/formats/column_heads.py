@@ -73,12 +73,7 @@ _LAB = re.compile(rf"(?P<axis>[Lab])\s*\*?\s*([(\[]\s*{_OF_VIEWING}\s*[)\]])?")
 
 
 class ValueHead(NamedTuple):
-    """What the head of a column of values says.
-
-    Attributes:
-        words: without a wavelength and units, in lower case.
-        nm: the wavelength, or None.
-    """
+    """What the head of a column of values says: words in lower case, without units, and the wavelength or None."""
 
     words: str
     nm: float | None
@@ -165,12 +160,7 @@ def gloss_angle(head: str) -> float | None:
 
 
 class LabHead(NamedTuple):
-    """A head such as `L* (D65/10)`.
-
-    Attributes:
-        axis: `l`, `a` or `b`.
-        viewing: light and observer; None where it names none.
-    """
+    """A head such as `L* (D65/10)`: its axis is `l`, `a` or `b`; the viewing is None where it names none."""
 
     axis: str
     viewing: Viewing | None

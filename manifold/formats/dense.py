@@ -19,10 +19,9 @@ class DenseTable:
     """A BRDF at the product of its angles.
 
     Attributes:
-        name: of the material.
         instrument: what made it, or the format.
-        coordinates: `half-difference` (theta_h, theta_d, phi_d; isotropic; Rusinkiewicz 1998) or
-            `incident-outgoing` (theta_i, phi_i, theta_o, phi_o).
+        coordinates: `half-difference` (theta_h, theta_d, phi_d; isotropic; Rusinkiewicz 1998) or `incident-outgoing`
+            (theta_i, phi_i, theta_o, phi_o).
         axes: the nodes of each angle in radians, increasing.
         wavelengths_nm: band centres in nm, increasing, shape (B,); None for linear sRGB.
         values: f in 1/sr, one axis per angle and the bands last; NaN is not measured.
@@ -62,11 +61,7 @@ class DenseTable:
         return from_spherical(angles[0], angles[1]), from_spherical(angles[2], angles[3])
 
     def readings(self, limit: int | None = None) -> Readings:
-        """The measured nodes above the horizon as readings; at most `limit` of them, drawn at random.
-
-        Raises:
-            ShapeError: nothing above the horizon is measured.
-        """
+        """The measured nodes above the horizon as readings; at most `limit` of them, drawn at random."""
         index = np.flatnonzero(np.isfinite(self.values).any(axis=-1).reshape(-1))
         if limit is not None and index.size > 2 * limit:  # about half a MERL table lies below the horizon
             index = np.sort(np.random.default_rng(0).choice(index, min(index.size, 8 * limit), replace=False))

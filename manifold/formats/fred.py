@@ -60,11 +60,9 @@ def read(path: Path) -> list[Readings]:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """The table of an isotropic sample in one band, its mirror direction at azimuth 0.
+    """The table of incident and outgoing angles of an isotropic sample in one band, its mirror direction at azimuth 0.
 
-    Args:
-        path: where to.
-        table: of incident and outgoing angles, light at azimuth 180 degrees.
+    The light of the table is at azimuth 180 degrees.
     """
     theta_i, _, theta_o, phi_o = (np.rad2deg(axis) for axis in table.axes)
     lines = [_TYPE, _FORMAT]

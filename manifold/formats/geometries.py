@@ -34,12 +34,9 @@ def exceed_radians(angles: Mapping[str, Array]) -> bool:
 def directions(
     angles: Mapping[str, Array], context: ErrorContext, notes: list[str]
 ) -> tuple[Array, Array, Array]:
-    """Which rows are reflected light, bool (P,), and their wi and wo, (Q, 3).
+    """Which rows are reflected light, bool (P,), and their wi and wo, (Q, 3); what was assumed is added to the notes.
 
-    Args:
-        angles: by `angle_name`, in radians, each (P,); theta_i and theta_o at least.
-        context: names the file in errors.
-        notes: what was assumed is added.
+    Angles are by `angle_name`, in radians, each (P,); theta_i and theta_o at least.
     """
     keep = np.ones(len(angles["theta_i"]), dtype=bool)
     for key in ("theta_i", "theta_o"):

@@ -234,9 +234,7 @@ def _images(data: bytes, workbook: io.BytesIO, title: str, rows: list[list[Cell]
 def write(path: Path, readings: Readings) -> None:
     """A workbook with the layout of an MA-T12's; values are reflectance factors.
 
-    Args:
-        path: where to.
-        readings: at the 12 geometries of `geometry_ma_t12`, in their order; texture as `read` gives it.
+    Readings are at the 12 geometries of `geometry_ma_t12`, in their order; their texture is as `read` gives it.
     """
     import openpyxl
     from openpyxl.drawing.image import Image
@@ -291,11 +289,7 @@ def picture_directions(camera_deg: float, lamp_deg: float) -> tuple[Array, Array
 
 
 def picture_values(content: bytes) -> Array:
-    """Linear sRGB of a picture, shape (H, W, 3), as it is stored: the instrument's codes are linear.
-
-    Raises:
-        FileFormatError: it is neither PNG nor JPEG, or damaged.
-    """
+    """Linear sRGB of a PNG or JPEG picture, shape (H, W, 3), as it is stored: the instrument's codes are linear."""
     from PIL import Image
 
     try:

@@ -84,11 +84,9 @@ def _table(rows: Any, context: ErrorContext) -> Array:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """The look-up table of an isotropic sample. Who owns and who may use the data is left to be filled in.
+    """The look-up table of an isotropic sample, in wavelengths, of incident and outgoing angles, light at 180 degrees.
 
-    Args:
-        path: where to.
-        table: of incident and outgoing angles, light at azimuth 180 degrees; it has wavelengths.
+    Who owns and who may use the data is left to be filled in.
     """
     theta_i, _, theta_o, phi_o = table.axes
     wavelengths = [float(f"{1e-9 * nm:.9g}") for nm in table.bands.wavelengths_nm or ()]

@@ -262,11 +262,7 @@ def gloss_fault(angle_deg: float, units: float) -> str | None:
 def mean_of_repeats(
     wi: Array, wo: Array, values: Array
 ) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
-    """Readings with one row per direction pair, in order of first appearance, their scatter, and a note if any repeat.
-
-    Returns:
-        wi, wo, values and scatter as of `Readings`, and the note.
-    """
+    """Readings, each direction pair once, in order of first appearance; their scatter; and a note if any repeat."""
     keys = np.round(np.hstack([wi, wo]), 9)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)

@@ -153,13 +153,10 @@ def _repeated(readings: Readings, repeatability: float | None) -> Readings:
 def read(
     path: Path | str, sample: str | None = None, *, is_only: bool = True, unit: str | None = None
 ) -> Record:
-    """One sample of an instrument's file.
+    """One sample of an instrument's file; its name may be left out where there is only one.
 
-    Args:
-        path: of any known format.
-        sample: which, by name; may be left out where there is only one.
-        is_only: whether the sample is sought in this file alone: then even a single sample must have the name.
-        unit: one of `readings.UNITS`, of a table that says none.
+    Where it is sought in this file alone (`is_only`), even a single sample must have the name; `unit`, one of
+    `readings.UNITS`, is of a table that says none.
     """
     found = read_all(path)
     if unit is not None:

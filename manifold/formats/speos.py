@@ -187,12 +187,7 @@ def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: lis
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """A `.brdf` of an isotropic sample.
-
-    Args:
-        path: where to.
-        table: of incident and outgoing angles, light at azimuth 180 degrees; it has wavelengths.
-    """
+    """A `.brdf` of an isotropic sample in wavelengths, by incident and outgoing angles, light at 180 degrees."""
     theta_i, _, theta, phi = (np.rad2deg(axis) for axis in table.axes)
     nm = table.bands.wavelengths_nm or ()
     lines = [
@@ -206,12 +201,7 @@ def write(path: Path, table: DenseTable) -> None:
 
 
 def write_anisotropic(path: Path, table: DenseTable) -> None:
-    """An `.anisotropicbsdf` of one band, isotropic or not.
-
-    Args:
-        path: where to.
-        table: of incident and outgoing angles, in one band; azimuths of light are among the outgoing ones.
-    """
+    """An `.anisotropicbsdf` of one band, isotropic or not; azimuths of light are among the outgoing ones."""
     theta_i, phi_i, theta, phi = (np.rad2deg(axis) for axis in table.axes)
     turns = np.mod(180.0 - phi_i, 360.0)
     blocks, order = [], np.argsort(turns)

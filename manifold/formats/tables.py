@@ -56,7 +56,6 @@ class Table:
     """Rows of cells.
 
     Attributes:
-        rows: the cells.
         sheet: title of the workbook's sheet; its rows end at their last cell that is not empty. None for CSV files.
         place: where a row and column stood before they were rearranged; None where they were not.
     """
@@ -372,14 +371,9 @@ def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
 def read_table(
     table: Table, columns: Columns, context: ErrorContext, name: str, instrument: str
 ) -> list[Readings]:
-    """Readings of every sample below a header, in the table's order.
+    """Readings of every sample below a header, in the table's order; texts that are numbers count as numbers.
 
-    Args:
-        table: texts that are numbers count as numbers.
-        columns: of the table, by `find_columns`.
-        context: names the file in errors.
-        name: of the sample where the table has no column of names.
-        instrument: for the record.
+    The name is that of the sample where the table has no column of names.
     """
     _require_nothing_above(table, columns, context)
     notes: list[str] = []
@@ -398,7 +392,7 @@ def read_table(
         sample = samples.setdefault(last, _Sample())
         sample.rows.append(index)
         sample.keys.append(keys)
-        sample.values.append([_value(table, index, k, columns, context) for k in columns.bands])
+        sample.values.append([_value(table, index, k, context) for k in columns.bands])
         is_percent |= any(isinstance(cell, str) and cell.endswith("%") for cell in table.rows[index])
         for column, angle in columns.gloss.items():
             units = number(table.text(index, column))  # None where empty, or a word such as `matt`
@@ -481,7 +475,7 @@ def _require_footnote(
     raise context.error(f"{found}, expected one such as 45as15", table.where(index))
 
 
-def _value(table: Table, index: int, column: int, columns: Columns, context: ErrorContext) -> float:
+def _value(table: Table, index: int, column: int, context: ErrorContext) -> float:
     """The value of a cell, NaN where nothing was measured."""
     row = table.rows[index]
     if column >= len(row) and table.sheet is None:

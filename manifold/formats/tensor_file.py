@@ -41,14 +41,10 @@ def shape_text(shape: tuple[int, ...]) -> str:
 
 
 def read_tensors(path: Path | str) -> dict[str, AnyArray]:
-    """The fields of a tensor file in the order of the file: read-only views of the mapped file.
+    """The fields of any tensor file in the order of the file: read-only views of the mapped file.
 
-    Args:
-        path: any tensor file; nothing is assumed about its fields. It must not be shortened while the arrays
-            live: the operating system ends a process that reads beyond the end of a mapped file. Replacing it
-            by renaming, as `write_tensors` does, is safe.
-    Raises:
-        FileFormatError: no such file, another format, or a header that points outside the file.
+    It must not be shortened while the arrays live: the operating system ends a process that reads beyond the end of a
+    mapped file. Replacing it by renaming, as `write_tensors` does, is safe.
     """
     path = Path(path)
     context = ErrorContext(path, "the file is damaged: fetch it again")
@@ -128,12 +124,7 @@ def _read_field(
 
 
 def write_tensors(path: Path | str, fields: Mapping[str, AnyArray]) -> None:
-    """Write named arrays as a tensor file, atomically, every field aligned to 8 bytes.
-
-    Raises:
-        FileFormatError: a field of a dtype that tensor files cannot hold; nothing is written.
-        UsageError: the file cannot be written.
-    """
+    """Write named arrays as a tensor file, atomically, every field aligned to 8 bytes."""
     path = Path(path)
     context = ErrorContext(path, "correct the record; nothing was written")
     for name, array in fields.items():

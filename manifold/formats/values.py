@@ -63,14 +63,9 @@ def named_wavelength(comments: Iterable[str]) -> float | None:
 
 
 def as_brdf(values: Array, kind: Quantity, wo: Array, notes: list[str], white: float = 1.0) -> Array:
-    """f in 1/sr of values of a quantity; NaN where the cosine is 0.
+    """f in 1/sr of values (P, B) of a quantity at wo (P, 3); NaN where the cosine is 0.
 
-    Args:
-        values: shape (P, B).
-        kind: of the values.
-        wo: their directions, shape (P, 3).
-        notes: what was done is added.
-        white: the reflectance factor of the perfect diffuser: 1, or 100 in percent.
+    What was done is added to the notes. White is the reflectance factor of the perfect diffuser: 1, or 100 in percent.
     """
     if kind == "factor":
         notes.append("reflectance factors, divided by pi")

@@ -120,13 +120,9 @@ def _readings(
 
 
 def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, values: Array) -> None:
-    """Tables of one sample rotation.
+    """Tables of one sample rotation, angles in radians, values in 1/sr, (T, A, R, B).
 
-    Args:
-        path: where to.
-        name: of the sample.
-        theta_i, azimuth, radial: radians, shapes (T,), (A,), (R,).
-        values: f in 1/sr, shape (T, A, R, B): B = 3 is linear sRGB and becomes CIE XYZ, B = 1 is monochrome.
+    B = 3 is linear sRGB and becomes CIE XYZ, B = 1 is monochrome.
     """
     values = np.nan_to_num(values)
     if values.shape[-1] == 3:

@@ -26,13 +26,9 @@ from manifold.records import AnyArray
 
 @nb.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def dequantise(coefficients, basis, least, values):
-    """Cubes of sums of multiples of basis spectra.
+    """Cubes of sums of multiples of basis spectra (K, B), written to values (S, H, W, B), both in single precision.
 
-    Args:
-        coefficients: multiples as differences along rows and columns, int32, shape (K, S, H, W).
-        basis: single precision, shape (K, B).
-        least: of the sums.
-        values: single precision, shape (S, H, W, B), written to.
+    Coefficients are multiples as differences along rows and columns, int32, (K, S, H, W); `least` is that of the sums.
     """
     n_slices, height, width, n_bands = values.shape
     row = np.empty(n_bands, np.float32)

@@ -59,10 +59,6 @@ def compact_library(path: Path | str, tolerance: float = DEFAULT_TOLERANCE) -> C
     """Store the materials of a library in compact form, one after the other; what they were is lost.
 
     A killed run leaves every material whole, in one form or the other; another run does the rest.
-
-    Args:
-        path: the library.
-        tolerance: as `encode` takes it.
     """
     require_tolerance(tolerance)
     library = Library(path)
@@ -102,9 +98,7 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
 def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
     """The coarsest compact form that was found within a tolerance, verified on what it decodes to.
 
-    Args:
-        file: the material.
-        tolerance: mean CIEDE2000 of the ball; the cube-root error may be `CUBE_ROOT_PER_BALL` times that.
+    The tolerance is the mean CIEDE2000 of the ball; the cube-root error may be `CUBE_ROOT_PER_BALL` times that.
     """
     roots, errors_of, kept = _Roots(file), _errors_from(file), _kept_tables(file)
     step, most = _COARSEST * roots.norm, Accuracy(tolerance, tolerance, CUBE_ROOT_PER_BALL * tolerance)
@@ -123,11 +117,7 @@ def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
 
 
 class _Roots:
-    """The cube roots of a file in its own components, luminance included.
-
-    Attributes:
-        norm: root mean square of the norms of the spectra.
-    """
+    """The cube roots of a file in its own components, luminance included; `norm`: root mean square of the spectra's."""
 
     def __init__(self, file: BsdfFile) -> None:
         values = np.moveaxis(file.spectra, 2, -1)

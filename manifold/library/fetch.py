@@ -26,9 +26,6 @@ class Entry:
     """A file's entry in the table of the database.
 
     Attributes:
-        name: of the material.
-        size_bytes: of the file, or None.
-        sha256: of the file in hexadecimal, or None.
         is_isotropic: whether one incident azimuth was measured.
     """
 
@@ -70,7 +67,6 @@ class FetchResult:
     """The files of a fetch.
 
     Attributes:
-        downloaded: paths of files that were downloaded.
         present: paths of files that were there already.
         without_checksum: names among both that were checked for structure only: no checksum is known.
     """
@@ -104,19 +100,14 @@ def fetch(
     timeout_s: float = 30.0,
     attempts: int = 4,
 ) -> FetchResult:
-    """Download `BASE/NAME/NAME_spec.bsdf` for each name into a folder.
+    """Download `BASE/NAME/NAME_spec.bsdf` for each name into a folder, which is made if need be.
 
     A file gets its final name when its SHA-256 is right. A file that is there already is hashed: the right one is left
     alone, any other one is replaced. One bad file does not stop the others.
 
-    Args:
-        names: materials, or None for all isotropic ones.
-        to: the folder; made if need be.
-        base_url: http or https.
-        anisotropic: with `names` None, also the anisotropic ones (1.2 GB more, no checksums known).
-        table: what is known of each file; the database's own table by default.
-        timeout_s: seconds without data after which a connection counts as stalled.
-        attempts: tries per file.
+    Names of None are all isotropic ones, or with `anisotropic` also the others (1.2 GB more, no checksums known); the
+    table is the database's own by default; a connection without data for `timeout_s` seconds counts as stalled;
+    attempts are per file.
     """
     entries = {
         f"{e.name}_spec.bsdf": e for e in select(names, rgl_table() if table is None else table, anisotropic)

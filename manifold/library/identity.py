@@ -21,12 +21,7 @@ from manifold.records import AnyArray, Array, BsdfFile, origin_of
 
 
 def require_outside_libraries(path: Path, *, into: bool = False) -> None:
-    """Raise UsageError where a file or folder to be written lies in a library.
-
-    Args:
-        path: the file or folder.
-        into: whether files are to be written into it, so that it must be no library itself.
-    """
+    """Raise UsageError where a file or folder to be written lies in a library, or one to be written into is one."""
     real = Path(os.path.realpath(path))
     folders = [real, *real.parents] if into else real.parents
     libraries = [folder for folder in folders if (folder / "zarr.json").is_file()]
@@ -62,7 +57,6 @@ class MaterialInfo:
     """Metadata of a material in a library.
 
     Attributes:
-        name: the material's name, unique in the library.
         source_file: name of the imported file, without its folder.
         sha256: of the imported file.
         content_sha256: of the fields as stored; `Library.verify` computes it again.
@@ -112,14 +106,7 @@ def describe(
     sha256: str,
     compact: tuple[Mapping[str, AnyArray], Accuracy] | None = None,
 ) -> MaterialInfo:
-    """Metadata that a library stores about a file.
-
-    Args:
-        file: the material.
-        source_file: name of its file.
-        sha256: of its file, in hexadecimal.
-        compact: the arrays of its compact form, and their errors.
-    """
+    """Metadata that a library stores about a file, with the arrays of its compact form, if any, and their errors."""
     arrays, accuracy = compact or (None, None)
     return MaterialInfo(
         name=file.name,
@@ -151,18 +138,10 @@ def file_sha256(path: Path) -> str:
 def content_sha256(
     file: BsdfFile, source_file: str, sha256: str, arrays: Mapping[str, AnyArray] | None = None
 ) -> str:
-    """Hash of all that a library holds of a material, independent of how it is chunked.
+    """Hash of all that a library holds of a material, compact or as in the file, independent of how it is chunked.
 
-    Args:
-        file: the material.
-        source_file: name of its file.
-        sha256: of its file, in hexadecimal.
-        arrays: of a compact material; by default those of the file.
-
-    Returns:
-        SHA-256 in hexadecimal over one line of JSON (name, source file, hash of the file, description,
-        version, jacobian, and the rotation where there is one) and then, as `hash_arrays` has it, of the fields and
-        the extra fields.
+    SHA-256 in hexadecimal over one line of JSON (name, source file, hash of the file, description, version, jacobian,
+    and the rotation where there is one) and then, as `hash_arrays` has it, of the fields and the extra fields.
     """
     version = [int(part) for part in file.version]
     header = [file.name, source_file, sha256, file.description, version, bool(file.jacobian)]

@@ -127,10 +127,7 @@ def find_files(
 ) -> list[Path]:
     """The files among sources, each once, in order; folders are searched at every depth, and sorted.
 
-    Args:
-        sources: files and folders.
-        is_wanted: which files of a folder; libraries and hidden folders in it are left out.
-        what: they are, in words.
+    Of a folder, libraries and hidden folders in it are left out; `what` says in words which files are wanted.
     """
     found: dict[Path, None] = {}
     for source in map(Path, sources):

@@ -63,7 +63,6 @@ class StoredArray:
         chunks: shape of a chunk, the whole array by default.
         shards: shape of what one file holds; None for one chunk per file.
         dims: names of the axes.
-        attributes: of the array.
         is_compressed: by zstd, losslessly.
     """
 
@@ -126,7 +125,9 @@ def write_array(folder: Path, stored: StoredArray) -> None:
         dtype=values.dtype,
         chunks=tuple(max(1, size) for size in stored.chunks or values.shape),
         shards=stored.shards,
-        compressors=_compressor() if stored.is_compressed else None,
+        compressors=BloscCodec(typesize=4, cname="zstd", clevel=5, shuffle="bitshuffle")
+        if stored.is_compressed
+        else None,
         filters=None,
         # Dots, not folders in folders: on some file systems making a folder costs as much as a file.
         chunk_key_encoding={"name": "default", "separator": "."},
@@ -142,10 +143,6 @@ def write_array(folder: Path, stored: StoredArray) -> None:
 def compressed_bytes(values: AnyArray) -> int:
     """How many bytes an array takes that is stored compressed."""
     return len(Blosc("zstd", clevel=5, shuffle=Blosc.BITSHUFFLE, typesize=4).encode(values))
-
-
-def _compressor() -> BloscCodec:
-    return BloscCodec(typesize=4, cname="zstd", clevel=5, shuffle="bitshuffle")
 
 
 def open_group(folder: Path) -> zarr.Group:

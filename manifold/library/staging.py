@@ -45,13 +45,7 @@ _PARTS = ("materials", "cache")  # folders in which folders are replaced
 
 @contextmanager
 def writing(library: Path) -> Iterator[Path]:
-    """Hold the library's write lock, and lend an empty staging folder.
-
-    Args:
-        library: resolved path of a library; it need not exist yet.
-    Yields:
-        An empty folder on the library's file system, removed at the end.
-    """
+    """Hold the write lock of a library, which may not exist yet, and lend an empty staging folder beside it."""
     prefix = f".{library.name}.importing-"
     home = library if os.path.ismount(library) else library.parent
     lock = FileLock(home / f".{library.name}.lock")
@@ -179,12 +173,7 @@ def write_material(
 ) -> None:
     """Write a material's group into a folder that does not exist yet (it is published by a rename).
 
-    Args:
-        folder: the group's folder.
-        file: what to store.
-        source_file: name of the imported file.
-        sha256: of the imported file, in hexadecimal.
-        compact: the form in which it is stored; by default as it is.
+    The source file and SHA-256 are of the imported file; it is stored in compact form, or by default as it is.
     """
     attributes: dict[str, Any] = {"jacobian": bool(file.jacobian)}
     if compact is not None:

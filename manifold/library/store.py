@@ -93,13 +93,7 @@ def get(library: Path, key: str) -> dict[str, Array] | None:
 
 
 def put(library: Path, key: str, arrays: Mapping[str, Array]) -> None:
-    """Store arrays under a key, atomically; no effect if the library cannot be written.
-
-    Args:
-        library: its folder.
-        key: letters, digits, - and _.
-        arrays: by name.
-    """
+    """Store arrays under a key of letters, digits, - and _, atomically; no effect if the library cannot be written."""
     target = library / "cache" / key
     try:
         with staging.writing(library) as staged:
@@ -332,13 +326,7 @@ def _first_line(error: Exception) -> str:
 
 
 def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
-    """A material, and the hash of what was read.
-
-    Args:
-        group: of the material.
-        info: of it.
-        is_rgb: whether it has no wavelengths.
-    """
+    """A material, and the hash of what was read; RGB has no wavelengths."""
     hashed: dict[str, AnyArray] | None = None
     if info.accuracy is None:
         fields = _as_imported(group, is_rgb=is_rgb)

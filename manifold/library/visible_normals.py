@@ -21,11 +21,10 @@ Differences = NDArray[np.int32]
 
 
 class Slices(NamedTuple):
-    """What the tables of visible normals of P x T incident directions follow from, beside `ndf`.
+    """What the tables of visible normals of P x T incident directions follow from, beside `ndf`: factors (P, T).
 
     Attributes:
         elevations_rad: of the incident directions, shape (P, T): those of the file, or the limit at the horizon.
-        factors: shape (P, T).
     """
 
     elevations_rad: Array

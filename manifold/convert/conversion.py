@@ -46,7 +46,6 @@ class Conversion:
     """What was written.
 
     Attributes:
-        name: of the material.
         files: that were read; or the place.
         source: what was read, in words.
         target: format, in words.

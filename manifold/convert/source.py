@@ -117,15 +117,11 @@ def open_source(
     merge: bool = False,
     unit: str | None = None,
 ) -> Source:
-    """Read what is to be converted.
+    """Read what is to be converted: one file, or the files of one sample (pab-opto's, one per incidence).
 
-    Args:
-        paths: one file, or the files of one sample (pab-opto's, one per incidence).
-        sample: which of a file's samples.
-        correction: of colours of readings, before anything else.
-        rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
-        merge: whether several files are of one sample although they name it differently.
-        unit: of values in files that say none, see `registry.read`.
+    Colours of readings are corrected before anything else; in linear sRGB, RGL files are converted before they are
+    interpolated, which is quicker; merged files are of one sample although they name it differently; `unit` is of
+    values in files that say none, see `registry.read`.
     """
     of_rgl = [path for path in paths if begins_with(path, MAGIC)]
     if of_rgl and len(paths) > 1:

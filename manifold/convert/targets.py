@@ -47,14 +47,12 @@ class Target(NamedTuple):
 
 
 class Options(NamedTuple):
-    """How an RGL file is sampled.
+    """How an RGL file is sampled; without any, it stays as it is, byte for byte.
 
     Attributes:
         resolution: nodes per axis of its outgoing grid, by default 64.
         n_theta_i: incident elevations over the hemisphere, beside the file's own; by default 16, and 48 where a file
             has none of its own.
-
-    Without any, an RGL file stays as it is, byte for byte.
     """
 
     resolution: int | None = None

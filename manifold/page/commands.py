@@ -45,9 +45,6 @@ class Context:
 
     Attributes:
         folder: where files are written.
-        model: path of the model.
-        library: path of its library.
-        names: of the materials.
         latent_dim: Q.
         is_rgb: whether the library is linear sRGB.
     """
@@ -110,7 +107,6 @@ class Call:
         command: its name in `COMMANDS`.
         subject: what it reads or writes, for people.
         arguments: of its function; can be pickled.
-        output: the file that it writes, if any.
         picture: the picture among what it writes, if any.
         inputs: temporary folder of what it reads, removed at its end.
     """
@@ -126,16 +122,12 @@ class Call:
 def call_of(
     name: str, request: Request, context: Context, is_taken: Callable[[Path], bool], file: Path | None = None
 ) -> Call:
-    """The call that a request asks for.
+    """The call that a request asks for; the file that was sent is alone in its folder.
 
-    Args:
-        name: of a command.
-        request: its fields: `name` of what is written, without an ending; `replace`, whether a file of that name may
-            be replaced; `latent`, which may be `FROM:TO:T` between two materials, and of colours at most one of
-            `like`, `srgb` and `spectrum`, rows of wavelength in nm and reflectance; others as the command line's.
-        context: of the page.
-        is_taken: whether something is, or will be, at a path.
-        file: what was sent, alone in its folder.
+    The request has the `name` of what is written, without an ending; `replace`, whether a file of that name may be
+    replaced; `latent`, which may be `FROM:TO:T` between two materials, and of colours at most one of `like`, `srgb` and
+    `spectrum`, rows of wavelength in nm and reflectance; others as the command line's. A path is taken if something is,
+    or will be, there.
     """
     command = COMMANDS[name]
     command.check(request)

@@ -27,10 +27,7 @@ def write_page(
 ) -> int:
     """Write the page of a map of blends as one HTML file that asks for nothing; its size in bytes.
 
-    Args:
-        model: path of a model.
-        output: the file.
-        library: where the model's library is now, if not where the model has it.
+    The library is where it is now, if not where the model has it.
     """
     disk.require_writable(output)
     page = make_page(_document(_load(model, library)))
@@ -47,10 +44,7 @@ def server(
 ) -> ExplorerServer:
     """A server of the page that is listening on the loopback interface; `serve_until_interrupted` answers.
 
-    Args:
-        model, library: as of `write_page`.
-        folder: where the page's actions write.
-        port: to listen on; 0 is any that is free.
+    The page's actions write into the folder; port 0 is any that is free.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder")
@@ -68,9 +62,7 @@ def server(
 def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], Any]) -> None:
     """Answer requests until Ctrl-C, SIGTERM or SIGHUP, then cancel the commands that run or wait.
 
-    Args:
-        served: of `server`.
-        on_ready: called with the address of the page.
+    `on_ready` is called with the address of the page.
     """
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)

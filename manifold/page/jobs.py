@@ -29,8 +29,6 @@ class Job:
     """One call of a command.
 
     Attributes:
-        number: its own.
-        call: what it does.
         state: `waiting`, `running`, `done`, `failed` or `cancelled`.
         message: why it failed.
         result: what is known of what it made.
@@ -78,11 +76,7 @@ class Queue:
     """
 
     def __init__(self, command: tuple[str, ...] = WORKER) -> None:
-        """A queue without calls, whose worker starts, since it takes seconds to import what it needs.
-
-        Args:
-            command: starts a worker, see `worker.serve`.
-        """
+        """A queue without calls, whose worker, `worker.serve`, starts: it takes seconds to import what it needs."""
         self.jobs: list[Job] = []
         self._temporary = TemporaryDirectory(prefix="manifold-explore-")
         self.inputs = Path(self._temporary.name)

@@ -20,11 +20,7 @@ _EXPORT = re.compile(r"^export (?=(async )?(function|class|const|let) )", re.MUL
 
 
 def make_page(document: dict[str, Any]) -> str:
-    """The page as HTML.
-
-    Args:
-        document: of `tables.to_document`, JSON; with `served` where a program answers its requests.
-    """
+    """The page as HTML, of the JSON of `page_data.to_document`, with `served` where a program answers its requests."""
     script, style = page_script(), _source("style.css")
     connect = "'self'" if document.get("served") else "'none'"
     policy = (

@@ -41,13 +41,12 @@ _SPHERE_NODES = 20  # in elevation and in azimuth
 
 @dataclass(frozen=True)
 class AngleGrid:
-    """Nodes over theta_h, theta_d and phi_d in [0, 180] degrees; phi_d runs fastest.
+    """Nodes over theta_h, theta_d and phi_d in [0, 180] degrees, both ends included; phi_d runs fastest.
 
     theta_d is given as a share of the largest at which both directions are above the horizon, so that the whole grid
     can be looked up: `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)` there.
 
     Attributes:
-        n_theta_h, n_theta_d, n_phi_d: nodes per angle, both ends included.
         theta_h_max_rad: last theta_h.
         theta_h_power: theta_h goes with this power of its index, dense around the mirror direction.
         theta_d_share: last share of theta_d.
@@ -237,12 +236,7 @@ class Tables:
 
 
 def tabulate(model: Manifold) -> Tables:
-    """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page.
-
-    Raises:
-        UsageError: the map is of another kind.
-        LibraryError: a material cannot be read.
-    """
+    """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page."""
     space = require_blends(model.space).of_landmarks
     grid = AngleGrid()
     pairs = tabulated_pairs(grid)

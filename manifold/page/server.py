@@ -19,6 +19,7 @@ from tempfile import mkdtemp
 from typing import Any, cast
 from urllib.parse import parse_qs, unquote
 
+from manifold.disk import refuse_constant
 from manifold.errors import UsageError
 from manifold.page.commands import COMMANDS, Context, call_of
 from manifold.page.jobs import Job, Queue
@@ -51,7 +52,6 @@ class ExplorerServer(ThreadingHTTPServer):
 
     Attributes:
         token: what requests must carry.
-        queue: of calls.
         naming: held from the choice of a free name until its job is queued.
     """
 
@@ -202,14 +202,9 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _json_object(text: str | bytes) -> dict[str, Any]:
     try:
-        content = json.loads(text, parse_constant=_refuse_constant)
+        content = json.loads(text, parse_constant=refuse_constant)
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):
         raise _RequestError(HTTPStatus.BAD_REQUEST, "expected a JSON object")
     return content
-
-
-def _refuse_constant(name: str) -> None:
-    """Raise ValueError: NaN and Infinity are no JSON."""
-    raise ValueError(name)

@@ -24,8 +24,7 @@ from manifold.errors import in_words
 def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
     """Answer calls until there are no more; without an answer where memory is short.
 
-    Args:
-        run: calls a command by its name with arguments; plain values.
+    `run` calls a command by its name with arguments; plain values.
     """
     replies = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print is no reply

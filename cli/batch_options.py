@@ -124,11 +124,8 @@ def inputs_of(
 ) -> list[Input] | None:
     """The materials of several sources, of a folder, a library or a file of several samples; None for one.
 
-    Args:
-        sources: as they were given.
-        output: likewise; a folder that is there is for several.
-        is_wanted: which files of folders; RGL files if None.
-        samples: whether a file of several samples is several materials.
+    An output folder that is there is for several. Wanted files of folders are RGL files by default; with `samples` a
+    file of several is several materials.
     """
     from manifold.estimate import inputs
     from manifold.estimate.sources import FileSource
@@ -156,16 +153,10 @@ def make_many(
     workers: AbstractContextManager[Executor | None] | None = None, *, outputs: str = "many files; name another",
     failed: Sequence[str] = (), then: Callable[[Batch[S]], object] | None = None,
 ) -> None:  # fmt: skip
-    """Make the outputs of a command in a folder, and print a line of each.
+    """Make the outputs of a command in a folder, by default its own, and print a line of each.
 
-    Args:
-        results: printed and written.
-        command, sources: see `batch`.
-        output: the folder that was named; by default that of the command.
-        workers: see `WorkerOptions.executor`; this process if None.
-        outputs: what the folder is for, and what to do.
-        failed: what is wrong with other sources.
-        then: called with what was made, before it is printed.
+    `outputs` says what the folder is for, and what to do; `failed` what is wrong with other sources; `then` is called
+    with what was made, before it is printed. For workers see `WorkerOptions.executor`.
     """
     from manifold.batch import batch, cell, notes_of
 

@@ -50,12 +50,7 @@ def or_default(output: Path | None, default: str) -> Path:
 
 
 def checked(path: Path, name: str = "output") -> Path:
-    """A path that the running command may write to.
-
-    Args:
-        path: a file or folder.
-        name: of the parameter that it stands for.
-    """
+    """A path that the running command may write to, of a parameter of some name."""
     from manifold.library.identity import require_outside_libraries
 
     if str(path) == "-":

@@ -39,11 +39,7 @@ _WIDTH = 80  # columns that sentences and lists are broken to; a line with a sin
 
 
 def begin(strict: bool) -> None:
-    """Start the clock of silence, and forget the warnings of an earlier command in this process.
-
-    Args:
-        strict: whether warnings are errors.
-    """
+    """Start the clock of silence, and forget the warnings of an earlier command; strict: warnings are errors."""
     global _last_line, _is_strict
     _is_strict = strict
     _last_line = time.monotonic()
@@ -164,9 +160,9 @@ def _filled(text: str, first: str, others: str) -> str:
     )  # fmt: skip
 
 
-def first_three(words: Sequence[str], between: str = "; ") -> str:
+def first_three(words: Sequence[str]) -> str:
     """The first three of what may be many, and how many more."""
-    return first_few(words, 3, between, " (--json lists them)")
+    return first_few(words, 3, "; ", " (--json lists them)")
 
 
 def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:

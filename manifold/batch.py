@@ -118,13 +118,7 @@ def batch(
 ) -> Batch[S]:
     """Make the outputs that an earlier run has not made of the same; one that fails does not stop the others.
 
-    Args:
-        command: what is done.
-        sources: of an output each.
-        folder: where to; made if missing.
-        workers: see `work.run`.
-    Returns:
-        An outcome per source, in their order.
+    There is an outcome per source, in their order; the folder is made if missing; for workers see `work.run`.
     """
     made = Batch(command, folder, [])
     with ExitStack() as at_end:
@@ -180,7 +174,9 @@ def _known(
                 raise UsageError(f"{source} and {first} have the same name, {path.name}; use two folders")
             key = command.how | source.made_of()
             content = index.result(path, key)
-            if content is not None and (not command.has_balls or _has_ball(path)):
+            if content is not None and (
+                not command.has_balls or not backend.is_available() or ball_path(path).is_file()
+            ):
                 outcomes[k] = Outcome(source.name, path, source, content, was_there=True)
             else:
                 keys[k] = key
@@ -191,13 +187,7 @@ def _known(
 
 @dataclass(frozen=True)
 class Batch(Generic[S]):
-    """What a command has made in a folder.
-
-    Attributes:
-        command: what was done.
-        folder: where.
-        outcomes: of all sources.
-    """
+    """What a command has made in a folder, of all sources."""
 
     command: Command[S]
     folder: Path
@@ -290,17 +280,8 @@ def _is_there(path: Path) -> bool:
     return path.is_file()
 
 
-def _has_ball(path: Path) -> bool:
-    return ball_path(path).is_file() or not backend.is_available()
-
-
 def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
-    """Colour and gloss of a material that was written, for the table; its ball is drawn for the sheet.
-
-    Args:
-        path: an RGL file, the JSON of a fit, or another file.
-        brdf: what it holds; read if None.
-    """
+    """Colour and gloss, for the table, of a BRDF, by default an RGL file's; its ball is drawn for the sheet."""
     ball = ball_path(path)
     brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
     if backend.is_available():
@@ -379,9 +360,7 @@ def _only_run_in(folder: Path, what: str) -> Iterator[None]:
 class OutputIndex:
     """What the files of a folder were made of: a line of JSON per file, appended when it is whole; the last one counts.
 
-    Args:
-        folder: of the outputs.
-        what: they are, in the plural; `exports` makes `exports.jsonl`.
+    Of `exports`, in the plural, it is `exports.jsonl`.
     """
 
     def __init__(self, folder: Path, what: str) -> None:

@@ -38,13 +38,10 @@ _one_at_a_time = threading.Lock()
 
 @contextmanager
 def workers(address: str) -> Iterator[Executor]:
-    """The workers of a Dask scheduler, for `work.run`; those that join later take part.
+    """The workers of a Dask scheduler, such as `tcp://10.0.0.1:8786`, for `work.run`; those that join later take part.
 
     Dask runs the tasks of lost workers again. Tasks run in the folder of this process, in which relative paths mean the
     same there.
-
-    Args:
-        address: of the scheduler, such as `tcp://10.0.0.1:8786`.
     """
     if find_spec("distributed") is None:
         raise UsageError(f"{address}: needs Dask, which is not installed; pip install brdf-manifold[cluster]")

@@ -68,15 +68,7 @@ pre { overflow-x: auto; padding: .8rem; border: 1px solid gray; }
 def page(
     folder: Path, pictures: Sequence[Path], explorer: Path, predicted: DiagnosedPrediction, report: Report
 ) -> str:
-    """What was done, the numbers that count, pictures, the explorer and the next commands, as HTML.
-
-    Args:
-        folder: of the demo; links are relative to it.
-        pictures: in the folder.
-        explorer: the interactive map, in the folder.
-        predicted: the prediction of the demo.
-        report: on its model.
-    """
+    """What was done, the numbers that count, pictures, the explorer and the next commands, as HTML beside them."""
     names = {path.name for path in pictures}
     steps = [
         f"{len(report.names)} synthetic materials were measured by a virtual goniometer, {report.bands} ("
@@ -201,14 +193,7 @@ FIT = "predicted.fit.json"
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What `run` made.
-
-    Attributes:
-        files: what was written, by what it is.
-        predicted: the prediction.
-        report: the report.
-        left_out: what could not be made here.
-    """
+    """What `run` made: files by what they are, and what was left out, as it could not be made here."""
 
     files: dict[str, list[Path]]
     predicted: DiagnosedPrediction

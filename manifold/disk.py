@@ -74,13 +74,7 @@ MOST_TEXT = 16 << 20
 
 
 def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
-    """The content of a regular file of at most `most` bytes.
-
-    Args:
-        path: the file.
-        advice: what to do where it cannot be read, for the error.
-        most: bytes.
-    """
+    """The content of a regular file of at most `most` bytes; the advice, for the error, is what to do otherwise."""
     if not os.path.isfile(path):  # a pipe would block, and a device need not end
         if os.path.exists(path):
             raise UsageError(f"{path}: not a regular file; {advice}")
@@ -103,15 +97,9 @@ def read_text(path: Path, *, advice: str) -> str:
         raise UsageError(f"{path}: not a text in UTF-8; {advice}") from error
 
 
-def read_json(path: Path, expected: str, most: int = MOST_TEXT) -> Any:
-    """The content of a JSON file.
-
-    Args:
-        path: the file.
-        expected: what it should be, in words.
-        most: bytes.
-    """
-    content = read_bytes(path, advice=f"name {expected}", most=most)
+def read_json(path: Path, expected: str) -> Any:
+    """The content of a JSON file, which should be what is expected, in words."""
+    content = read_bytes(path, advice=f"name {expected}", most=MOST_TEXT)
     try:
         return json.loads(content, parse_constant=refuse_constant)
     except RecursionError as error:

@@ -71,13 +71,10 @@ def mapped_residual(products: Products) -> Criterion:
 
 
 def likelihood(products: Products, scale: float) -> Criterion:
-    """`1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`.
+    """`1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`; the scale is D s^2, outputs times output variance.
 
     The residual is relative to the posterior variance, which is then calibrated at the latent found.
 
-    Args:
-        products: of the material.
-        scale: D s^2, outputs times output variance.
     Source: Lawrence 2005, section 3.1; Rasmussen & Williams 2006, eq. 5.8.
     """
 
@@ -115,8 +112,7 @@ PAIR_STRIDE = 6  # one in this many of a grid's direction pairs is used to find 
 def encoding_pairs(is_isotropic: bool = True) -> Pairs:
     """Pairs of the default grid at which new materials are compared with predictions; cached: do not write to them.
 
-    Args:
-        is_isotropic: whether all materials are; for others half vectors have all azimuths.
+    Of materials that are not isotropic, half vectors have all azimuths.
     """
     return RusinkiewiczGrid.named("default").suited_to(is_isotropic).pairs(PAIR_STRIDE)
 
@@ -126,8 +122,7 @@ class Decoder:
     """Maps latents to BRDF values at P outputs: direction pairs of one band, or pairs and bands.
 
     Attributes:
-        gp: of the n training samples.
-        mapped: T of the training samples, shape (n, P).
+        mapped: T of the n training samples, shape (n, P).
         mapping: T.
         cosines: cos(theta_i) cos(theta_o) of each output, shape (P,).
     """
@@ -205,12 +200,7 @@ class Encoder:
         return self._best(mapped_residual(products), self.starts(products))
 
     def by_likelihood(self, cross: Array, norm: float) -> Array:
-        """The latent (Q,) of largest likelihood, by inner products with the samples about the origin of S.
-
-        Args:
-            cross: products with the training materials, shape (n,).
-            norm: squared norm.
-        """
+        """The latent (Q,) of largest likelihood, by inner products (n,) with the samples about the origin of S."""
         products = Products.centred(self.S, cross, norm)
         return self._best(likelihood(products, self.n_outputs * self.output_variance), self.starts(products))
 

@@ -79,9 +79,6 @@ class Run:
 def search(run: Run, X: Array) -> Array:
     """Direct local search of Hooke & Jeeves from X (N, Q): latents. No gradient.
 
-    Args:
-        run: the fit.
-        X: the start.
     Source: Hikichi & Iwasaki, section 3.4.
     """
     objective = run.objective

@@ -31,11 +31,7 @@ _MOST_SAMPLES = 40  # listed one by one
 def inspect_instrument_file(
     path: Path, format_name: str
 ) -> tuple[dict[str, object], dict[str, Any], list[tuple[Sequence[str], Sequence[Sequence[object]]]]]:
-    """Samples, directions, bands, notes and texture of a file of a known format.
-
-    Returns:
-        labels and values, the same for JSON, and tables: their heads and rows.
-    """
+    """Labels and values of a file of a known format, the same for JSON, and tables (heads, rows) of its samples."""
     records = registry.read_all(path)
     first = records[0]
     rows: dict[str, object] = {"format": format_name, "instrument": first.instrument}
@@ -176,7 +172,6 @@ class Inspection:
         title: one line.
         rows: labels and values.
         document: the same for JSON.
-        tables: further tables, possibly none.
         problems: what verification found, possibly nothing.
     """
 
@@ -195,10 +190,7 @@ def inspect(
 ) -> Inspection:
     """Inspect a file of a BRDF or an instrument, a library, a model or the JSON of a fit, recognised by content.
 
-    Args:
-        path: what to look at.
-        library: where a model's library is now, if not where the model remembers it.
-        verify: read and hash a library again.
+    A model's library may have been moved; to verify a library is to read and hash it again.
     """
     if not path.exists():
         raise UsageError(
@@ -219,9 +211,7 @@ def inspect(
     return _inspect_file(read_bsdf(path), path)
 
 
-def inspect_source(
-    source: MaterialSource, *, library: Path | None = None, verify: bool = False,
-    ) -> Inspection:  # fmt: skip
+def inspect_source(source: MaterialSource, *, library: Path | None, verify: bool) -> Inspection:
     """Inspect what a user names: a path, see `inspect`, or a material of a library or a prediction."""
     if isinstance(source, FileSource):
         return inspect(source.path, library=library, verify=verify)

@@ -92,12 +92,9 @@ class Kernel(ABC):
         return K, slope
 
     def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:
-        """Gradient with respect to A (M, Q) of `sum(dK * smooth(A, B))`, B held, shape (M, Q).
+        """Gradient with respect to A (M, Q) of `sum(dK * smooth(A, B))`, B (N, Q) and dK (M, N) held, shape (M, Q).
 
-        Args:
-            A, B: latents, shape (M, Q) and (N, Q).
-            dK: factors of the entries, shape (M, N).
-            slope: from `smooth_and_slope(A, B)`, shape (M, N); computed if None.
+        The slope (M, N) is that of `smooth_and_slope(A, B)`, computed if None.
         """
         slope = self.smooth_and_slope(A, B)[1] if slope is None else slope
         G = (2.0 / self.length_scale**2) * dK * slope
@@ -106,10 +103,7 @@ class Kernel(ABC):
     def gradient(self, X: Array, dK: Array, slope: Array | None = None) -> Array:
         """Gradient with respect to X (N, Q) of a function of K = `training(X)`, shape (N, Q).
 
-        Args:
-            X: latents, shape (N, Q).
-            dK: symmetric derivatives of the function with respect to the entries of K, shape (N, N).
-            slope: from `training_and_slope(X)`, shape (N, N); computed if None.
+        Its derivatives dK (N, N) are symmetric; the slope (N, N) is that of `training_and_slope(X)`, computed if None.
         """
         return 2.0 * self.pull_back(X, X, dK, slope)
 
@@ -158,12 +152,7 @@ KERNELS: Registry[type[Kernel]] = Registry(
 
 
 def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
-    """A kernel by its name, such as `se` or `matern32`, or one of your own.
-
-    Args:
-        name: of the kernel, or a class derived from `Kernel` that has `family`, `steepest` and `radial`.
-        mu: noise filter.
-        length_scale: l.
+    """A kernel by its name, such as `se` or `matern32`, or a class of your own with `family`, `steepest` and `radial`.
 
     >>> kernel_named("se", mu=1e-4).smooth(np.array([[0.0]]), np.array([[0.0], [1.0]])).round(3)
     array([[1.   , 0.607]])

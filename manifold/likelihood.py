@@ -20,13 +20,9 @@ _SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
 class LatentObjective:
     """F(X) and its gradient, by a fresh factorisation.
 
-    `F = 1/2 log|K| + N/2 log s^2 + prior/2 ||X||^2` with `s^2 = tr(K^-1 S) / (N D)`, constants dropped.
+    `F = 1/2 log|K| + N/2 log s^2 + prior/2 ||X||^2` with `s^2 = tr(K^-1 S) / (N D)`, constants dropped; S (N, N) is a
+    centred Gram matrix of D outputs, the prior's weight per output.
 
-    Args:
-        S: centred Gram matrix, shape (N, N).
-        n_outputs: D.
-        kernel: the covariance function.
-        prior: weight of the Gaussian prior per output.
     Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, per output.
     """
 
@@ -159,22 +155,16 @@ _LOG_DET, _TRACE, _SQUARED_NORM, _VALUE, _MOVES = range(5)
 
 
 class IncrementalObjective:
-    """F as a `MoveObjective`: a move of one coordinate of one latent costs O(N^2).
+    """F as a `MoveObjective` that starts from a copy of X (N, Q): a move of one coordinate of one latent costs O(N^2).
 
-    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with
-    `d_i = 0`. With `P = K^-1`, `p = P e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q`
-    and `t = (1 + b)^2 - a c`,
+    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with `d_i = 0`. With `P = K^-1`, `p = P
+    e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q` and `t = (1 + b)^2 - a c`,
 
         |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
 
-    Every move measures the error of P on the row it changed and on one more; P is computed afresh when that
-    exceeds 2e-9, and after 500 moves.
+    Every move measures the error of P on the row it changed and on one more; P is computed afresh when that exceeds
+    2e-9, and after 500 moves, `n_refactorisations` times since the start, jumps not counted.
 
-    Args:
-        objective: F.
-        X: the start, shape (N, Q); copied.
-    Attributes:
-        n_refactorisations: how often P was computed afresh since the start, jumps not counted.
     Source: Woodbury; Hikichi & Iwasaki, section 3.4, for the search it serves.
     """
 

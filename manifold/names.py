@@ -15,10 +15,7 @@ _SHOWN = 5
 def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
     """Similar names for an error message: those that contain a name, or are close matches; else the first few.
 
-    Args:
-        names: that are known.
-        name: that is not; upper and lower case do not matter.
-        among: what stands before the first few.
+    Upper and lower case do not matter; `among` stands before the first few.
     """
     known, name = list(dict.fromkeys(names)), name.lower()
     within = [k for k in known if name and name in k.lower()]
@@ -30,25 +27,15 @@ def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
 
 
 def first_few(words: Sequence[str], most: int = _SHOWN, between: str = ", ", hint: str = "") -> str:
-    """The first few of what may be many, and how many more.
-
-    Args:
-        words: all of them.
-        most: how many are shown.
-        between: stands between two.
-        hint: stands after the number of those that are left out.
-    """
+    """The first few of what may be many, and how many more, with a hint behind that number."""
     more = len(words) - most
     return between.join(words[:most]) + (f"{between.rstrip(', ')} and {more} more{hint}" if more > 0 else "")
 
 
 def printable(text: str, limit: int | None = None, *, keep: str = "") -> str:
-    """A text on one line: what does not print as an escape, the end of a long text left out.
+    """A text on one line: what does not print as an escape, the end beyond a limit of characters left out.
 
-    Args:
-        text: any, such as the name of a file.
-        limit: the most characters, or None.
-        keep: characters that stay as they are, such as line breaks.
+    Characters to keep, such as line breaks, stay as they are.
     """
     shown = text if limit is None else text[: limit + 1]
     shown = "".join(
@@ -80,9 +67,7 @@ _ALL_NAMED = 16  # names up to which a message lists all
 class Registry(dict[str, T], Generic[T]):
     """A dictionary by name, in the order in which help texts list it; a name that is not there is a `UsageError`.
 
-    Args:
-        what: an entry is, in the singular.
-        entries: names and entries.
+    `what` is an entry in the singular.
     """
 
     def __init__(self, what: str, entries: Iterable[tuple[str, T]]) -> None:

@@ -16,15 +16,10 @@ _TOLERANCE = 1e-9  # of slopes, relative to the largest inner product
 
 
 def nonnegative_weights(gram: Array, cross: Array) -> Array:
-    """Weights v >= 0 that minimise `v gram v - 2 v cross_r` for every row r.
+    """Weights v (R, n) >= 0 that minimise `v gram v - 2 v cross_r` for every row r, of n atoms and R vectors.
 
-    Rows are solved in order, each starting from the atoms that the one before uses: neighbouring bands are alike.
-
-    Args:
-        gram: inner products of n atoms, shape (n, n).
-        cross: inner products of R vectors with the atoms, shape (R, n).
-    Returns:
-        Shape (R, n).
+    Rows are solved in order, each starting from the atoms that the one before uses: neighbouring bands are alike. Inner
+    products are `gram` (n, n) of atoms, `cross` (R, n) of vectors with them.
 
     >>> nonnegative_weights(np.eye(2), np.array([[0.5, -1.0]])).round(6)
     array([[0.5, 0. ]])

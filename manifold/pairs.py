@@ -157,13 +157,10 @@ class Pairs:
     def located(self, isotropic: bool, reduction: int, rotation_rad: float = 0.0) -> Array:
         """`theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
 
-        A pair below the horizon has cosine 0, and nothing else. Cached: this takes as long as looking up fifty
-        bands, and most materials share one symmetry.
-
-        Args:
-            isotropic: u_y is relative to the incident azimuth.
-            reduction: 1, or 2 or 4 where a file holds half or a quarter of the azimuths.
-            rotation_rad: azimuth by which the sample lay turned.
+        A pair below the horizon has cosine 0, and nothing else. Cached: this takes as long as looking up fifty bands,
+        and most materials share one symmetry. For isotropic ones u_y is relative to the incident azimuth; a file of
+        reduction 2 or 4 holds half or a quarter of the azimuths; a rotation is the azimuth by which the sample lay
+        turned.
         """
         key = (isotropic, reduction, rotation_rad)
         if key not in self._located:

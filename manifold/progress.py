@@ -35,10 +35,7 @@ def display_with(display: Display) -> None:
 
 @contextmanager
 def listen(listener: Progress | None) -> Iterator[None]:
-    """Have progress reported to a function, or to none.
-
-    Args:
-        listener: called with (done, total, what).
+    """Have progress reported to a function of (done, total, what), or to none.
 
     >>> with listen(lambda done, total, what: print(f"{done} of {total}: {what}")):
     ...     report(1, 2, "materials")
@@ -53,12 +50,7 @@ def listen(listener: Progress | None) -> Iterator[None]:
 
 @contextmanager
 def shown(title: str, *, in_bytes: bool = False) -> Iterator[None]:
-    """Show the progress of what is done inside, where there is a display and nobody listens already.
-
-    Args:
-        title: of the work.
-        in_bytes: whether numbers are bytes.
-    """
+    """Show the progress of what is done inside, where there is a display and nobody listens already."""
     display = _display.get()
     if display is None or _listener.get() is not None:
         yield
@@ -75,12 +67,7 @@ def report(done: int, total: int, what: str = "") -> None:
 
 
 def each(items: Iterable[T], what: str | Callable[[T], str] = "") -> Iterator[T]:
-    """The items in order, reporting after each how many are done.
-
-    Args:
-        items: what is iterated over; listed first, for their number.
-        what: the text of the report, or a function of the item that was done.
-    """
+    """The items, listed first, in order, reporting after each how many are done, and a text or function of the item."""
     known, listener = list(items), _listener.get()
     for done, item in enumerate(known, start=1):
         _listener.set(None)
@@ -94,9 +81,8 @@ def each(items: Iterable[T], what: str | Callable[[T], str] = "") -> Iterator[T]
 class Stages:
     """Overall progress, in hundredths, from the progress of single stages.
 
-    Args:
-        shares: of each stage in the time of the whole, in the order in which they follow each other; one called "" has
-            stages of its own.
+    Shares are of each stage in the time of the whole, in the order in which they follow each other; one called "" has
+    stages of its own.
     """
 
     def __init__(self, shares: Mapping[str, float]) -> None:

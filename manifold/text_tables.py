@@ -18,14 +18,7 @@ def table_lines(
     numeric: Sequence[bool] | None = None,
     bold: bool = False,
 ) -> list[str]:
-    """A header line, then a line per row.
-
-    Args:
-        columns: their titles.
-        rows: texts, as many as there are columns.
-        numeric: which columns are set to the right; by default those of numbers alone.
-        bold: whether the header is bold where the output is a terminal.
-    """
+    """A header line, bold only on terminals, then a line per row; numeric columns stand to the right."""
     if numeric is None:
         numeric = [all(map(_is_number, cells)) for cells in zip(*rows, strict=True)]
     table = Table(box=None, pad_edge=False, header_style="bold" if bold else "")

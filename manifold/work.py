@@ -32,10 +32,8 @@ def run(
     """Run tasks, and give index, result and failure of each as soon as it ends; one that fails stops no other.
 
     What a task raises of `ManifoldError` and `OSError` is its failure, and its result None. An interruption waits for
-    the tasks that are running. A single task is not worth a process of its own.
-
-    Args:
-        workers: None runs them in this process, in order, and pickles nothing.
+    the tasks that are running. A single task is not worth a process of its own. Without workers they run in this
+    process, in order, and nothing is pickled.
     """
     if workers is None or (isinstance(workers, ProcessPoolExecutor) and len(tasks) == 1):
         yield from map(partial(_attempt, function), range(len(tasks)), tasks)

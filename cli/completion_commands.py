@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from manifold.estimate.suggestions import Suggested
     from manifold.records import Array
 
-_SHOWN_PROBABILITY = 0.005  # of a mixture, which is printed with two decimals
+_SHOWN_PROBABILITY = 0.005  # least probability of a mixture, which is printed with two decimals
 
 InstrumentOption = Annotated[
     str | None,

@@ -85,9 +85,8 @@ def run(arguments: list[str] | None = None) -> None:
     if strict or not debug:
         warnings.showwarning = partial(_show_warning, strict)
     try:
-        if (
-            "" in arguments
-        ):  # a shell's variable that is not set; as a path, Python takes it for the current folder
+        # A shell's variable that is not set; as a path, Python takes it for the current folder.
+        if "" in arguments:
             raise UsageError("found an empty argument, expected a value")
         status = app(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
     except BrokenPipeError:

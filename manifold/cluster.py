@@ -71,7 +71,7 @@ def workers(address: str) -> Iterator[Executor]:
 def _connected(address: str) -> Iterator[Client]:
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is said in one line here
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported in one line here
     if not _ADDRESS.fullmatch(address):
         raise UsageError(f"scheduler '{address}', expected an address such as tcp://10.0.0.1:8786")
     found: queue.Queue[Client | Exception] = queue.Queue()

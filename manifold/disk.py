@@ -55,12 +55,12 @@ def require_writable(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8; bytes of file names that are none stand there as escapes. Raises: as `replacing`."""
+    """Write a text file in UTF-8; bytes of file names that are none stand there as escapes."""
     write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file. Raises: as `replacing`."""
+    """Write a file."""
     with replacing(path) as partial:
         partial.write_bytes(content)
 
@@ -111,7 +111,7 @@ def read_json(path: Path, expected: str) -> Any:
 
 
 def refuse_constant(name: str) -> None:
-    """Refuse NaN and infinities. Raises: ValueError, always."""
+    """Refuse NaN and infinities by a ValueError."""
     raise ValueError(f"{name} is not a number of JSON")
 
 

@@ -43,13 +43,10 @@ class MoveObjective(Protocol):
         """The function at the current point."""
 
     def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
-        """Try every coordinate both ways, keep each improvement at once; return how many moves were tried.
+        """Try every coordinate both ways and keep each improvement; return how many moves were tried, at most `budget`.
 
-        Args:
-            steps: how far, > 0, shape (n,).
-            heading: +1 or -1, which way first, shape (n,); what succeeds is written here.
-            limits: lowest and highest coordinates, shape (n,) each: a step ends there, or is not tried.
-            budget: most moves to try.
+        Steps (n,) are > 0 and end at the limits, lowest and highest coordinates (n,), or are not tried there; the
+        heading (n,) is +1 or -1, which way first, and what succeeds is written there.
         """
 
     def move_to(self, x: Array) -> None:

@@ -157,7 +157,7 @@ class Decoder:
 
 _STARTS = 5  # nearest training materials to start from
 _REFINED = 3  # minima of the first search that the second one starts from
-_APART = 1e-2  # in latents: minima nearer to each other are one
+_APART = 1e-2  # largest difference of latents of one minimum
 _MAX_ITER = 200
 
 

@@ -39,8 +39,8 @@ from manifold.records import Array
 
 FitCallback = Callable[[int, float], Any]
 
-_FIRST_STEP = 0.1  # of direct local search, in length scales
-_LAST_STEP = 100.0  # of direct local search, in length scales times the tolerance
+_FIRST_STEP = 0.1  # first step of direct local search, in length scales
+_LAST_STEP = 100.0  # last step of direct local search, in length scales times the tolerance
 
 
 class Run:

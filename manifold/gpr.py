@@ -83,7 +83,7 @@ def _name_coinciding(X: Array, kernel: Kernel) -> str:
 
 LEAST_EXPLAINED = 0.5  # share of the variance between samples below which a fit is warned of
 _ALONE = 0.5  # share of the prior's variance above which a sample is far from all others
-_COINCIDENT = 1e-3  # of the latents' span: closer latents count as one
+_COINCIDENT = 1e-3  # share of the latents' span; closer latents count as one
 _MOST_ALONE = 0.25  # share of such samples from which a fit is warned of
 
 

@@ -27,10 +27,13 @@ from manifold.render import backend
 
 _MOST_SAMPLES = 40  # listed one by one
 
+Table = tuple[Sequence[str], Sequence[Sequence[object]]]
+"""Column heads, and rows."""
+
 
 def inspect_instrument_file(
     path: Path, format_name: str
-) -> tuple[dict[str, object], dict[str, Any], list[tuple[Sequence[str], Sequence[Sequence[object]]]]]:
+) -> tuple[dict[str, object], dict[str, Any], list[Table]]:
     """Labels and values of a file of a known format, the same for JSON, and tables (heads, rows) of its samples."""
     records = registry.read_all(path)
     first = records[0]
@@ -42,7 +45,7 @@ def inspect_instrument_file(
         rows[f"note {k}"] = note
     size = path.stat().st_size
     rows["size"] = f"{size / 1e6:.3g} MB" if size >= 1e5 else f"{size / 1e3:.3g} kB"
-    tables: list[tuple[Sequence[str], Sequence[Sequence[object]]]] = []
+    tables: list[Table] = []
     if len(records) > 1:
         listed = [(r.name, _count(r), str(r.bands)) for r in records[:_MOST_SAMPLES]]
         tables.append((("sample", "pairs", "bands"), listed))
@@ -96,7 +99,7 @@ def _count(record: registry.Record) -> int:
     return len(record) if isinstance(record, Readings) else int(np.count_nonzero(record.measured))
 
 
-def _picture_table(readings: Readings) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
+def _picture_table(readings: Readings) -> Table:
     """Pictures with their geometries, sizes and mean colours, and how these compare with the readings'."""
     heads = ("picture", "camera, lamp in degrees", "pixels", "mean linear sRGB", "over its reading")
     rows = []
@@ -117,7 +120,7 @@ def _picture_table(readings: Readings) -> tuple[Sequence[str], Sequence[Sequence
     return heads, rows
 
 
-def _texture_table(key: str, value: Any) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
+def _texture_table(key: str, value: Any) -> Table:
     """A list of entries with their columns, or single values."""
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         columns = tuple(dict.fromkeys(column for entry in value for column in entry))
@@ -159,9 +162,6 @@ _KINDS = {
     "blend": "blends of whole materials",
     "material": "whole materials",
 }
-
-Table = tuple[Sequence[str], Sequence[Sequence[object]]]
-"""Column heads, and rows."""
 
 
 @dataclass(frozen=True)

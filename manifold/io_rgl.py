@@ -36,7 +36,7 @@ _FIELDS: dict[str, tuple[str, tuple[str | int, ...] | None]] = {
     "valid": ("u1", None),  # its size counts, packed bits have no axes of their own
 }
 _AXIS_WORDS = {"P": "phi_i", "T": "theta_i", "B": "wavelengths", "H": "side of the outgoing grid"}
-_AT_LEAST_TWO = ("theta_i", "sigma", "ndf", "vndf", "luminance")  # what is interpolated needs two nodes
+_AT_LEAST_TWO = ("theta_i", "sigma", "ndf", "vndf", "luminance")  # interpolated fields need two nodes
 
 
 def read_bsdf(path: Path | str) -> BsdfFile:

@@ -12,7 +12,7 @@ from manifold.errors import ShapeError
 from manifold.records import Array, Indices, Mask
 
 _RIDGE = 1e-10  # on a unit diagonal: atoms that are alike leave the Gram matrix singular
-_TOLERANCE = 1e-9  # of slopes, relative to the largest inner product
+_TOLERANCE = 1e-9  # smallest slope, relative to the largest inner product
 
 
 def nonnegative_weights(gram: Array, cross: Array) -> Array:

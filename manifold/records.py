@@ -55,7 +55,7 @@ class Bands:
 
     @classmethod
     def from_array(cls, wavelengths_nm: Array | None) -> Bands:
-        """Bands of a wavelength array in nm, shape (B,), or of RGB for None. Raises: as the class."""
+        """Bands of a wavelength array in nm, shape (B,), or of RGB for None."""
         return cls(wavelengths_nm)  # type: ignore[arg-type]
 
     @property

@@ -36,8 +36,8 @@ from manifold.pairs import cosine_weight
 from manifold.plots import html_page
 from manifold.records import Array, Bands, BsdfFile, plain
 
-_SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
-_DARK = 1e-3  # of the brightest value: darker ones are compared with this
+_SAME_PAIR = 1e-6  # largest difference between unit vectors that were written with nine digits
+_DARK = 1e-3  # share of the brightest value, with which darker ones are compared
 _FEW = 20  # readings per incidence, of spectrophotometers rather than of goniometers
 
 
@@ -82,7 +82,7 @@ class Conversion:
         }
 
     def write_report(self, path: Path, output: Path) -> None:
-        """Write a page of HTML about the file that was written. Raises: UsageError."""
+        """Write a page of HTML about the file that was written."""
         sections = [html_page.Section("Conversion", self.rows)]
         shown = open_source([output]).interpolated
         if not isinstance(shown, UsageError):

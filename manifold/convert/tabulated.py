@@ -24,9 +24,9 @@ from manifold.records import Array
 _LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
 _HORIZON_COSINE = 1e-3
 _SAME_ANGLE = 1e-4  # radians; incidences are rounded to five decimals
-_DIFFUSE_PERCENTILE = 10  # of the values of a hemisphere: those away from highlights
+_DIFFUSE_PERCENTILE = 10  # percentile of a hemisphere's values: those away from highlights
 _LARGEST_RATIO = 64.0
-_LEAST_ALPHA = 0.05  # of the masking, without which noise of readings grows as 1 / cos into a bright rim
+_LEAST_ALPHA = 0.05  # roughness of the masking, without which noise grows as 1 / cos into a bright rim
 
 
 class TabulatedBRDF(AnalyticBRDF):

@@ -24,7 +24,7 @@ from manifold.records import Array
 _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
 _MOST_INCIDENCES = 40
-_MEASURED_WITHIN = np.deg2rad(0.5)  # of a measured incidence: half a step of MERL's
+_MEASURED_WITHIN = np.deg2rad(0.5)  # angle from a measured incidence: half a step of MERL's
 _STEEPEST = np.deg2rad(85.0)
 _FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of elevation and azimuth
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])

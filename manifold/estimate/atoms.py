@@ -31,7 +31,7 @@ from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 MOST_MATERIALS = 1000
 """Of a library from which readings are completed: each is left out once, against all others."""
 
-ATOM_BANDS = 5  # of a spectral material; more gain nothing
+ATOM_BANDS = 5  # bands of a spectral material that are atoms; more gain nothing
 COAT_ALPHAS = tuple(np.geomspace(0.015, 0.26, 10).tolist())  # duller ones replace measured matt materials
 COAT_INDICES = (1.42, 1.58)
 _COAT_BASE = 0.9  # largest reflectance of what is below a coat

@@ -40,8 +40,8 @@ from manifold.model.places import Place, PlaceLike
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands, plain
 
-_GLOSS_WEIGHT = 1e3  # of a squared error of log gloss, against squared distance in length scales
-_COLOUR_WEIGHT = 1.0  # of a squared difference in CIELAB, likewise
+_GLOSS_WEIGHT = 1e3  # weight of squared errors of log gloss, against squared distance in length scales
+_COLOUR_WEIGHT = 1.0  # weight of squared differences in CIELAB, likewise
 _ALONG = np.linspace(0.0, 1.0, 11)[:, None]  # places tried, on the way from the given one to every material
 _REFINED, _EVALUATIONS = 6, 100
 LEAST_GLOSS = 0.01  # gloss units
@@ -49,7 +49,7 @@ _GREY = 0.2
 _LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
 _LIGHT, _NORMAL = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
 GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
-_JUST_VISIBLE = np.log(1.2)  # of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
+_JUST_VISIBLE = np.log(1.2)  # difference of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
 
 
 @dataclass(frozen=True)

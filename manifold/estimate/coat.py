@@ -49,15 +49,13 @@ from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, requir
 from manifold.progress import Stages
 from manifold.records import Array, Bands, plain
 
-_INDEX, _INDEX_SPREAD = (
-    1.5,
-    0.3,
-)  # of refraction: most varnishes and plastics; lets gloss of several angles decide
+_INDEX = 1.5  # refractive index of most varnishes and plastics
+_INDEX_SPREAD = 0.3  # its standard deviation, which lets gloss of several angles decide
 _INDICES, _ALPHAS = (1.05, 1.8), (0.01, 1.0)
-_STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # of alpha
+_STARTS = (0.015, 0.03, 0.06, 0.12, 0.24, 0.5)  # roughness alpha at the start
 _EVALUATIONS = 15
-_ROUNDING, COLOUR_ROUNDING = 0.02, 1.0  # of log gloss, in CIELAB: what differs less is reached
-_LEAST_SURFACE = 1e-9  # in 1/sr
+_ROUNDING, COLOUR_ROUNDING = 0.02, 1.0  # largest differences of log gloss, and in CIELAB
+_LEAST_SURFACE = 1e-9  # smallest value of a coat's surface or base, in 1/sr
 
 
 @dataclass(frozen=True)

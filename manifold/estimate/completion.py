@@ -23,9 +23,9 @@ from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands, Mask
 
 _SHOWN_ALTERNATIVES = 5
-_NEAR_MIRROR_DEG = 5.0  # from a mirror direction: readings this near measure all but the sharpest highlights
-_DARK = 0.1  # of the mean over readings: errors of darker ones are relative to this
-_GLOSS_MISSED = 0.1  # relative, in cube roots
+_NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all but the sharpest highlights
+_DARK = 0.1  # share of the mean over readings, to which errors of darker ones are relative
+_GLOSS_MISSED = 0.1  # relative error of cube roots above which gloss is not met
 _UNEXPLAINED = 0.2  # residual of mixtures
 _VISIBLE_NM = 550.0  # bands on both sides make a colour
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative

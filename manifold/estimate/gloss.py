@@ -22,7 +22,7 @@ from manifold.errors import UsageError
 from manifold.formats.readings import GLOSS_ANGLES_DEG
 from manifold.records import Array
 
-RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # in the plane of incidence, and across it
+RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # widths in plane, and across it
 SOURCE_DEG = (0.75, 2.5)
 _SOURCE_NODES, _RECEPTOR_NODES = (2, 5), (21, 41)  # gloss of measured mirrors within 2 % of finer grids
 _GLASS_INDEX = 1.567
@@ -37,7 +37,7 @@ def gloss_meter(angle_deg: float) -> Picture:
     source, _ = _aperture(theta, np.pi, SOURCE_DEG, _SOURCE_NODES)
     receptor, solid_angles = _aperture(theta, 0.0, RECEPTORS_DEG[int(angle_deg)], _RECEPTOR_NODES)
     light = source[:, 2] / source[:, 2].sum()
-    collected = np.outer(light, solid_angles * receptor[:, 2]).ravel()  # of f, in sr
+    collected = np.outer(light, solid_angles * receptor[:, 2]).ravel()  # weights of f, in sr
     wi, wo = np.repeat(source, len(receptor), axis=0), np.tile(receptor, (len(source), 1))
     return Picture(wi, wo, sums_of_runs(100.0 * collected / black_glass(angle_deg), np.zeros(1, int)))
 

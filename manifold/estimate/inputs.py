@@ -31,7 +31,7 @@ from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 
 FIT = ".fit.json"
-_SAME_INCIDENCE = 1e-3  # between unit vectors
+_SAME_INCIDENCE = 1e-3  # largest difference between unit vectors
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def require_apart(sources: Iterable[Path], folder: Path) -> None:
 
 MOST_POINTS = 100_000
 _COLOURS = ("like", "srgb", "reflectance")
-_SEPARATOR_LINE = re.compile(r"sep=.?", re.IGNORECASE)  # which Excel reads: first, and alone
+_SEPARATOR_LINE = re.compile(r"sep=.?", re.IGNORECASE)  # a first line for Excel
 _EXPECTED = (
     "expected a header of x,y,... or latent or material, and maybe name, like, srgb, reflectance; "
     "the first lines could be: x,y,name and -0.3,1.2,between"
@@ -262,7 +262,7 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
     found: list[Input] = []
     failures: list[str] = []
     columns: list[str] | None = None
-    lines: dict[str, int] = {}  # of names
+    lines: dict[str, int] = {}  # lines of names
     try:
         for cells in reader:
             cells = [cell.strip() for cell in cells]

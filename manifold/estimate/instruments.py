@@ -29,11 +29,11 @@ from manifold.library.identity import alike
 from manifold.names import counted
 from manifold.records import Array, plain
 
-_ENOUGH_SAMPLES = 6  # of a colour correction; see docs/explanation/completion.md
+_ENOUGH_SAMPLES = 6  # samples for a colour correction; see docs/explanation/completion.md
 _SHOWN_WORSE = 5
 _CAMERA_BANDS = 3
-_SAME_PLACE = 1e-3  # between pairs of directions, in half and difference angles, in radians
-_MOST_READINGS = 2000  # of a goniometer
+_SAME_PLACE = 1e-3  # largest distance between pairs of directions, in half and difference angles, in radians
+_MOST_READINGS = 2000  # most readings of a goniometer that are used
 _TWO_SAMPLES = (
     0.2  # error of a correction; in the corpus always less for one sample, and more for 4 in 5 pairs of two
 )

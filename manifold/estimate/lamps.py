@@ -29,12 +29,12 @@ SAMPLES = 24
 """Points of a block that are lit."""
 
 _PICTURE_SAMPLES = 4  # points of a lamp's disc
-_RADIUS_DEG = 0.25  # of a lamp of which nothing else is known: that of the sun
-_IRRADIANCE = np.pi  # which makes a white diffuser that faces the lamp 1
-_HEIGHT = 256  # of the unwrapped picture
-_RIM = 0.985  # of the radius: beyond, pixels mix the ball with what is beside it
+_RADIUS_DEG = 0.25  # radius of the sun, for lamps of which none is known
+_IRRADIANCE = np.pi  # makes a white diffuser that faces the lamp 1
+_HEIGHT = 256  # pixels of the unwrapped picture
+_RIM = 0.985  # share of the radius, beyond which pixels mix the ball with what is beside it
 _MOST_SPOTS = 4
-_LEAST_SPOT = 0.1  # of the largest one's light: smaller ones stay as they are
+_LEAST_SPOT = 0.1  # share of the largest spot's light; smaller ones stay as they are
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,16 +20,16 @@ from manifold.estimate.outlines import Circle, Photograph, outlines_in
 from manifold.records import Array, Indices, Mask, evenly_spaced
 
 _SIDES = (24, 64)  # pixels across a ball that are compared, to choose a start and to refine it
-_RIM = 0.95  # of the radius
+_RIM = 0.95  # share of the radius that is compared
 _FLATNESS = (
     0.3  # standard deviation of the log exponent of the cosine: rough matte materials have less than 1
 )
 _OUTLINE = 0.003  # standard deviation of the outline that was found, in radii; pictures err alike
-_NOISE = 0.03  # of cube roots, relative to the picture's largest: where residuals stop to count in full
+_NOISE = 0.03  # error of cube roots, relative to the picture's largest, from which residuals count less
 _INDEPENDENT = 30.0  # pixels of a picture whose residuals are independent
-_LARGEST_RESIDUAL = 0.12  # of cube roots, relative: beyond, no lamp explains a picture
+_LARGEST_RESIDUAL = 0.12  # relative error of cube roots beyond which no lamp explains a picture
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
-_DOUBTED_DEG = 10.0  # of real pictures of a matte ball, lamps are found alone within 7 degrees
+_DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
 _BRIGHT = 0.995  # quantile of pixels that are taken for a highlight
 _LOBES = (0.1, 0.35)  # alphas from which the fit starts
 

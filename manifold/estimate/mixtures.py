@@ -21,7 +21,7 @@ from manifold.formats.readings import Readings
 from manifold.nonnegative import nonnegative_weights
 from manifold.records import Array, Indices, Mask
 
-SHARES = (0.5, 0.2, 0.8)  # of the first atom, besides 1
+SHARES = (0.5, 0.2, 0.8)  # shares of the first atom of two; one alone has 1
 _MOST_PAIRS = 40_000  # pairs of atoms of two materials; of larger libraries as many at random
 _FREEDOM = 3.0  # degrees of freedom of Student's t: the variances of noise and residual are estimates
 _TWO_COATS = 0.8  # share of mixtures of two coats among those that a coat is part of
@@ -222,8 +222,8 @@ MODEL_ERROR = 0.04
 """Standard deviation of the residual of the best mixture, relative to the same."""
 
 _REACH = 2.0  # correlation length of the residual of mixtures, in lengths of `residual`
-_EXPONENT = 5.0  # of the norm of mixtures
-_COUNT = 100  # of hypotheses
+_EXPONENT = 5.0  # power of the norm of mixtures by which their likelihood is divided
+_COUNT = 100  # most hypotheses
 _CONSIDERED = 4000  # most probable mixtures of atoms, of which many are of the same materials
 _ALIKE = 0.07  # standard deviation between bands of the shares of materials
 _COLOUR = 0.7  # weight of the differences between bands against their mean

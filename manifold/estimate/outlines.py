@@ -20,13 +20,14 @@ _LEAST_SIZE = 16
 _SEARCHED = 800  # pixels of the longer side in which outlines and lamps are sought, at least, where pictures have more
 _BRIGHT = 0.995  # quantile of values that is white in what is searched
 _COARSE = 128  # pixels of the longer side in which circles are searched
-_RADII = 0.08, 0.62  # of circles, relative to that
+_RADII = 0.08, 0.62  # smallest and largest radius of circles, relative to that
 _LEAST_SUPPORT = 0.5  # share of the outline that is an edge
 _ANGLES = 180
-_SPANS, _ROUNDS = (0.2, 0.1, 0.05, 0.03), 8  # of the radius in which edges are sought, and rounds in each
-_ON_IT = 0.015  # of the radius: edges this near lie on a circle
-_DIFFERENT = 0.02  # of the radius: circles this far apart are two
-_LEAST_SHARE = 0.7  # of real balls lit from one side, circles drawn to the terminator have 0.50 to 0.67
+_SPANS = (0.2, 0.1, 0.05, 0.03)  # shares of the radius within which edges are sought
+_ROUNDS = 8  # rounds in each span
+_ON_IT = 0.015  # share of the radius: edges this near lie on a circle
+_DIFFERENT = 0.02  # share of the radius: circles this far apart are two
+_LEAST_SHARE = 0.7  # share of edges; circles that are drawn to the terminator of real balls have 0.50 to 0.67
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,31 +33,27 @@ from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced, plain
 
 _LEFT_OUT = 16  # materials by which expected errors are calibrated
-_CHANNELS_NM = (
-    610.0,
-    550.0,
-    465.0,
-)  # bands of a spectral library that stand for the channels of left-out materials
-_EXPOSURES = np.geomspace(1.0 / 16.0, 16.0, 17)  # that are tried, relative to that of a grey ball
+_CHANNELS_NM = (610.0, 550.0, 465.0)  # bands that stand for the channels of left-out materials
+_EXPOSURES = np.geomspace(1.0 / 16.0, 16.0, 17)  # candidates, relative to the exposure of a grey ball
 _GREY = 0.3  # its albedo
 _DARKEST = 0.01  # albedo: what is darker is as probable
 _WHITE = 0.1  # standard deviation of the logarithm of what is brighter than white
 _TEMPERED = (
     0.05  # weight of the evidence of pixels against the prior: the exposure is off by the least with it
 )
-_STRENGTHS = 4.0 ** np.arange(6)  # of spots in a clipped light, beside what is in its picture
+_STRENGTHS = 4.0 ** np.arange(6)  # candidates for spots in a clipped light, beside what is in its picture
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _READING = (
     0.01  # weight of a reading, of that of all pixels: errors of pixels are alike, those of readings are not
 )
-_ROUNDS = 3  # of gains and weights in turn
+_ROUNDS = 3  # rounds of gains and weights in turn
 _UNEXPLAINED = 0.03  # residual that noise can make
 _GRID_STRIDE = 7  # one in this many directions of the encoding grid is enough to compare mixtures
 _MODEL_ERROR = 0.05  # standard deviation of cube roots of pixels about the best mixture, relative
 _INDEPENDENT = 30.0  # number of pixels whose errors are independent
-_EXPONENT = 2.0  # of the norm of mixtures
+_EXPONENT = 2.0  # power of the norm of mixtures by which their likelihood is divided
 _KEEP = 1e-3  # weight of squared changes over all directions against those of pixels, both relative
-_DARK = 0.05  # of the root mean square of cube roots: changes of darker directions cost no more
+_DARK = 0.05  # share of the root mean square of cube roots: changes of darker directions cost no more
 _COUNT = 200  # mixtures of which the mean is taken
 
 

@@ -47,8 +47,8 @@ from manifold.render.render import render_floating_ball
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MARGIN = 0.05  # around the ball in pictures of residuals
-_SIZE, _SAMPLES = 256, 32  # of predicted pictures
+_MARGIN = 0.05  # width around the ball in pictures of residuals, in radii
+_SIZE, _SAMPLES = 256, 32  # pixels a side, and samples per pixel, of predicted pictures
 _NOISE = 0.02  # standard deviation of channels, relative to their mean
 _STEP_NM = 5.0
 _VIEWS_DEG = ((45.0, 0.0), (30.0, -50.0), (60.0, 10.0))  # incidence and viewing elevation, off the highlight
@@ -217,7 +217,7 @@ def locate(
 
 
 def _stages(picture: Path | None, request: PhotoRequest) -> Stages:
-    """Stages of the work, whose picture can be drawn. Raises: UsageError."""
+    """Stages of the work, whose picture can be drawn."""
     if picture is not None:
         figures.require_writable(picture)
         if request.has_cylinder:

@@ -15,11 +15,9 @@ from manifold.formats.ma_t12 import picture_directions, picture_geometry, pictur
 from manifold.formats.readings import Readings
 from manifold.records import Array
 
-_SAME_PLACE = 0.1  # in correlation lengths: 1 degree
-_MOST_FACTOR = 1.5  # between the mean of a picture and the colour of its reading
-_SCATTER = (
-    0.01  # of cube roots of a picture's colour: means over readings vary by 3 % from picture to picture
-)
+_SAME_PLACE = 0.1  # largest distance in correlation lengths: 1 degree
+_MOST_FACTOR = 1.5  # largest factor between a picture's mean and the colour of its reading
+_SCATTER = 0.01  # relative deviation of cube roots: means over readings vary by 3 % between pictures
 _VISIBLE_NM = (460.0, 605.0)  # within which spectra have to reach to be changed as colours say
 _DARK = 1e-3
 

@@ -24,20 +24,17 @@ from manifold.estimate.outlines import Circle, Cylinder, Photograph, reduced
 from manifold.records import Array, Indices, Mask
 
 _ROWS, _PARTS = 64, 8  # rows of cells, twice as many columns; parts of a cell along a side
-_MOST_BLOCKS, _MOST_IN_ALL, _FEWEST_BLOCKS = (
-    400,
-    4000,
-    60,
-)  # of a picture, of all together, and of a picture of many
+_MOST_BLOCKS, _MOST_IN_ALL = 400, 4000  # blocks of a picture, and of all together
+_FEWEST_BLOCKS = 60  # blocks of a picture of many
 _LARGEST, _SMALLEST, _CLIPPED = 16, 2, 8  # pixels a side
-_DIAMETER = 256  # to which larger balls are reduced
-_RIM = 0.97  # of the radius: beyond, errors of the outline are largest
-_LEAST_SPAN_DEG = 40.0  # of normals; flatter ones gain nothing over two analytic lobes
-_LEAST_SHARE = 0.1  # of the ball that must have been seen
+_DIAMETER = 256  # pixels to which larger balls are reduced
+_RIM = 0.97  # share of the radius, beyond which errors of the outline are largest
+_LEAST_SPAN_DEG = 40.0  # range of normals; flatter pieces gain nothing over two analytic lobes
+_LEAST_SHARE = 0.1  # share of the ball that must have been seen
 SAMPLES = 256
 """Direction pairs of a block."""
 
-_POWER = 4  # of the uniform variate in the elevation of half vectors
+_POWER = 4  # power of the uniform variate in the elevation of half vectors
 
 _STEPS = (
     np.array([0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101, 0.46140274])
@@ -358,7 +355,7 @@ def _half_vectors(u: Array, v: Array) -> Array:
 def _half_density(cos_theta_h: Array) -> Array:
     """Density of `_half_vectors` in 1/sr."""
     theta = np.maximum(np.arccos(np.clip(cos_theta_h, -1.0, 1.0)), 1e-7)
-    slope = _POWER * 0.5 * np.pi * (2.0 * theta / np.pi) ** (1.0 - 1.0 / _POWER)  # of theta by u
+    slope = _POWER * 0.5 * np.pi * (2.0 * theta / np.pi) ** (1.0 - 1.0 / _POWER)  # derivative of theta by u
     return np.where(theta < 0.5 * np.pi, 1.0 / (slope * np.sin(theta) * 2.0 * np.pi), 0.0)
 
 

@@ -34,9 +34,9 @@ _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
 _COARSE_BALL = 96  # without Mitsuba
 _SUN_DEG = 45.0
 _BACKGROUND = 0.12
-_MOST_READINGS = 60  # of a table: of more, those that differ most
+_MOST_READINGS = 60  # rows of a table: of more readings, those that differ most
 _FLOP_DEG = (15.0, 45.0, 110.0)
-_MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # of a figure
+_MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # lines of a figure
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
@@ -68,7 +68,7 @@ def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> No
 
 
 def write_coat(path: Path, made: Coated) -> None:
-    """Write the report of a colour and gloss made a material. Raises: UsageError."""
+    """Write the report of a colour and gloss made a material."""
     brdf = MeasuredBRDF(read_bsdf(made.path))
     sections = [
         Section("Sample", made.rows),
@@ -80,7 +80,7 @@ def write_coat(path: Path, made: Coated) -> None:
 
 
 def write_calibration(path: Path, made: CalibratedInstrument) -> None:
-    """Write the report of a colour correction, learned from samples. Raises: UsageError."""
+    """Write the report of a colour correction, learned from samples."""
     sections = [
         Section(
             "Leave-one-out relative error",

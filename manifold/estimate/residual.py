@@ -24,9 +24,9 @@ _OWN = 0.4  # length of what a reading has for itself, over the others
 _LEAST_NOISE = 1e-6  # as such a share: what solves well
 
 _LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordinates
-_DARK = 0.1  # of the mean cube root over readings: residuals of darker ones are relative to this
-_MOST = 0.5  # relative: larger residuals come from a wrong mixture, and say nothing of nearby directions
-_CELL = 0.5  # in lengths: readings in one cell are averaged
+_DARK = 0.1  # share of the mean cube root over readings, to which residuals of darker ones are relative
+_MOST = 0.5  # relative residual: larger ones come from a wrong mixture, and say nothing of nearby directions
+_CELL = 0.5  # width of a cell, whose readings are averaged, in correlation lengths
 _MOST_CELLS = 256
 _BLOCK = 4096  # direction pairs at a time
 

@@ -44,10 +44,10 @@ from manifold.estimate.pixels import (
 from manifold.model.estimator import Observation
 from manifold.records import Array, Mask
 
-_BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip
-_LEAST_COSINE = 0.05  # of a grey card's angle to its lamp
-_HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
-_DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
+_BRIGHT = 0.9  # share of a light's largest value; most pixels above it are clipped where the camera clipped
+_LEAST_COSINE = 0.05  # least cosine of a grey card's angle to its lamp
+_HIGHLIGHT_DEG = 15.0  # largest angle of a highlight's half vector from the normal
+_DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # edges of bins of angles between directions and half vector
 _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 
 
@@ -89,7 +89,7 @@ class PhotoRequest:
 
     @property
     def has_cylinder(self) -> bool:
-        """Whether an outline is that of a cylinder. Raises: UsageError, of what is no outline."""
+        """Whether an outline is that of a cylinder."""
         return any(isinstance(Circle.parse(text), Cylinder) for text in self.circles)
 
 
@@ -316,9 +316,8 @@ def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
         notes = picture.notes
         count = np.count_nonzero(picture.is_clipped)
         bright = np.count_nonzero(image.max(axis=2) > _BRIGHT * image.max())
-        if count > (
-            0 if picture.is_encoded else 0.5 * bright
-        ):  # lights made by programs have some equal values
+        # Lights made by programs have some equal values.
+        if count > (0 if picture.is_encoded else 0.5 * bright):
             notes += (
                 f"{Path(name).name}: its {count} brightest pixels have one value; if the camera clipped them, the "
                 "light is brighter than this, and the material comes out too bright",

@@ -93,9 +93,9 @@ def _log_errors(unknowns: Sequence[Deviations]) -> Array:
 _SAME_DEG = 2.0  # a reading this near in both directions was taken
 _MINI_DIFF_INCIDENCES_DEG = (0, 20, 40, 60)
 _MINI_DIFF_LARGEST_DEG = 75
-_READING_NOISE = 0.02  # of a reading's cube root under a hypothesis, relative
-_COLOUR_NOISE = 0.05  # of a band's difference from the mean of all, as a share of the reading's cube root
-_DARK = 0.1  # of the root mean square over directions: the noise of smaller values is relative to this
+_READING_NOISE = 0.02  # relative deviation of a reading's cube root under a hypothesis
+_COLOUR_NOISE = 0.05  # deviation of a band from the mean of all, as a share of the reading's cube root
+_DARK = 0.1  # share of the root mean square over directions, to which the noise of smaller values is relative
 _MODEL_ERROR = 0.1  # standard deviation of the residual of all hypotheses, relative to cube roots
 _JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
 

@@ -82,9 +82,8 @@ def read(path: Path) -> list[Readings]:
         notes.append("values of one state of polarisation: taken as those of unpolarised light")
 
     values, errors = rows.table(f), rows.table(uncertainty * f)
-    scatter = (
-        np.sqrt(np.nanmean((errors / np.maximum(values, np.finfo(float).tiny)) ** 2, axis=1)) / 3.0
-    )  # of roots
+    relative = errors / np.maximum(values, np.finfo(float).tiny)
+    scatter = np.sqrt(np.nanmean(relative**2, axis=1)) / 3.0  # of cube roots
     has_uncertainty = bool(np.any(scatter > 0.0))
     if has_uncertainty:
         notes.append(

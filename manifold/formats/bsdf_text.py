@@ -20,7 +20,7 @@ _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial
 _NUMBERS = ("aoi", "poi", "wavelength")
 # Of the larger of a TIS and its table's integral: few nodes in a highlight, or cut at the horizon, differ by less.
 _APART = 0.5
-_LEAST_TIS = 1e-3  # what is darker than this is not compared
+_LEAST_TIS = 1e-3  # smallest fraction of scattered light that is compared
 _XYZ = {f"{word}{letter}": k for word in ("tris", "tristimulus") for k, letter in enumerate("xyz")}
 
 

@@ -28,9 +28,9 @@ from manifold.records import Array
 
 _REMEDY = "export CxF3 with multi-angle reflectance again"
 _LARGEST = 12_000_000  # bytes
-_MOST_VALUES = 20_000_000  # of a sample: spectra times all their wavelengths
+_MOST_VALUES = 20_000_000  # values of a sample: spectra times all their wavelengths
 _USUAL_STEP_NM = "10"
-_MOST_REFLECTANCE = 3.0  # of the schema; near the mirror direction metallic paints reflect more
+_MOST_REFLECTANCE = 3.0  # the schema's; near the mirror direction metallic paints reflect more
 _SPECTRA = ("ReflectanceSpectrum", "CustomSpectrum")
 _Spectrum = tuple[Array, Array, Array, Array]  # wi, wo, wavelengths and values
 

@@ -53,9 +53,8 @@ def name_format(head: bytes) -> str:
     for magic, name in _FOREIGN:
         if head.startswith(magic):
             return name
-    text = (
-        head.replace(b"\0", b"").decode("latin-1").lower().replace("\r", "\n")
-    )  # without zeros UTF-16 reads like ASCII
+    # Without zeros UTF-16 reads like ASCII.
+    text = head.replace(b"\0", b"").decode("latin-1").lower().replace("\r", "\n")
     for pattern, name in _FOREIGN_PATTERNS:
         if re.search(pattern, text, re.MULTILINE):
             return name

@@ -39,7 +39,7 @@ def read(path: Path) -> list[Readings]:
         raise context.error(f"found '{said[:60]}', expected '{_FORMAT}'", "line 2")
     rows: list[list[float]] = []
     incidence: list[float] = []
-    begins = 0  # of the incidence's rows
+    begins = 0  # first row of the incidence
     for number, line in lines[2:]:
         cells = context.numbers(line.split(), number)
         if len(cells) == 3 and incidence:

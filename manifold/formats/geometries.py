@@ -211,9 +211,8 @@ def _along_normal(text: str) -> float | None:
     if found is None or re.match(r"0\d", found["second"]):
         return None
     low, high = sorted((float(found["first"]), float(found["second"])))
-    is_usual = high == 45.0 or (
-        found["between"] == "/" and _LEAST_INCIDENCE <= high < 90.0
-    )  # others are times or names
+    # Others are times or names.
+    is_usual = high == 45.0 or (found["between"] == "/" and _LEAST_INCIDENCE <= high < 90.0)
     return high if low == 0.0 and is_usual else None
 
 

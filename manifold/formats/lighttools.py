@@ -29,11 +29,11 @@ from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 from manifold.records import Array
 
 _PADDING_FROM = 75.0  # degrees, of a Mini-Diff
-_USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tell
-_AZIMUTHS = (90.0, 270.0, 180.0, 0.0)  # where programs have it
-_NEAR = np.cos(np.deg2rad(10.0))  # around a mirror direction
+_USUAL_AZIMUTH = 90.0  # azimuth of incidence relative to POI, where the data do not tell
+_AZIMUTHS = (90.0, 270.0, 180.0, 0.0)  # azimuths at which programs have the light
+_NEAR = np.cos(np.deg2rad(10.0))  # cosine of the radius around a mirror direction
 _AROUND = np.cos(np.deg2rad([20.0, 40.0]))
-_TELLING = 1.6  # by this factor a highlight stands out; retro-reflection of paints and papers by 1.4 at most
+_TELLING = 1.6  # factor by which a highlight stands out; retro-reflection has at most 1.4
 
 
 def sniff(head: bytes) -> bool:
@@ -215,9 +215,8 @@ def write(path: Path, table: DenseTable) -> None:
             for b in range(values.shape[-1]):
                 kind = f"Wavelength {nm[b]:g}" if nm is not None else f"TristimulusValue Tris{'XYZ'[b]}"
                 lines += [f"AOI {aoi:.6g}", f"POI {poi:.6g}", "Side Front", kind, "ScatterType BRDF"]
-                rows = np.roll(
-                    values[i, j, :, :, b].T, turn if phi_i.size == 1 else 0, axis=0
-                )  # [azimuth, radial]
+                by_azimuth = values[i, j, :, :, b].T
+                rows = np.roll(by_azimuth, turn if phi_i.size == 1 else 0, axis=0)
                 rows = np.vstack([rows, rows[:1]])
                 tis = total_scatter(rows, np.deg2rad(closed), table.axes[2], np.cos(table.axes[2]))
                 lines += [f"TIS {tis:.6g}", *(" ".join(f"{v:.7g}" for v in row) for row in rows)]

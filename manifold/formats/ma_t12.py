@@ -32,8 +32,8 @@ _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
 _LARGEST_SHEETS = 12_000_000  # bytes unpacked: 500 samples in one workbook
 _MOST_PARTS = 5000
-_MOST_ROWS = 50_000  # of a sheet
-_MOST_CELLS = 2_000_000  # of all sheets: openpyxl makes all cells up to the last of a row
+_MOST_ROWS = 50_000  # rows of a sheet
+_MOST_CELLS = 2_000_000  # cells of all sheets: openpyxl makes all up to the last of a row
 
 
 def sniff(head: bytes) -> bool:

@@ -27,7 +27,7 @@ from manifold.records import Array
 
 _REMEDY = "export the look-up table again"
 _LARGEST = 60_000_000  # bytes: more than a million rows as this module writes them
-_LONGEST_M = 1e-4  # what is above is in nanometres or micrometres
+_LONGEST_M = 1e-4  # longest wavelength; larger values are in nanometres or micrometres
 _COLUMNS = ("wavelength", "theta_i", "theta_o", "phi_o", "BRDF")
 _SCHEMA = "https://raw.githubusercontent.com/asam-ev/OpenMATERIAL-3D/refs/tags/v1.0.0/schemas/material_brdf_schema.json"
 

@@ -29,11 +29,11 @@ MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 REPEATABILITY = 0.0025
 """Of a spectrophotometer, relative: 0.05 CIEDE2000."""
 
-UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
-"""Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
-
 GONIOMETER = 0.03
 """The same of a goniometer."""
+
+UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
+"""Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
 
 _CONTRADICTION = 0.1  # scatter of repeated readings that is noted
 

@@ -42,7 +42,7 @@ Record = Readings | DenseTable
 _SNIFFED = 16384
 _SHOWN = 8  # names of samples in a message
 _SHORTEST_NM, _LONGEST_NM = 100.0, 1e5
-_LARGEST_VALUE = 1e9  # in 1/sr; measured mirror directions reach 1e5
+_LARGEST_VALUE = 1e9  # largest f in 1/sr; measured mirror directions reach 1e5
 
 
 class Format(NamedTuple):

@@ -24,7 +24,7 @@ _LARGEST = 20_000_000  # bytes; ten thousand measurements have two million
 _ROWS = ("Azimuth", "Incidence", "Receive", "RT")
 _OBSCURED = np.cos(np.deg2rad(10.0))  # this near to the light the receiver stands in its way
 _LEAST_COSINE = 1e-3
-_NOISE = -1.0  # of RT, whose largest value for a perfect diffuser is 1
+_NOISE = -1.0  # least value of RT, which is at most 1 for a perfect diffuser
 
 
 def sniff(head: bytes) -> bool:

@@ -116,7 +116,7 @@ def _anisotropic(words: Words, is_bsdf: bool, has_transmission: bool) -> tuple[A
     found = [(t, k, _table(words, is_bsdf)) for t, own in zip(turns, incidences, strict=True) for k in own]
     scales = [_scale(table, 1.0, words.context) for turn, _, table in found if turn == at[1]]
     scale = percent * np.interp(at[0], incidences[list(turns).index(at[1])], scales)
-    is_flat = np.ptp(percent) == 0.0  # what has no colour is one band
+    is_flat = np.ptp(percent) == 0.0  # neutral samples have one band
     scale = scale[:1] if is_flat else scale
     blocks = [_Block(k, t, table.theta, table.phi, table.f[..., None] * scale) for t, k, table in found]
     return None if is_flat else nm, blocks
@@ -172,9 +172,8 @@ def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: lis
     if any(not 0.0 <= block.theta_i <= 90.0 for block in blocks):
         raise context.error("an incidence beyond 90 degrees, expected reflected light")
     wi, wo, values = [], [], []
-    for block in {
-        (block.theta_i, block.turn % 360.0): block for block in blocks
-    }.values():  # 360 degrees are 0
+    by_angles = {(block.theta_i, block.turn % 360.0): block for block in blocks}  # 360 degrees are 0
+    for block in by_angles.values():
         azimuth, radial, rows = unique_directions(block.phi, block.theta)
         out = from_spherical(np.deg2rad(radial), np.deg2rad(azimuth - block.turn))
         above = out[:, 2] > _LEAST_COSINE

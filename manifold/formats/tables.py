@@ -47,7 +47,7 @@ HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (d
 _HEADER_ROWS = 60  # a header stands at the top, below titles
 _CONDITION = re.compile(r"M[0-3]\b")
 _LAB_AXES = "lab"
-_USUAL_VIEWING = Viewing("D65", 10)  # of instruments for coatings, where heads name none
+_USUAL_VIEWING = Viewing("D65", 10)  # viewing of instruments for coatings, where heads name none
 _BLACK_LAB = {"src_z", "src_a", "view_z", "view_a"}  # a program's heads; its values are reflectance factors
 
 
@@ -228,9 +228,8 @@ def _from_rows_of_bands(
 ) -> Table:
     """A row per spectrum of a table that has a row per value, beside its wavelength."""
     heads = [text_of(cell) for cell in table.rows[index]]
-    found: dict[
-        tuple[str, ...], list[dict[str, int]]
-    ] = {}  # rows of the bands of spectra, by directions and sample
+    # Rows of the bands of spectra, by directions and sample.
+    found: dict[tuple[str, ...], list[dict[str, int]]] = {}
     sample = ""
     for row in range(index + 1, len(table.rows)):
         texts = {k: table.text(row, k) for k in keys}

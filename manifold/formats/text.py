@@ -101,7 +101,7 @@ def decode(data: bytes) -> str:
 
 
 def read_lines(path: Path) -> list[str]:
-    """The lines of a text file, however they end. Raises: as `read_bytes`."""
+    """The lines of a text file, however they end."""
     return decode(read_bytes(path)).split("\n")
 
 

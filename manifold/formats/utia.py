@@ -20,7 +20,7 @@ from manifold.records import Array
 SHAPE = (6, 48, 6, 48)
 SIZE = 8 * 3 * 288 * 288
 _LARGEST_ALBEDO = 1.1  # coarse nodes may bring a highlight's above 1
-_LARGEST_VALUE = 1e6  # in 1/sr; bytes of other files are numbers of any size
+_LARGEST_VALUE = 1e6  # largest f in 1/sr; bytes of other files are numbers of any size
 
 
 def axes() -> tuple[Array, Array, Array, Array]:

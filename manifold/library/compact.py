@@ -56,7 +56,7 @@ def dequantise(coefficients, basis, least, values):
 EXTRA = "extra "
 """Before the names of fields that this package does not interpret."""
 
-_MOST_VALUES = 1 << 28  # of spectra; the largest measured materials have a tenth
+_MOST_VALUES = 1 << 28  # values of spectra; the largest measured materials have a tenth
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,8 @@ CUBE_ROOT_PER_BALL = 0.05
 
 _COARSEST = 0.08  # step, relative to the root mean square of the norms of spectra
 _MOST_STEPS = 12
-_LUMINANCE_WEIGHT = 0.5  # relative to all bands together
-_VNDF_BITS, _BASIS_BITS = 10, 8  # of the last places that are not kept
+_LUMINANCE_WEIGHT = 0.5  # weight of the luminance, relative to all bands together
+_VNDF_BITS, _BASIS_BITS = 10, 8  # last bits that are not kept
 
 
 @dataclass(frozen=True)

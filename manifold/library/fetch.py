@@ -58,7 +58,7 @@ def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic:
 
 
 BASE_URL = "https://d38rqfq1h7iukm.cloudfront.net/media/materials"
-_MOST_BYTES = 1 << 30  # of files whose size no table knows; the largest in the database have 111 MB
+_MOST_BYTES = 1 << 30  # largest file whose size no table knows; those in the database have at most 111 MB
 _BLOCK_BYTES = 1 << 18
 
 
@@ -220,7 +220,7 @@ class _Meter:
         self._done = 0
 
     def update(self, count: int) -> None:
-        """Add bytes. Raises: FetchError, where the file is larger than it should be."""
+        """Add bytes; more than there should be are a FetchError."""
         self._done += count
         most = self._entry.size_bytes or _MOST_BYTES
         if self._done > most + _BLOCK_BYTES:

@@ -34,7 +34,7 @@ def require_outside_libraries(path: Path, *, into: bool = False) -> None:
 DEFAULT_TOLERANCE = 0.2
 """Mean CIEDE2000 of the ball that a compact material may differ by."""
 
-_MOST_BYTES = 1 << 60  # of a material; more is damage
+_MOST_BYTES = 1 << 60  # largest size of a material; more is damage
 
 
 @dataclass(frozen=True)

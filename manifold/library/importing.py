@@ -29,7 +29,7 @@ from manifold.library.staging import make_store, write_material
 from manifold.library.store import Library
 from manifold.records import Bands
 
-_MANY_TASKS = 64  # from which on tasks have several files
+_MANY_TASKS = 64  # number of tasks from which on they have several files
 _MOST_TOGETHER = 16  # files of a task
 
 Rotation = float | Literal["auto"] | None

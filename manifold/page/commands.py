@@ -31,7 +31,7 @@ from manifold.names import Registry
 Request = Mapping[str, Any]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
-_MOST_ROWS = 5000  # of a spectrum
+_MOST_ROWS = 5000  # rows of a spectrum
 _MOST_SAMPLE = 200  # characters of a sample's name
 _NO_CONTROLS = r"\A[^\x00-\x1f\x7f-\x9f]*\Z"
 _PIXELS = r"[0-9]{1,6}(\.[0-9]{1,6})?"

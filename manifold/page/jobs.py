@@ -150,7 +150,7 @@ class Queue:
     def _reply(self, job: Job) -> dict[str, Any]:
         """Have the worker run a job, keep what it reports of its progress, and give its result or failure."""
         sends, replies = cast(IO[bytes], self._worker.stdin), cast(IO[bytes], self._worker.stdout)
-        with suppress(OSError, ValueError):  # of a worker that ended, as it wrote or before
+        with suppress(OSError, ValueError):  # the worker ended, as it wrote or before
             pickle.dump((job.call.command, job.call.arguments), sends)
             sends.flush()
             for line in replies:

@@ -35,8 +35,8 @@ from manifold.records import Array, Bands, Indices, evenly_spaced
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 GLOSS_DEG = 60
-_GLOSS_NODES = (19, 12)  # in the plane of incidence, and across on one side
-_SPHERE_NODES = 20  # in elevation and in azimuth
+_GLOSS_NODES = (19, 12)  # nodes in the plane of incidence, and across it on one side
+_SPHERE_NODES = 20  # nodes in elevation and in azimuth
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def _slice(incidence_deg: float) -> tuple[Array, Array]:
 
 
 _NODES = {1: 200, 2: 72, 3: 24}  # per dimension; maps of more dimensions have none
-_MARGIN = 0.25  # of the materials' extent, beyond them
+_MARGIN = 0.25  # width around the materials, as a share of their extent
 _MOST_BALL = 15.0  # CIEDE2000 at which the ground of the map is darkest
 
 
@@ -201,12 +201,12 @@ def error_field(model: Manifold) -> dict[str, Any] | None:
 
 ILLUMINANTS = ("D65", "A", "F11")
 
-_COMPONENTS = 8  # of the spectral basis, at most
+_COMPONENTS = 8  # most components of the spectral basis
 _MAP_NODES = 32  # visible bands that colours are made of, at most
-_LEAST_WEIGHT = 0.3  # of a band in the basis, relative to the largest: paths include invisible bands
+_LEAST_WEIGHT = 0.3  # weight of invisible bands, which paths include, relative to the largest
 _THUMBNAIL = 24  # pixels across
-_DARK = 0.05  # of a material's median: ratios of components below this are not resolved
-_FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # of spectra that are dropped on an RGB map
+_DARK = 0.05  # share of a material's median below which ratios of components are not resolved
+_FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # spectra dropped on an RGB map
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
     `run` calls a command by its name with arguments; plain values.
     """
     replies = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what libraries print is no reply
+    os.dup2(2, 1)  # libraries' output is no reply
     threading.Thread(target=_end_with_server, args=(replies.fileno(),), daemon=True).start()
 
     def reply(content: Any) -> None:

@@ -13,18 +13,11 @@ from manifold.errors import FileFormatError, UsageError
 from . import options, terminal
 from .application import app
 from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many
-from .outputs import or_default
+from .outputs import or_default, written
 
 if TYPE_CHECKING:
     from manifold.batch import Outcome
     from manifold.estimate.sources import MaterialSource
-from typing import TYPE_CHECKING
-
-from .outputs import written
-
-if TYPE_CHECKING:
-    from manifold.batch import Outcome
-
 
 Metric = Literal["appearance", "cube-root", "linear", "log"]
 

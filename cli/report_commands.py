@@ -18,12 +18,8 @@ from .model_commands import show_prediction
 from .outputs import written
 
 if TYPE_CHECKING:
-    from manifold.evaluate.chart import Chart
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
     from manifold.evaluate.budget.budgets import Budget
-
+    from manifold.evaluate.chart import Chart
 
 Grid = Literal["default", "hikichi"]
 

@@ -7,7 +7,6 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from manifold.errors import ShapeError
 from manifold.gpr import GaussianProcess, LengthScaleBound
 from manifold.kernels import Kernel, first_equal_row, kernel_named
 from manifold.records import Array
@@ -76,13 +75,6 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         return np.sqrt(self.output_variance_ * self.gp_.variance(X))
-
-    def leave_one_out(self) -> Array:
-        """Every training output predicted from the others, shape of the training outputs."""
-        check_is_fitted(self)
-        if len(self.Y_fit_) < 2:
-            raise ShapeError("leave-one-out needs at least 2 samples, found 1")
-        return self.gp_.leave_one_out_weights() @ self.Y_fit_
 
     def length_scale_bound(self, X: Array) -> LengthScaleBound:
         """The condition on the length scale at X (M, Q), with its slack (Hikichi & Iwasaki, eq. 15)."""

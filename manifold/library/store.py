@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,85 +27,41 @@ from manifold.errors import (
     UnknownNameError,
 )
 from manifold.io_rgl import require_sound
-from manifold.library import staging
+from manifold.library import compact, staging, visible_normals
 from manifold.library.identity import (
     MaterialInfo,
+    content_sha256,
     hash_arrays,
     info_of,
     is_material_name,
     require_outside_libraries,
 )
 from manifold.library.layout import (
+    COEFFICIENTS,
+    FIELDS,
     READABLE_VERSIONS,
     SCHEMA,
+    TABLES,
+    VISIBLE_NORMALS,
+    VNDF_DIFFERENCE,
     StoredArray,
     open_group,
     read_array,
     read_attributes,
+    read_extra,
+    unpack,
     write_array,
     write_group,
 )
 from manifold.library.staging import make_store
 from manifold.names import names_like
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import AnyArray, Array, Bands, BsdfFile
 
 if TYPE_CHECKING:
     import zarr
-from types import MappingProxyType
-from typing import TYPE_CHECKING
-
-from manifold.library import compact, visible_normals
-from manifold.library.identity import content_sha256
-from manifold.library.layout import (
-    COEFFICIENTS,
-    FIELDS,
-    TABLES,
-    VISIBLE_NORMALS,
-    VNDF_DIFFERENCE,
-    read_extra,
-    unpack,
-)
-from manifold.records import AnyArray
-
-if TYPE_CHECKING:
-    import zarr
-
 
 MOST_BYTES = 1 << 30
 """Of all entries of a library together; those that were used longest ago go first."""
-
-
-def get(library: Path, key: str) -> dict[str, Array] | None:
-    """Arrays that `put` stored under a key, or None if there are none or they are damaged."""
-    folder = library / "cache" / key
-    if not folder.is_dir():
-        return None
-    try:
-        group = open_group(folder)
-        attributes: dict[str, Any] = dict(group.attrs)
-        arrays = {name: read_array(group, name) for name in attributes["names"]}
-        if attributes["sha256"] != hash_arrays(arrays):
-            return None
-        with suppress(OSError):  # of another user, or on read-only media
-            os.utime(folder)
-        return arrays
-    except Exception:  # A cache never stops the work: whatever is wrong with it, compute again.
-        return None
-
-
-def put(library: Path, key: str, arrays: Mapping[str, Array]) -> None:
-    """Store arrays under a key of letters, digits, - and _, atomically; no effect if the library cannot be written."""
-    target = library / "cache" / key
-    try:
-        with staging.writing(library) as staged:
-            folder = staged / key
-            write_group(folder, {"names": list(arrays), "sha256": hash_arrays(arrays)})
-            for name, array in arrays.items():
-                write_array(folder / name, StoredArray(np.asarray(array)))
-            staging.publish(folder, target)
-            _prune(target.parent)
-    except (OSError, LibraryError):
-        return
 
 
 def _prune(folder: Path) -> None:
@@ -252,11 +209,34 @@ class Library:
 
     def cache_get(self, key: str) -> dict[str, Array] | None:
         """Arrays that `cache_put` stored under a key, or None if there are none or they are damaged."""
-        return get(self.path, key)
+        folder = self.path / "cache" / key
+        if not folder.is_dir():
+            return None
+        try:
+            group = open_group(folder)
+            attributes: dict[str, Any] = dict(group.attrs)
+            arrays = {name: read_array(group, name) for name in attributes["names"]}
+            if attributes["sha256"] != hash_arrays(arrays):
+                return None
+            with suppress(OSError):  # of another user, or on read-only media
+                os.utime(folder)
+            return arrays
+        except Exception:  # A cache never stops the work: whatever is wrong with it, compute again.
+            return None
 
     def cache_put(self, key: str, arrays: Mapping[str, Array]) -> None:
-        """Store arrays under a key, atomically; no effect if the library cannot be written."""
-        put(self.path, key, arrays)
+        """Store arrays under a key of letters, digits, - and _, atomically; no effect if it cannot be written."""
+        target = self.path / "cache" / key
+        try:
+            with staging.writing(self.path) as staged:
+                folder = staged / key
+                write_group(folder, {"names": list(arrays), "sha256": hash_arrays(arrays)})
+                for name, array in arrays.items():
+                    write_array(folder / name, StoredArray(np.asarray(array)))
+                staging.publish(folder, target)
+                _prune(target.parent)
+        except (OSError, LibraryError):
+            return
 
     def _folder(self, name: str) -> Path:
         """Where a material stands, or would."""

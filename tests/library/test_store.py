@@ -26,7 +26,7 @@ from helpers.sample_files import WAVELENGTHS_NM, assert_same, assert_same_array,
 from manifold import progress
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.library import staging, store
+from manifold.library import staging
 from manifold.library.identity import is_material_name
 from manifold.library.importing import ImportResult, import_files
 from manifold.library.store import Library
@@ -637,8 +637,8 @@ def test_a_library_may_be_a_mount_point(tmp_path, monkeypatch):
     monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == volume)
     for file in (first, second):  # into an empty volume, and into one with a library
         assert len(import_files(volume, [file]).imported) == 1
-    store.put(volume, "key", {"numbers": np.arange(3.0)})  # as fits of models do
-    np.testing.assert_array_equal(store.get(volume, "key")["numbers"], np.arange(3.0))
+    Library(volume).cache_put("key", {"numbers": np.arange(3.0)})  # as fits of models do
+    np.testing.assert_array_equal(Library(volume).cache_get("key")["numbers"], np.arange(3.0))
     assert len(Library(volume)) == 2
     assert {path.name for path in volume.iterdir()} == {"zarr.json", "materials", "cache", ".volume.lock"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["files", "volume"]

@@ -238,13 +238,23 @@ class _Search:
         return [term for term in best if self._cost(term) <= left and term not in terms]
 
     def _solve(self, pool: list[_Term], choices: list[list[_Term]]) -> list[tuple[Array, float]]:
-        """The best weights (B, terms) of each choice from a pool of terms, and the squared error."""
+        """The best weights (B, terms) of each choice from a pool of terms, and the squared error.
+
+        Choices differ in one atom at most.
+        """
+        found: list[tuple[Array, float]] = []
+        if not choices:
+            return found
         atoms = sorted({term.atom for term in pool})
         position = {atom: k for k, atom in enumerate(atoms)}
         rows = self._atoms[atoms] * self._slopes[:, None]  # [B, m, R]
-        gram, cross = rows @ rows.transpose(0, 2, 1), rows @ self._target[..., None]
+        cross = rows @ self._target[..., None]
         B, norm = len(rows), float(np.sum(self._target**2))
-        found = []
+        common = sorted(set.intersection(*({position[term.atom] for term in terms} for terms in choices)))
+        gram = np.zeros((B, len(atoms), len(atoms)))  # no choice needs those of two atoms in which choices differ
+        gram[:, range(len(atoms)), range(len(atoms))] = np.sum(rows**2, axis=2)
+        gram[:, :, common] = rows @ rows[:, common].transpose(0, 2, 1)
+        gram[:, common] = gram[:, :, common].transpose(0, 2, 1)
         for terms in choices:
             # One unknown per term and band, then those that bands share are added up.
             at = [position[term.atom] for term in terms]

@@ -20,6 +20,7 @@ from manifold.pictures.maps import sources
 from manifold.pictures.renders import compare
 from manifold.plots.slice_figures import angle_slices
 from manifold.render.ball import read_material
+from manifold.render.bsdf_parameters import principled
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.render.render import RenderSettings
 
@@ -86,7 +87,7 @@ def test_a_fitted_brdf_is_what_mitsuba_evaluates(fitted):
 def test_fits_of_predictions_are_drawn_too(tmp_path):
     model = small_model(tmp_path)
     place = PlaceSource(model, "0.1,0.1")
-    outcome = fits.fit(place, tmp_path / "p.fit.json", FIT)
+    outcome = fits.fit(place, tmp_path / "p.fit.json", FitSettings(principled(["base_color", "roughness"])))
     with source_file(place) as path:
         made = picture_of_fit(outcome.path, path, tmp_path / "p.fit.png", SETTINGS)
     assert np.isfinite(made).all()

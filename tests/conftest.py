@@ -78,6 +78,14 @@ def atoms(library):
 
 
 @pytest.fixture
+def quick_balls(monkeypatch):
+    """Balls of few samples, for tests that do not look at them."""
+    from manifold.render import thumbnails
+
+    monkeypatch.setattr(thumbnails, "SAMPLES", 4)
+
+
+@pytest.fixture
 def run(capsys, monkeypatch):
     """The command in this process, in a given folder: status, stdout, stderr."""
     from manifold import work

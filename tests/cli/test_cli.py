@@ -53,14 +53,6 @@ def folder(tmp_path_factory):
     return small_model(tmp_path_factory.mktemp("cli")).parent
 
 
-@pytest.fixture
-def quick_balls(monkeypatch):
-    """Balls of few samples, for tests that do not look at them."""
-    from manifold.render import thumbnails
-
-    monkeypatch.setattr(thumbnails, "SAMPLES", 4)
-
-
 def one_line(err):
     assert err.count("\n") == 1, err
     assert err.startswith("manifold: ")
@@ -158,7 +150,7 @@ def test_an_empty_folder_gives_one_line_that_says_what_to_do(run, tmp_path, argu
     assert words in one_line(err)
 
 
-def test_the_main_job_step_by_step(run, tmp_path):
+def test_imports_embeddings_and_reports_say_in_json_what_they_did(run, tmp_path):
     files = tmp_path / "files"
     files.mkdir()
     for name in NAMES[:4]:
@@ -169,22 +161,11 @@ def test_the_main_job_step_by_step(run, tmp_path):
     assert json.loads((tmp_path / "i.json").read_text())["skipped"] == sorted(NAMES[:4])
     assert run("embed", "--json", "e.json", cwd=tmp_path)[0] == 0
     assert set(json.loads((tmp_path / "e.json").read_text())["latents"]) == set(NAMES[:4])
-    status, out, _ = run(
-        "predict", "--latent", "-0.3,0.2", "-o", "p_rgb.bsdf", "--json", "p.json", cwd=tmp_path
-    )
-    assert status == 0
-    assert "expected error" in out
-    assert read_bsdf(tmp_path / "p_rgb.bsdf").spectra.shape == (1, 8, 3, 32, 32)
-    assert json.loads((tmp_path / "p.json").read_text())["latent"] == [-0.3, 0.2]
     status, out, _ = run("report", "--json", "r.json", "--picture", "m.png", cwd=tmp_path)
     assert status == 0
     assert "synthetic" in out
     assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((tmp_path / "r.json").read_text())["methods"][0]["errors"]["rmse"] == [0.0] * 4
-    for path in ("library.zarr", "model.h5", "p_rgb.bsdf"):
-        status, out, _ = run("info", path, cwd=tmp_path)
-        assert status == 0
-        assert path in out
     assert "all hashes match" in run("info", "library.zarr", "--verify", cwd=tmp_path)[1]
 
 
@@ -193,7 +174,6 @@ def test_the_main_job_step_by_step(run, tmp_path):
     [
         ("info", "model.h5"),
         ("info", "library.zarr"),
-        ("report",),
         ("predict", "--latent", "0,0", "-o", "j_rgb.bsdf"),
     ],
 )
@@ -246,8 +226,8 @@ def moved(folder, tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("arguments", [("report",), ("predict", "--latent", "0,0", "-o", "p_rgb.bsdf")])
-def test_a_library_that_has_moved_can_be_named(run, moved, arguments):
+def test_a_library_that_has_moved_can_be_named(run, moved):
+    arguments = ("predict", "--latent", "0,0", "-o", "p_rgb.bsdf")
     status, _, err = run(*arguments, cwd=moved)
     assert status == 1
     assert "its library is not at" in one_line(err)
@@ -303,8 +283,7 @@ def test_a_damaged_material_is_named_with_its_remedy(run, moved):
         assert err.count("import its file again") == 1
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
-@pytest.mark.parametrize("latent_dim", [1, 2, 3])
+@pytest.mark.parametrize(("count", "latent_dim"), [(1, 1), (2, 1), (3, 2), (3, 3)])
 def test_tiny_libraries_work_or_say_what_they_lack(run, tmp_path, count, latent_dim):
     small_library(tmp_path, names=NAMES[:count])
     status, out, err = run("embed", "-q", latent_dim, cwd=tmp_path)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from helpers.small_library import small_library
+from helpers.small_library import NAMES, small_library
 
 WITHOUT_MITSUBA = """
 import contextlib, io, json, sys
@@ -51,7 +51,7 @@ FAILS = {
 def outcomes(tmp_path_factory):
     """Status, stdout and stderr of every command, all run in one process, one after the other."""
     folder = tmp_path_factory.mktemp("without")
-    small_library(folder, library=folder / "other.zarr")
+    small_library(folder, names=NAMES[2:], library=folder / "other.zarr")  # as few as a chart takes
     commands = WORKS | FAILS
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_MITSUBA, json.dumps(list(commands.values()))],

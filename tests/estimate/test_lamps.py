@@ -12,7 +12,8 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate.lamp_plan import ANGLES_DEG, plan_lamps
+from manifold.estimate import lamp_plan
+from manifold.estimate.lamp_plan import plan_lamps
 from manifold.estimate.lamps import Lamp, clipped_spots, lamp_pairs, lamp_picture, parse_lamp, unwrapped
 from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
@@ -23,7 +24,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
 
 PAINT = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))
-SIZE, MARGIN = 128, 0.25
+SIZE, MARGIN = 96, 0.25
 CIRCLE = Circle(SIZE / 2, SIZE / 2, SIZE / 2 / (1.0 + MARGIN))
 DIRECTIONS = np.array([[0.5, 0.4, 0.8], [-0.6, 0.2, 0.7], [0.1, 0.7, 0.6]])
 
@@ -205,7 +206,7 @@ def test_clipped_spots_are_lamps_where_the_light_is():
     np.testing.assert_allclose(spot.colour, solid_angle / np.pi, rtol=0.1)
 
 
-@pytest.mark.parametrize("strength", [0.0, 5.0, 40.0])
+@pytest.mark.parametrize("strength", [0.0, 40.0])
 def test_how_bright_clipped_spots_are_is_found_from_the_pixels(photo_atoms, strength):
     lamp = Lamp.towards(np.array([0.5, 0.5, 0.7]), colour=np.full(3, 0.05))
     blocks = blocks_of(photograph([0.3, 0.2, 1.0]), CIRCLE)
@@ -222,9 +223,17 @@ def test_how_bright_clipped_spots_are_is_found_from_the_pixels(photo_atoms, stre
 # -- where to hold the lamp -------------------------------------------------------------------------------------------
 
 
-def test_a_plan_says_what_one_lamp_determines_and_which_to_add(photo_atoms):
+@pytest.fixture
+def three_angles(monkeypatch):
+    """The angles of a lamp that are tried, cut down."""
+    angles = (15.0, 45.0, 130.0)
+    monkeypatch.setattr(lamp_plan, "ANGLES_DEG", angles)
+    return angles
+
+
+def test_a_plan_says_what_one_lamp_determines_and_which_to_add(photo_atoms, three_angles):
     plan = plan_lamps(photo_atoms, 2)
-    assert [one.angles_deg for one in plan.alone] == [(angle,) for angle in ANGLES_DEG]
+    assert [one.angles_deg for one in plan.alone] == [(angle,) for angle in three_angles]
     first, second = plan.next
     assert first == min(plan.alone, key=lambda one: one.ball)
     assert second.angles_deg[:1] == first.angles_deg
@@ -234,6 +243,7 @@ def test_a_plan_says_what_one_lamp_determines_and_which_to_add(photo_atoms):
     assert by_angle[45.0].colour < 0.5 * by_angle[130.0].colour
 
 
+@pytest.mark.usefixtures("three_angles")
 def test_lamps_are_suggested_before_and_after_the_picture(run, library, tmp_path):
     status, out, err = run("complete", "--lamp", "found", "--suggest", "1", "-L", library, cwd=tmp_path)
     assert status == 0, err

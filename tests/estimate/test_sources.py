@@ -107,6 +107,7 @@ def test_a_material_of_a_library_is_its_file(folder):
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
+@pytest.mark.usefixtures("quick_balls")
 def test_every_command_takes_a_material_by_any_name(run, folder, command, made):
     """The kinds by turns: one function reads them for all commands."""
     if command[0] in ("render", "compare", "walk", "map"):
@@ -241,7 +242,7 @@ def test_files_that_were_not_measured_are_not_called_measured(run, folder):
     for command, origin in {
         ("predict", "0.1,0.2"): "predicted",
         ("reconstruct", FILE): "reconstructed",
-        ("complete", "--lab", "50,20,10"): "completed",
+        ("complete", "--lab", "50,20,10", "--gloss", "60=40", "--mixture"): "completed",
     }.items():
         assert run(*command, "-o", f"{origin}.bsdf", cwd=folder)[0] == 0
         file = f"{origin}.bsdf"

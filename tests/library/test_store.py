@@ -489,7 +489,7 @@ def test_an_import_killed_at_any_moment_leaves_exactly_the_finished_materials(
     assert child.wait() == 0
     duration_s = time.monotonic() - start
     counts = []
-    for moment in (np.arange(6) + rng.random(6)) / 6:  # One in each sixth of an uninterrupted run.
+    for moment in (np.arange(3) + rng.random(3)) / 3:  # One in each third of an uninterrupted run.
         shutil.rmtree(library)
         child = start_import(tmp_path)
         time.sleep(moment * duration_s)

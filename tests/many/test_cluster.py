@@ -123,6 +123,7 @@ def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
     assert numbers_of(there) == numbers_of(here)
 
 
+@pytest.mark.slow
 def test_a_chart_has_the_same_errors(tmp_path, workers):
     library = Library(small_library(tmp_path))
     files, keys = [library.read(name) for name in library.names], ["nearest", "linear", "pca_2_cube-root"]
@@ -136,6 +137,7 @@ def test_a_chart_has_the_same_errors(tmp_path, workers):
     assert there.reference_seconds > 0.0
 
 
+@pytest.mark.slow
 def test_failure_modes_have_the_same_results(workers):
     modes = select_modes(MODES, ["ill_conditioned_kernel"])
     here = run_modes(modes)

@@ -91,9 +91,12 @@ def choose_spectrum(page, name, blue, red):
 
 @pytest.mark.parametrize(
     "fragment",
-    ["illuminant=toString", "x=1e308,1e308", "x=-1e9,0&pin=1e300,0", "lamp=5,5",
-     f'path=["{NAMES[0]}","{NAMES[1]}",null]', f'path=["{NAMES[0]}","{NAMES[1]}","1"]'],
-)  # fmt: skip
+    [
+        "illuminant=toString&x=-1e9,0&pin=1e300,0",
+        f'x=1e308,1e308&lamp=5,5&path=["{NAMES[0]}","{NAMES[1]}",null]',
+        f'path=["{NAMES[0]}","{NAMES[1]}","1"]',
+    ],
+)
 def test_a_link_that_nobody_copied_opens_a_page_that_works(elsewhere, address, fragment):
     elsewhere.open(f"{address}#{fragment}")
     page = elsewhere.page

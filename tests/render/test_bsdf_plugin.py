@@ -204,8 +204,9 @@ def test_at_a_training_latent_it_is_the_measured_material_with_its_negative_valu
     )
 
 
-@pytest.mark.parametrize("kind", ["rgb", "material", "brushed"])
-@pytest.mark.parametrize("theta_deg", [12.0, 50.0, 78.0])
+@pytest.mark.parametrize(
+    ("kind", "theta_deg"), [("rgb", 12.0), ("material", 50.0), ("brushed", 12.0), ("brushed", 78.0)]
+)
 def test_samples_follow_the_density(models, rng, kind, theta_deg):
     model = Manifold.load(models[kind])
     mi = backend.mitsuba("rgb" if model.bands.is_rgb else "spectral")
@@ -213,11 +214,10 @@ def test_samples_follow_the_density(models, rng, kind, theta_deg):
     x = model.between(model.names[0], model.names[1], 0.5)
     plugin = InMitsuba(mi, {"type": "manifold", "model": str(models[kind]), "latent": words(x)}, nm)
     wi = from_spherical(np.deg2rad(theta_deg), 0.7)
-    assert chi_square_p_value(plugin, wi, rng, n_samples=100_000) > 1e-3 / 9  # nine tests of this kind
+    assert chi_square_p_value(plugin, wi, rng, n_samples=100_000) > 1e-3 / 4  # four tests of this kind
 
 
-@pytest.mark.parametrize("phi_deg", [-50.0, 130.0])
-def test_an_anisotropic_prediction_is_that_of_its_written_file_in_mitsuba(models, rng, tmp_path, phi_deg):
+def test_an_anisotropic_prediction_is_that_of_its_written_file_in_mitsuba(models, rng, tmp_path):
     model = Manifold.load(models["brushed"])
     x = model.between("along_y", "aslant", 0.5)
     path = tmp_path / "between_rgb.bsdf"
@@ -225,15 +225,17 @@ def test_an_anisotropic_prediction_is_that_of_its_written_file_in_mitsuba(models
     mi = backend.mitsuba("rgb")
     plugin = InMitsuba(mi, {"type": "manifold", "model": str(models["brushed"]), "latent": words(x)})
     written = InMitsuba(mi, {"type": "measured", "filename": str(path)})
-    wi, wo = from_spherical(np.deg2rad(35.0), np.deg2rad(phi_deg)), random_directions(rng, 3000)
-    value, expected = plugin.eval_pdf(wi, wo)[0], written.eval_pdf(wi, wo)[0]
-    error = np.linalg.norm(value - expected) / np.linalg.norm(expected)
-    turned = plugin.eval_pdf(from_spherical(np.deg2rad(35.0), np.deg2rad(phi_deg + 40.0)), wo)[0]
-    assert error < 0.03  # a file interpolates between 17 azimuths and 16 elevations
-    assert np.linalg.norm(turned - expected) / np.linalg.norm(expected) > 10 * error
+    wo = random_directions(rng, 3000)
+    for phi in np.deg2rad([-50.0, 130.0]):
+        wi = from_spherical(np.deg2rad(35.0), phi)
+        value, expected = plugin.eval_pdf(wi, wo)[0], written.eval_pdf(wi, wo)[0]
+        error = np.linalg.norm(value - expected) / np.linalg.norm(expected)
+        turned = plugin.eval_pdf(from_spherical(np.deg2rad(35.0), phi + np.deg2rad(40.0)), wo)[0]
+        assert error < 0.03  # a file interpolates between 17 azimuths and 16 elevations
+        assert np.linalg.norm(turned - expected) / np.linalg.norm(expected) > 10 * error
 
 
-@pytest.mark.parametrize("theta_deg", [5.0, 45.0, 70.0])
+@pytest.mark.parametrize("theta_deg", [5.0, 70.0])
 def test_the_mean_sample_weight_is_the_albedo(models, rng, theta_deg):
     """The white furnace."""
     model = Manifold.load(models["rgb"])
@@ -242,10 +244,10 @@ def test_the_mean_sample_weight_is_the_albedo(models, rng, theta_deg):
         backend.mitsuba("rgb"), {"type": "manifold", "model": str(models["rgb"]), "latent": words(x)}
     )
     wi = from_spherical(np.deg2rad(theta_deg), 0.0)
-    n = 400_000
+    n = 100_000
     plugin.sample(np.broadcast_to(wi, (n, 3)).copy(), rng.random((n, 2)))
     albedo = model.predict(x).albedo(wi)
-    np.testing.assert_allclose(plugin.weight.mean(axis=0), albedo, rtol=0.01)
+    np.testing.assert_allclose(plugin.weight.mean(axis=0), albedo, rtol=0.02)  # of 100,000 samples
 
 
 def passes(mi, material, film, first_seed, count=12):
@@ -266,11 +268,10 @@ def require_same_picture(a, b):
 @pytest.mark.parametrize(
     ("t", "illuminant"),
     [
-        (0.2, "D65"),
         (0.8, "F11"),
         *(
             pytest.param(t, illuminant, marks=pytest.mark.slow)
-            for t, illuminant in ((0.5, "D65"), (0.8, "D65"), (0.2, "F11"), (0.5, "F11"))
+            for t, illuminant in ((0.2, "D65"), (0.5, "D65"), (0.8, "D65"), (0.2, "F11"), (0.5, "F11"))
         ),
     ],
 )
@@ -338,9 +339,7 @@ def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
         np.testing.assert_allclose(value[k::3], expected, rtol=0.02, atol=0.02 * np.median(expected))
 
 
-@pytest.mark.parametrize(
-    ("kind", "integrator"), [("blend", "path"), ("rgb", "direct"), ("spectral blend", "direct")]
-)
+@pytest.mark.parametrize(("kind", "integrator"), [("rgb", "direct"), ("spectral blend", "direct")])
 def test_a_ball_with_a_texture_of_latents_is_rendered(models, kind, integrator):
     """A render compiles loops and virtual calls that `eval` alone does not."""
     model = Manifold.load(models[kind])
@@ -373,7 +372,7 @@ def test_a_ball_with_a_texture_of_latents_is_rendered(models, kind, integrator):
     ("kind", "integrator"),
     [
         ("blend", "path"),
-        ("spectral blend", "direct"),
+        pytest.param("spectral blend", "direct", marks=pytest.mark.slow),
         pytest.param("rgb", "direct", marks=pytest.mark.slow),
         pytest.param("material", "path", marks=pytest.mark.slow),
     ],
@@ -486,7 +485,7 @@ def test_a_library_of_other_bands_than_the_variant_is_refused(models):
 
 def test_importing_render_registers_the_plugin_in_every_variant(models):
     assert NAME == "manifold"  # what scenes say
-    for colour, model in (("spectral", "material"), ("rgb", "rgb"), ("spectral", "spectral blend")):
+    for colour, model in (("rgb", "rgb"), ("spectral", "six bands")):
         mi = backend.mitsuba(colour)
         scene = f'<bsdf version="3.0.0" type="manifold"><string name="model" value="{models[model]}"/>'
         bsdf = mi.load_string(scene + '<string name="latent" value="0.0,0.1"/></bsdf>')

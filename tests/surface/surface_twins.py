@@ -51,7 +51,7 @@ def photographed(rng, slope, *, noise=0.01):
 
 def workbook(path, rng, *, shift_px=0, factor=None):
     """A workbook with readings and pictures of one sample, as the instrument's program writes it."""
-    _, slope = truth(rng, (360, 480))
+    _, slope = truth(rng, (240, 320))
     pictures, _ = photographed(rng, slope, noise=0.0)
     wi, wo = geometry_ma_t12()
     nm = np.arange(400.0, 701.0, 10.0)

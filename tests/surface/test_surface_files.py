@@ -108,7 +108,7 @@ def test_spectra_of_points_have_the_colours_that_were_seen_and_that_of_the_mean_
 def test_info_shows_the_pictures_of_a_workbook_beside_its_readings(printed):
     shown = CliRunner().invoke(app, ["info", str(printed[1].parent / "twin.xlsx")]).output
     row = next(line.split() for line in shown.splitlines() if line.startswith("15as80"))
-    assert row[1:6] == ["15,", "-65", "480", "x", "360"]
+    assert row[1:6] == ["15,", "-65", "320", "x", "240"]
     np.testing.assert_allclose([float(v) for v in row[-3:]], 1.0, atol=0.02)  # 8 bits
     assert "15, diffuse" in shown
 

@@ -25,7 +25,6 @@ from rich.progress import (
 from manifold import __version__, disk, text_tables
 from manifold.names import first_few, printable
 from manifold.progress import Progress as Listener
-from manifold.records import plain
 
 _is_strict = False
 warned: list[str] = []
@@ -144,6 +143,8 @@ class Results:
         """Write results, a record or a mapping, as JSON where they were asked for."""
         if self._target is None:
             return
+        from manifold.records import plain  # help needs no arrays
+
         document = {"program": f"manifold {__version__}", **plain(document), "warnings": list(warned)}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"
         if self._only_json:

@@ -251,7 +251,8 @@ class _Search:
         cross = rows @ self._target[..., None]
         B, norm = len(rows), float(np.sum(self._target**2))
         common = sorted(set.intersection(*({position[term.atom] for term in terms} for terms in choices)))
-        gram = np.zeros((B, len(atoms), len(atoms)))  # no choice needs those of two atoms in which choices differ
+        # No choice needs the products of two atoms in which choices differ.
+        gram = np.zeros((B, len(atoms), len(atoms)))
         gram[:, range(len(atoms)), range(len(atoms))] = np.sum(rows**2, axis=2)
         gram[:, :, common] = rows @ rows[:, common].transpose(0, 2, 1)
         gram[:, common] = gram[:, :, common].transpose(0, 2, 1)

@@ -19,9 +19,8 @@ def comparison(
     titles: tuple[str, str],
     within: Mask | None = None,
 ) -> Figure:
-    """A figure of two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W).
-
-    Means are over the pixels `within`, those of a ball: the difference of the materials, whatever surrounds them.
+    """A figure of two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W); means are over the pixels
+    `within`, those of a ball: the difference of the materials, whatever surrounds them.
     """
     height, width = delta_e.shape
     figure = new_figure(8.6, 0.6 + 8.0 * height / width)

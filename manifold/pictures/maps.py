@@ -43,16 +43,8 @@ def latent_map(
     marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
 ) -> tuple[DiagnosedPrediction | None, tuple[str, ...]]:
-    """Draw the map of latents with a rendered ball per material, and with one of a prediction.
-
-    Args:
-        model: path of a model.
-        output: the picture.
-        library: path of the model's library, if it was moved.
-        marked: place of a prediction to show; a material is located.
-        colour: of that prediction.
-    Returns:
-        The prediction that is marked, and what is left out: balls, where Mitsuba is missing; materials are points then.
+    """Draw the map of latents with a rendered ball per material, or points where Mitsuba is missing, and with one of a
+    prediction, at a place or where a material is located; the prediction, and what is left out.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
@@ -78,13 +70,8 @@ def walk(
     steps: int = 7,
     library: Path | None = None,
 ) -> dict[float, DiagnosedPrediction]:
-    """Draw the walk between two materials, and below it what lies between them on the map.
-
-    Returns:
-        The predictions between the materials by t; those with diagnostics are marked in the picture.
-    Raises:
-        UsageError: a material is unknown.
-        RendererError: Mitsuba is missing.
+    """Draw the walk between two materials, and below it what lies between them on the map; the predictions between the
+    materials by t, marked in the picture where they have diagnostics.
     """
     figures.require_writable(output)
     backend.imported()
@@ -131,9 +118,8 @@ SliceKind = Literal["angles", "image", "spectra"]
 
 
 def sources(materials: Sequence[MaterialSource]) -> list[Source]:
-    """BRDFs of what a user names; those of one label are labelled as they were given.
-
-    Those that were measured are NaN where they were not measured. Each model is opened once.
+    """BRDFs of what a user names, NaN where one was measured and has no measurement; those of one label are labelled as
+    they were given. Each model is opened once.
     """
     found: list[tuple[str, Source]] = []
     models: dict[tuple[Path, Path | None], Manifold] = {}
@@ -164,11 +150,7 @@ def sources(materials: Sequence[MaterialSource]) -> list[Source]:
 def slices(
     drawn: Sequence[Source], output: Path, *, kind: SliceKind = "angles", wavelengths_nm: Sequence[float] = ()
 ) -> None:
-    """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs.
-
-    Raises:
-        UsageError: the picture cannot be written.
-    """
+    """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs."""
     figures.require_writable(output)
     if kind == "angles":
         figure = slice_figures.angle_slices(drawn, wavelengths_nm)

@@ -40,10 +40,6 @@ class Rendered:
     """A picture that was made.
 
     Attributes:
-        path: of the picture.
-        material: what was rendered.
-        settings: how.
-        renderer: the backend of Mitsuba.
         seconds: rendering, without reading.
         prediction: what is rendered; None for what was measured or fitted.
     """
@@ -129,9 +125,8 @@ def ball_material(
 
 @contextmanager
 def latent_material(
-    model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
-    direct: bool = False,
-) -> Iterator[tuple[BallMaterial, DiagnosedPrediction]]:  # fmt: skip
+    model: Path, latent: PlaceLike, *, library: Path | None, colour: ColourChoice, direct: bool
+) -> Iterator[tuple[BallMaterial, DiagnosedPrediction]]:
     """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials."""
     from manifold.estimate import predictions
     from manifold.model import diagnostics

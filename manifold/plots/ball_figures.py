@@ -33,16 +33,11 @@ _GAP = 1.06  # of boxes, in their sizes
 def ball_map(
     model: Manifold, images: Sequence[Array], marked: Array | None = None, marked_image: Array | None = None
 ) -> Figure:
-    """The first two latent dimensions: `model.pictured` as balls, over the expected error.
+    """The first two latent dimensions: `model.pictured` as balls, RGBA (H, W, 4), cropped to the ball, over the
+    expected error, and a latent (Q,) with the ball that is predicted there.
 
     Balls that would cover each other are moved apart, with a line to where they belong. All other materials are points
     in their colours.
-
-    Args:
-        model: a fitted manifold.
-        images: one ball per pictured material, RGBA (H, W, 4), cropped to the ball.
-        marked: a latent (Q,) to show as predicted.
-        marked_image: the ball of that prediction.
     """
     figure = new_figure(12, 9)
     axes = figure.add_subplot()
@@ -90,9 +85,8 @@ def ball_map(
 
 
 def spread(points: Array, room: Array, frame: Array) -> Array:
-    """Points (N, 2) moved apart until boxes of size `room` (N, 2) around them hardly overlap, near where they were.
-
-    All end up within a frame (left, bottom, right, top), a box's half away from its edge.
+    """Points (N, 2) moved apart until boxes of size `room` (N, 2) around them hardly overlap, near where they were, and
+    within a frame (left, bottom, right, top), a box's half away from its edge.
     """
     rng = np.random.default_rng(0)
     room = np.broadcast_to(room, points.shape)
@@ -116,13 +110,8 @@ def walk_strip(
     rows: Sequence[tuple[str, Sequence[Array]]],
     doubtful: Sequence[bool] = (),
 ) -> Figure:
-    """Balls side by side, a row per method, on the way from one material (t = 0) to another (t = 1).
-
-    Args:
-        title: above all.
-        steps: t of every column.
-        rows: name of the method, and one ball per step, RGBA (H, W, 4).
-        doubtful: steps of the first row that the data do not support: marked, and explained below.
+    """Balls, RGBA (H, W, 4), side by side, a row per method, on the way from one material (t = 0) to another (t = 1);
+    steps of the first row that the data do not support are marked, and explained below.
     """
     figure = new_figure(1.25 * len(steps) + 1.1, 1.35 * len(rows) + 0.9)
     figure.suptitle(title, fontsize=12)

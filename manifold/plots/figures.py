@@ -49,17 +49,8 @@ def new_figure(width: float, height: float) -> Figure:
 def place_names(
     figure: Figure, axes: Axes, names: Sequence[Annotation], dot: float, points: Array, zorder: float
 ) -> None:
-    """Move names to where they cover least of points and of names before them, nearest to their own point.
-
-    A line leads to a point whose name is far.
-
-    Args:
-        figure: whose layout is fixed.
-        axes: of the names.
-        names: centred, with offsets in pixels.
-        dot: half the width of a point in pixels.
-        points: not to be covered, in pixels, shape (K, 2).
-        zorder: of the lines.
+    """Move names, centred, with offsets in pixels, to where they cover least of points (K, 2) in pixels and of names
+    before them, nearest to their own point; a line leads to a point, `dot` half as wide, whose name is far.
     """
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents
@@ -95,8 +86,11 @@ def shortened(name: str, most: int = 40) -> str:
     return text.replace("$", r"\$")
 
 
-def in_lines(name: str, width: int = 40, most: int = 3) -> str:
-    """A name as a title: broken after blanks, `_`, `-`, `/` or `.`, or anywhere, and cut only after `most` lines."""
+_MOST_LINES = 3  # of a title
+
+
+def in_lines(name: str, width: int = 40) -> str:
+    """A name as a title: broken after blanks, `_`, `-`, `/` or `.`, or anywhere, and cut only after three lines."""
     lines = [""]
     for part in re.findall(r"[^\s_/.-]*[\s_/.-]*", name):
         while len(lines[-1]) + len(part.rstrip()) > width:
@@ -106,8 +100,8 @@ def in_lines(name: str, width: int = 40, most: int = 3) -> str:
                 lines[-1], part = part[:width], part[width:]
                 lines.append("")
         lines[-1] += part
-    kept = [line.strip() for line in lines[:most]]
-    if lines[most:]:
+    kept = [line.strip() for line in lines[:_MOST_LINES]]
+    if lines[_MOST_LINES:]:
         kept[-1] += "…"
     return "\n".join(shortened(line, width + 1) for line in kept)
 
@@ -131,12 +125,9 @@ _MOST_COLUMNS = 16
 _LETTERS = 15  # of a line of a name
 
 
-def contact_sheet(cells: Sequence[tuple[str, str, Path]], under: str | None = None) -> Figure:
-    """Pictures side by side, from left to right and top to bottom; a grey circle where there is none.
-
-    Args:
-        cells: name, text below it, and picture of each.
-        under: what the text below the names is.
+def contact_sheet(cells: Sequence[tuple[str, str, Path]], under: str | None) -> Figure:
+    """Pictures side by side, from left to right and top to bottom, each with a name and a text below it, or a grey
+    circle where there is none; `under` says what that text is.
     """
     columns = min(int(np.ceil(np.sqrt(1.5 * len(cells)))), _MOST_COLUMNS)
     rows = -(-len(cells) // columns)

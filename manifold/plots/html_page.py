@@ -50,7 +50,6 @@ class Section:
     """A part of a page.
 
     Attributes:
-        title: above it.
         rows: values by label; several in a list.
         heads, table: of columns, and their cells.
         pictures: caption and element, see `picture` and `drawing`.
@@ -91,14 +90,7 @@ class Section:
 
 
 def write(path: Path, title: str, intro: str, body: str | Sequence[Section]) -> None:
-    """Write a page, renamed into place.
-
-    Args:
-        path: of the page.
-        title: of the page.
-        intro: a sentence below it.
-        body: its sections, or HTML.
-    """
+    """Write a page of sections, or of HTML, below a title and a sentence, renamed into place."""
     inside = body if isinstance(body, str) else "".join(section.html() for section in body)
     made = f"{intro} Made by manifold {__version__}, {date.today().isoformat()}."
     disk.write_text(path, f"{_HEAD.format(title=_text(title))}<p>{_text(made)}</p>\n{inside}</body></html>\n")

@@ -26,11 +26,8 @@ _MARGIN = 0.18  # of the range of the latents, around them
 
 
 def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
-    """The first two latent dimensions: materials in their own colours over the expected error; see `pictured`.
-
-    Args:
-        model: a fitted manifold; one dimension is drawn along a line.
-        marked: a latent (Q,) to mark as predicted.
+    """The first two latent dimensions: materials in their own colours over the expected error, see `pictured`, and a
+    latent (Q,) marked as predicted; one dimension is drawn along a line.
     """
     figure = new_figure(10, 7.2)
     axes = figure.add_subplot()
@@ -82,10 +79,8 @@ def two_dimensions(X: Array) -> Array:
 
 
 def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
-    """The expected error as the background of a two-dimensional map, with its colour bar.
-
-    Of a model that is not calibrated: the posterior over the prior standard deviation. Hatched where the data do not
-    support predictions.
+    """The expected error as the background of a two-dimensional map, with its colour bar, or of a model that is not
+    calibrated the posterior over the prior standard deviation; hatched where the data do not support predictions.
     """
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     margin = _MARGIN * (high - low)

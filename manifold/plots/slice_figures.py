@@ -34,13 +34,7 @@ _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One BRDF of a picture.
-
-    Attributes:
-        label: in the legend.
-        brdf: what is drawn.
-        prediction: what is drawn; None for what was measured or fitted.
-    """
+    """One BRDF of a picture, and the prediction that it is, if any."""
 
     label: str
     brdf: EvaluableBRDF
@@ -52,9 +46,6 @@ def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()
 
     Angles are positive on the mirror side of the normal. A row per channel of linear sRGB under D65, or per wavelength
     where some are given.
-
-    Raises:
-        UsageError: there are no or too many sources, or a wavelength is outside their bands.
     """
     _require_sources(sources)
     rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]

@@ -142,7 +142,7 @@ def imported() -> Any:
 
 @cache
 def own_plugins() -> frozenset[str]:
-    """The names of Mitsuba's own plugins. Raises: RendererError, where Mitsuba is missing."""
+    """The names of Mitsuba's own plugins."""
     folder = Path(imported().__file__).parent / "plugins"
     return frozenset(path.name.partition(".")[0] for path in folder.iterdir())
 
@@ -174,11 +174,8 @@ _is_advised = False
 
 
 def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
-    """Mitsuba with the variant for a kind of colour set; the first call warns once where it is slow.
-
-    Args:
-        colour: `spectral`, `rgb` or `mono`.
-        backend: by default `choose()`.
+    """Mitsuba with the variant for a kind of colour set, `spectral`, `rgb` or `mono`; the first call warns once where
+    it is slow.
     """
     global _is_advised
     if colour not in _COLOURS:

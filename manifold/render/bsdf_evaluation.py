@@ -33,19 +33,14 @@ class Evaluator(Protocol):
         """f_cos (M, B) of one vector (K,), and its derivatives (M, B, K)."""
 
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
-        """f_cos (M, B) of one vector (K,), and its derivatives (M, B, n) by each band's own n values.
-
-        Bands are taken to be independent of each other's.
+        """f_cos (M, B) of one vector (K,), and its derivatives (M, B, n) by each band's own n values; bands are taken
+        to be independent of each other's.
         """
 
 
 def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluator:
-    """The evaluator for the backend at hand.
-
-    Args:
-        family: what to evaluate.
-        wi, wo: unit vectors (M, 3).
-        n_bands: B. Bands are evaluated in threes, as the channels of Mitsuba's RGB variants.
+    """The evaluator for the backend at hand, at unit vectors (M, 3); bands are evaluated in threes, as the channels of
+    Mitsuba's RGB variants.
     """
     mi = backend.mitsuba(colour="rgb")
     kind = LaneEvaluator if mi.variant().startswith("llvm") else ScalarEvaluator
@@ -53,22 +48,15 @@ def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluat
 
 
 def load_bsdf(family: BsdfFamily, values: dict[str, Any]) -> Any:
-    """Mitsuba's BSDF with the given values, in the RGB variant of the backend.
-
-    Args:
-        family: its type and fixed entries.
-        values: by name; one number, or three for a colour.
+    """Mitsuba's BSDF with the given values, by name, one number, or three for a colour, in the RGB variant of the
+    backend.
     """
     return _load(backend.mitsuba(colour="rgb"), bsdf_dict(family, values))
 
 
 def bsdf_dict(family: BsdfFamily, values: dict[str, Any], wavelengths_nm: Any = None) -> dict[str, Any]:
-    """Mitsuba's dictionary of a BSDF, for its RGB variants, or with wavelengths for its spectral ones.
-
-    Args:
-        family: its type and fixed entries.
-        values: by name; one number, three for a colour, or one per wavelength.
-        wavelengths_nm: shape (B,), or None for RGB.
+    """Mitsuba's dictionary of a BSDF, for its RGB variants, or with wavelengths (B,) for its spectral ones; values by
+    name are one number, three for a colour, or one per wavelength.
     """
     content: dict[str, Any] = {"type": family.type, **family.fixed}
     for parameter in family.parameters:

@@ -151,7 +151,6 @@ class Layout:
     Parameters stand in the family's order; one that is per band takes B places.
 
     Attributes:
-        family, n_bands: as given.
         slices: places of each parameter, by name.
         owner: the parameter of each place.
         size: K.
@@ -230,20 +229,17 @@ PRINCIPLED_DEFAULT = (
 
 
 def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool = False) -> BsdfFamily:
-    """Mitsuba's `principled` with the named parameters free and the others at Mitsuba's defaults.
+    """Mitsuba's `principled` with the named parameters free and the others at Mitsuba's defaults; wide base colours
+    range from -0.25 to 1.25, not from 0 to 1.
 
     Roughness is the artist's: Mitsuba squares it to get the GGX alpha.
-
-    Args:
-        names: of the free parameters.
-        wide_colours: let base colours range from -0.25 to 1.25, not from 0 to 1.
     """
     colour = _WIDE if wide_colours else _COLOUR
     family = BsdfFamily("principled", (colour, *_PRINCIPLED[1:]))
     return BsdfFamily("principled", tuple(family.named(name) for name in names))
 
 
-def default_principled(is_isotropic: bool = True, *, wide_colours: bool = False) -> BsdfFamily:
+def default_principled(is_isotropic: bool, *, wide_colours: bool) -> BsdfFamily:
     """`principled` as it is fitted by default: with `anisotropic` free for anisotropic materials."""
     names = PRINCIPLED_DEFAULT if is_isotropic else (*PRINCIPLED_DEFAULT, "anisotropic")
     return principled(names, wide_colours=wide_colours)

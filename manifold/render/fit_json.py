@@ -55,12 +55,7 @@ def is_number(value: Any) -> bool:
 
 
 def family_of(content: Any, file: str) -> BsdfFamily:
-    """The family of a JSON description of a BSDF; see `BsdfFamily.to_json`.
-
-    Args:
-        content: of the JSON.
-        file: its name, for the error.
-    """
+    """The family of a JSON description of a BSDF, in a file of this name; see `BsdfFamily.to_json`."""
     _require_schema(content, file, "bsdf")
     if holds_none(content.get("fixed", {})):  # which ends Mitsuba's process
         raise FileFormatError(f"{file}: fixed contains null, expected a value; remove that entry")
@@ -72,13 +67,10 @@ def family_of(content: Any, file: str) -> BsdfFamily:
 
 
 def require_fit(content: Any, file: str) -> None:
-    """Raise FileFormatError unless plain values are a fit that can be used, naming the first entry that is not so.
+    """Raise FileFormatError unless plain values are a fit that can be used, naming the file and the first entry that is
+    not so.
 
     Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must say the same as they.
-
-    Args:
-        content: of the JSON.
-        file: its name, for the error.
     """
     _require_schema(content, file)
     family = family_of(content["bsdf"], file)
@@ -163,7 +155,6 @@ class Source:
     """The source of a fit.
 
     Attributes:
-        name: of the material.
         file, sha256: name and hash of the measured file; None for a prediction.
         latent, model, model_sha256: where a prediction comes from, the model's file and its hash; None for a file.
         colour: of a prediction, in words; None for a file, and where colours are fixed by latents.
@@ -213,7 +204,7 @@ def _digest(content: dict[str, Any]) -> str:
 
 
 def write_document(path: Path, content: dict[str, Any]) -> None:
-    """Write what `document` has made. Raises: as `atomic.replacing`."""
+    """Write what `document` has made."""
     disk.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 

@@ -41,7 +41,7 @@ class FittedBRDF:
 
     @classmethod
     def read(cls, path: Path) -> FittedBRDF:
-        """The fit of a JSON file. Raises: as `fit_json.read`."""
+        """The fit of a JSON file."""
         return cls(fit_json.read(path))
 
     @property

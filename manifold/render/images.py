@@ -70,11 +70,8 @@ def write_display(path: Path, values: Array) -> None:
 
 
 def read_image(path: Path) -> Array:
-    """A picture as linear sRGB, float64, shape (H, W, 3); display pictures are decoded.
-
-    Raises:
-        MissingFileError: there is no such file.
-        FileFormatError: it is no picture, or of a kind that is not supported; see `colour.pictures.read_picture`.
+    """A picture as linear sRGB, float64, shape (H, W, 3); display pictures are decoded, see
+    `colour.pictures.read_picture`.
     """
     return _finite(read_picture(path)).astype(np.float64)
 
@@ -133,9 +130,6 @@ def itp_map(display: Array, other: Array) -> Array:
 
 def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PER_DEGREE) -> Array:
     """FLIP between display values in [0, 1], shapes (H, W, 3): 0 alike to 1 as different as can be, shape (H, W).
-
-    Raises:
-        ShapeError: the pictures do not have the same size, or no three channels.
     Source: Andersson et al. 2020, DOI 10.1145/3406183; its authors' program, for a low dynamic range.
     """
     from flip_evaluator import evaluate  # which pictures that are not compared do without

@@ -18,11 +18,8 @@ _KEYWORDS = frozenset({"scene", "rgb", "spectrum", "ref", "manifold"})  # of dic
 
 
 def require_plugins(types: Iterable[object], origin: str) -> None:
-    """Raise FileFormatError unless every type is that of a plugin which may be loaded.
-
-    Args:
-        types: as the document names them, whatever they are.
-        origin: the document, for the error.
+    """Raise FileFormatError, which names the document, unless every type, whatever it is, is that of a plugin which may
+    be loaded.
     """
     for name in types:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +21,12 @@ from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.records import Array
 from manifold.render import backend, scenes
-from manifold.render.plugin.bsdf import register_always
+from manifold.render.plugin.bsdf import register
 
 LARGEST_SIZE = 8192
 _LANES = 1 << 23  # samples rendered at once: the sampler stratifies those of one pass among each other
 
-register_always()
-
-
-def _d65() -> Illuminant:
-    return Illuminant.named("D65")
+backend.on_variant(register)
 
 
 @dataclass(frozen=True)
@@ -40,14 +37,13 @@ class RenderSettings:
         size: pixels per side.
         samples: light paths per pixel.
         seed: of the noise; equal seeds give equal pictures.
-        illuminant: the light's spectrum.
         environment: linear RGB radiance as `studio.studio` lays it out, (H, W, 3); that by default.
     """
 
     size: int = 256
     samples: int = 64
     seed: int = 0
-    illuminant: Illuminant = field(default_factory=_d65)
+    illuminant: Illuminant = field(default_factory=partial(Illuminant.named, "D65"))
     environment: Array | None = None
 
     def __post_init__(self) -> None:
@@ -62,16 +58,10 @@ class RenderSettings:
 def render_bsdf(
     bsdf: Mapping[str, Any],
     is_rgb: bool,
-    settings: RenderSettings = RenderSettings(),
+    settings: RenderSettings,
 ) -> Array:
-    """The material ball in linear sRGB, shape (size, size, 3).
-
-    Args:
-        bsdf: as a dictionary of Mitsuba.
-        is_rgb: whether it is linear sRGB, with no spectrum.
-        settings: see there.
-    Raises:
-        UsageError: the material has no spectrum, and the light is not D65; or there is no visible light.
+    """The ball of a material, a dictionary of Mitsuba, in linear sRGB, shape (size, size, 3); one without a spectrum,
+    `is_rgb`, is rendered under D65 only.
     """
     if is_rgb:
         require_d65(settings.illuminant)
@@ -91,21 +81,14 @@ def render_floating_ball(
     is_rgb: bool,
     environment: Array,
     *,
-    size: int = 256,
-    samples: int = 64,
-    seed: int = 0,
+    size: int,
+    samples: int,
     **view: float,
 ) -> Array:
-    """A measured file on a ball alone in an environment under D65, in linear sRGB, shape (size, size, 3).
-
-    Args:
-        path: of the file.
-        is_rgb: whether it is linear sRGB, with no spectrum.
-        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio.studio` does.
-        size, samples, seed: see `RenderSettings`.
-        view: see `scenes.floating_ball`.
+    """A measured file, spectral or in linear sRGB, on a ball alone in an environment (H, W, 3), as `studio.studio` lays
+    it out, under D65, in linear sRGB, shape (size, size, 3); `view` as in `scenes.floating_ball`.
     """
-    settings, bsdf = RenderSettings(size, samples, seed), {"type": "measured", "filename": str(path)}
+    settings, bsdf = RenderSettings(size, samples), {"type": "measured", "filename": str(path)}
     mi = backend.mitsuba("rgb" if is_rgb else "spectral")
     film = rgb_film(size) if is_rgb else colorimetric_film(mi, size, settings.illuminant)
     scene = mi.load_dict(scenes.floating_ball(mi, bsdf, film, environment, **view))
@@ -122,9 +105,8 @@ def require_d65(illuminant: Illuminant) -> None:
 
 
 def render_scene(mi: Any, scene: Any, settings: RenderSettings) -> Array:
-    """The channels of a scene's film, float64, shape (size, size, channels).
-
-    Rendered in passes of a few seconds, each with a seed of its own that follows from the settings'.
+    """The channels of a scene's film, float64, shape (size, size, channels), in passes of a few seconds, each with a
+    seed of its own that follows from the settings'.
     """
     most = max(1, _LANES // settings.size**2)
     n_passes = -(-settings.samples // most)
@@ -150,9 +132,8 @@ def rgb_film(size: int) -> dict[str, Any]:
 
 
 def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, Any]:
-    """A film with the channels X, Y, Z of the scene under an illuminant; a white diffuser has Y = 1.
-
-    Environments of Mitsuba have the spectrum of D65 times a reflectance; the film compensates for it.
+    """A film with the channels X, Y, Z of the scene under an illuminant; a white diffuser has Y = 1. Environments of
+    Mitsuba have the spectrum of D65 times a reflectance; the film compensates for it.
     """
     wavelengths_nm, responses = sensor_responses(illuminant)
     seen = (wavelengths_nm >= 360.0) & (wavelengths_nm <= 830.0)

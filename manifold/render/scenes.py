@@ -25,10 +25,8 @@ _RADIUS, _HEIGHT, _ROUNDING, _BOWL_RADIUS, _BOWL_DEPTH = 1.02, 0.3, 0.07, 0.62, 
 
 
 def pedestal(n_azimuths: int = 160) -> tuple[Array, Array]:
-    """The surface of revolution that the ball lies on.
-
-    Returns:
-        vertices, float32, shape (V, 3), and triangles, uint32, shape (F, 3), their normals outwards.
+    """The surface of revolution that the ball lies on: vertices, float32, (V, 3), and triangles, uint32, (F, 3), their
+    normals outwards.
     """
     corner = np.linspace(0.0, np.pi / 2, 12)
     bowl = np.linspace(0.0, 1.0, 24)
@@ -79,13 +77,8 @@ def material_ball(
     film: Mapping[str, Any],
     environment: Array | None = None,
 ) -> dict[str, Any]:
-    """The scene, for `mi.load_dict` in the variant that is set.
-
-    Args:
-        mi: Mitsuba.
-        material: BSDF of the ball, as a dictionary or an object.
-        film: dictionary of a film; its shape should be square.
-        environment: linear RGB radiance, float32, shape (H, W, 3), laid out as `studio` does; that by default.
+    """The scene, for `mi.load_dict` in the variant that is set, with a film of square shape; the environment is linear
+    RGB radiance, float32, shape (H, W, 3), laid out as `studio` does, and that by default.
     """
     transform = mi.ScalarTransform4f
     image = studio() if environment is None else np.ascontiguousarray(environment, dtype=np.float32)
@@ -126,15 +119,10 @@ def floating_ball(
     distance: float = 1e3,
     margin: float = 0.0,
 ) -> dict[str, Any]:
-    """The scene of a ball alone in an environment, its outline in the middle of the picture.
+    """The scene of a ball alone in an environment, as in `material_ball`, its outline in the middle of the picture.
 
-    Args:
-        mi, material, film: see `material_ball`.
-        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio` does.
-        turn_deg: azimuth of what lies straight ahead, from the environment's first column to the right.
-        elevation_deg: of the camera above the ball.
-        distance: of the camera from the middle of the ball, in its radii.
-        margin: around the outline, in radii of it.
+    `turn_deg` is the azimuth of what lies straight ahead, from the environment's first column to the right; the camera
+    is `elevation_deg` above the ball, its distance and the margin around the outline are in radii of the ball.
     """
     transform = mi.ScalarTransform4f
     elevation = np.deg2rad(elevation_deg)
@@ -178,11 +166,8 @@ def _mesh(mi: Any, vertices: Array, triangles: Array, bsdf: Mapping[str, Any]) -
 
 
 def ball_interior(size: int, margin: float = 0.0) -> Mask:
-    """Pixels of a square picture that show the ball, bool, shape (size, size).
-
-    Args:
-        size: pixels per side.
-        margin: share of the ball's radius to leave out along its outline.
+    """Pixels of a square picture that show the ball, bool, shape (size, size), less a share `margin` of the ball's
+    radius along its outline.
     """
     centre = np.array(BALL_CENTRE) - np.array(_CAMERA)
     forward = np.array(_TARGET) - np.array(_CAMERA)

@@ -48,12 +48,8 @@ NAME = "manifold"
 _registered: set[str] = set()
 
 
-def register_always() -> None:
-    """Register the plugin in the variant that is set now, and in every one that is set later."""
-    backend.on_variant(_register)
-
-
-def _register(variant: str) -> None:
+def register(variant: str) -> None:
+    """Register the plugin in a variant, once."""
     if variant in _registered:
         return
     _registered.add(variant)

@@ -159,7 +159,6 @@ class _Group:
     """Neighbouring materials whose tables have the same sizes.
 
     Attributes:
-        start, end: their range.
         first: meta data of the first, shape (META,).
         step: what that grows by from one to the next.
     """
@@ -222,11 +221,8 @@ class Evaluation:
     # -- weights -------------------------------------------------------------------------------------------
 
     def set_weights(self, mixture: Mixture, latent: Any = None, colours: Any = None) -> None:
-        """Take the weights of a mixture of the same materials.
-
-        Args:
-            mixture: with slopes where derivatives are to pass through the weights.
-            latent, colours: by which the slopes are, shapes (Q,) and (B,); None in place of colours not chosen.
+        """Take the weights of a mixture of the same materials, with slopes by latent (Q,) and chosen colours (B,) where
+        derivatives are to pass through the weights.
         """
         mi, dr = self._mi, self._dr
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
@@ -318,9 +314,8 @@ class Evaluation:
         return (low, high), dr.select(b > a, dr.clip((value - a) / (b - a), 0.0, 1.0), 0.0)
 
     def _in_its_frame(self, symmetry: Any, rotation: Any, wi: Any) -> tuple[Any, Any]:
-        """Cosine and sine of the turn into the frame in which a sample was measured, and signs for each axis after it.
-
-        The signs move incident directions into the measured azimuths; see `brdf.pairs.signs`.
+        """Cosine and sine of the turn into the frame in which a sample was measured, and signs for each axis after it,
+        which move incident directions into the measured azimuths; see `brdf.pairs.signs`.
         """
         mi, dr = self._mi, self._dr
         turn = mi.Vector2f(dr.cos(rotation), dr.sin(rotation))

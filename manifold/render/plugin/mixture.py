@@ -34,8 +34,6 @@ class Mixture:
     """A weighted sum of N materials under a mapping.
 
     Attributes:
-        names: of the materials.
-        tables: what they hold.
         mapping: T.
         bands: of the prediction.
         weights: of whole materials, (N,); of single bands, (B, N, B_s); None where the latent varies.
@@ -74,7 +72,6 @@ class FixedLatent:
     """One latent and its colours, in double precision; Mitsuba has them in single precision.
 
     Attributes:
-        model: a fitted manifold.
         latent: shape (Q,).
         colours: coordinates of a chosen colour, (B,); None where the latent carries it.
         tolerance: how much leaving materials out may change; see `leave_out`.
@@ -93,10 +90,8 @@ class FixedLatent:
         return cls(model, place.latent, choose_colour(model, place, colour).colours, tolerance)
 
     def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:
-        """Another latent, and other colours; what rounds to a material's latent, or to what was, is taken for that.
-
-        Args:
-            latent, colours: float32, shape (Q,) and (B,).
+        """Another latent (Q,), and other colours (B,), float32; what rounds to a material's latent, or to what was, is
+        taken for that.
         """
         known = (self.latent, *self.model.X)
         exact = next((x for x in known if np.array_equal(np.float32(x), latent)), latent)
@@ -105,11 +100,8 @@ class FixedLatent:
         return replace(self, latent=self.model.place(exact.tolist()).latent, colours=colours)
 
     def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
-        """The prediction; at a training latent the measured file.
-
-        Args:
-            before: one of the same model, whose tables serve again where they hold all materials that are needed.
-            has_slopes: whether slopes of the weights are asked for.
+        """The prediction; at a training latent the measured file. Tables of one `before`, of the same model, serve
+        again where they hold all materials that are needed.
         """
         model, x, colours = self.model, self.latent, self.colours
         combination = model.combination(x, colours)
@@ -186,15 +178,12 @@ def varying_mixture(model: Manifold) -> Mixture:
 
 
 def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indices, Array, float]:
-    """The fewest materials that do for weights (N,), their new weights, and the relative error that remains.
+    """The fewest materials that do for weights v (N,), their new weights, and the relative error that remains, as a
+    share of the norm of the mapped values, at most the tolerance; 0 keeps all.
 
-    The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values.
-    Materials go one by one, that first whose loss raises it least: of weight u_k, by `u_k^2 / [S_kept^-1]_kk`.
-
-    Args:
-        weights: v, shape (N,).
-        S: Gram matrix of the mapped materials, shape (N, N); unused if the tolerance is 0.
-        tolerance: largest error, as a share of the norm of the mapped values; 0 keeps all.
+    The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values, by
+    their Gram matrix S (N, N). Materials go one by one, that first whose loss raises it least: of weight u_k, by `u_k^2
+    / [S_kept^-1]_kk`.
     """
     if not 0.0 <= tolerance < 1.0:
         raise UsageError(f"tolerance is {tolerance:g}, expected a share from 0 to below 1, such as 0.01")

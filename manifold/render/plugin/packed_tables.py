@@ -79,12 +79,7 @@ class Tables:
 
 
 def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Tables:
-    """Lay materials out.
-
-    Args:
-        files: N materials of the same bands.
-        bands: indices of those to keep; all by default.
-    """
+    """Lay out N materials of the same bands, of which some may be chosen by their indices."""
     kept = list(range(files[0].bands.count)) if bands is None else list(bands)
     n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))
     n_theta, n_phi = (

@@ -49,9 +49,7 @@ class SwarmOptions:
     """Hyperparameters of the particle swarm.
 
     Attributes:
-        particles, iterations: size and length of the search.
         inertia, attraction: of a particle's velocity, and towards its own and the swarm's best place.
-        seed: of the random numbers.
     """
 
     particles: int = 40
@@ -62,15 +60,10 @@ class SwarmOptions:
 
 
 def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: AdamOptions) -> Minimum:
-    """Luminance alone for what the bands share, the colour white; then everything, in the squared linear error.
+    """Luminance of RGB samples alone for what the bands share, the colour white; then everything, in the squared linear
+    error. The cost of the result is that of the residuals, which Adam does not see.
 
-    Parameters are clamped to their ranges, colours to [0, 1], after every step.
-
-    Args:
-        family: what to fit; colours come last.
-        samples: RGB.
-        residuals: in whose metric the result's cost is given; Adam does not see it.
-        options: hyperparameters.
+    Parameters are clamped to their ranges, colours, which come last, to [0, 1], after every step.
     """
     mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
     if not mi.variant().startswith("llvm"):
@@ -134,16 +127,11 @@ def _stage(
 
 
 def swarm(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: SwarmOptions) -> Minimum:
-    """Particles look for the least colour difference on a virtual hemisphere of looked-up measurements.
+    """Particles look for the least colour difference of RGB samples on a virtual hemisphere of looked-up measurements.
+    The cost of the result is that of the residuals.
 
     Every virtual direction pair takes the value of the sample nearest in Rusinkiewicz's angles; differences are
     CIELAB's of 1976.
-
-    Args:
-        family: what to fit.
-        samples: RGB.
-        residuals: in whose metric the result's cost is given.
-        options: hyperparameters.
     """
     wi, wo, above = RusinkiewiczGrid(10, 8, 6).directions()
     keep = above & (np.minimum(wi[:, 2], wo[:, 2]) > 0.1)

@@ -29,7 +29,7 @@ from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
-from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
 from manifold.plots import figures, html_page
@@ -49,7 +49,6 @@ class Subject:
     """A material that is to be exported.
 
     Attributes:
-        name: of the material.
         source: where it comes from, plain values.
         fit: content of its fit's JSON.
         material: what the loss is measured against; the fit itself if None.
@@ -63,8 +62,8 @@ class Subject:
     against: str
 
 
-def subject_of_source(source: MaterialSource, against: Path | None = None) -> Subject:
-    """The material that a user names; arguments and errors as of `subject_of` and `subject_of_prediction`."""
+def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
+    """The material that a user names; `against` as of `subject_of`."""
     if isinstance(source, FileSource):
         return subject_of(source.path, against)
     if against is not None:
@@ -75,11 +74,8 @@ def subject_of_source(source: MaterialSource, against: Path | None = None) -> Su
 
 
 def subject_of(path: Path, against: Path | None = None) -> Subject:
-    """The material of a fit's JSON or of a `.bsdf` file, which is fitted.
-
-    Args:
-        path: the file.
-        against: for a fit, the measured file to compare with; the fit itself if None.
+    """The material of a fit's JSON, to be compared with a measured file or with the fit itself, or of a `.bsdf` file,
+    which is fitted.
     """
     if path.suffix.lower() == ".bsdf":
         if against is not None:
@@ -99,8 +95,8 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
 
 
 def subject_of_prediction(
-    model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
-    ) -> Subject:  # fmt: skip
+    model: Path, latent: PlaceLike, *, library: Path | None, colour: ColourChoice
+) -> Subject:
     """The material that a model predicts at a latent, fitted."""
     stages = Stages({"reading materials": 3, "fitting": 7})
     loaded = load_model(model, library)
@@ -139,18 +135,13 @@ def export(
     is_mapped: bool = False, picture: Path | None = None, balls: Path | None = None,
     textures: Callable[[Sequence[float]], TextureFiles] | None = None,
 ) -> Outcome[Subject]:  # fmt: skip
-    """Write a material for a target.
+    """Write a material for a target, or for that of the file's suffix; of a source, and `against`, see
+    `subject_of_source`.
 
-    Args:
-        subject: the material; of a source see `subject_of_source`.
-        target: where to, or its name; None where the suffix of the file says it.
-        path: the file.
-        against: as of `subject_of_source`.
-        is_mapped: compute the target's parameters from those of `principled`, instead of fitting its own model to the
-            material from there on.
-        picture: of the material beside the target's model, drawn there; none if None.
-        balls: of both in two lights, drawn there; none if None.
-        textures: writes textures for the base colour that was found, linear sRGB; None for one material everywhere.
+    With `is_mapped`, the target's parameters are computed from those of `principled`, instead of fitting its own model
+    to the material from there on. The material beside the target's model is drawn to `picture`, balls of both in two
+    lights to `balls`. `textures` writes textures for the base colour that was found, linear sRGB; None is one material
+    everywhere.
     """
     target = target if isinstance(target, Target) else target_of(target, path)
     disk.require_writable(path)
@@ -221,13 +212,8 @@ class ExportSource(NamedTuple):
 def exports(
     target: Target, *, is_mapped: bool = False, with_pictures: bool = False, is_pack: bool = False
 ) -> Command[ExportSource]:
-    """Write the materials that `export_sources` finds for a target; what is done is left.
-
-    Args:
-        target: for all.
-        is_mapped: as in `export`.
-        with_pictures: whether to draw each material beside the target's model, into NAME.png.
-        is_pack: whether to write a page of balls, too, see `pack`.
+    """Write the materials that `export_sources` finds for a target; what is done is left. Each is drawn beside the
+    target's model into NAME.png, and a pack has a page of balls, too, see `pack`.
     """
     columns: dict[str, Callable[[Content], Any]] = {
         "CIEDE2000": lambda content: content["errors"]["ball"],

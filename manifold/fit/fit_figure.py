@@ -23,14 +23,8 @@ def fit_picture(
     inside: Mask,
     sources: Sequence[Source],
 ) -> Figure:
-    """The check of a fit.
-
-    Args:
-        title: above all.
-        balls: display pictures of the material and of the fit, (H, W, 3).
-        delta_e, flip: CIEDE2000 and FLIP maps, (H, W).
-        inside: pixels that show the ball, bool (H, W); the means in the titles are over them.
-        sources: the material and the fit, for the slices.
+    """The check of a fit: display pictures (H, W, 3) and slices of the material and of the fit, and CIEDE2000 and FLIP
+    maps (H, W), whose means in the titles are over the pixels inside the ball, (H, W).
     """
     figure = new_figure(11, 9.6)
     figure.suptitle(in_lines(title, 100), fontsize=12)

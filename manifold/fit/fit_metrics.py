@@ -67,9 +67,8 @@ class Metric:
 
 
 def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]:
-    """How differently the balls of a fit and its material look, in the judged lights and in those of fits.
-
-    Each is in its own bands.
+    """How differently the balls of a fit and its material, each in its own bands, look, in the judged lights and in
+    those of fits.
     """
 
     def errors(lights: Panel) -> Errors[float]:
@@ -89,9 +88,8 @@ _MISSED, _MISSED_SHARE = (
 
 
 def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | None:
-    """A sentence where a model misses the highlight's colour or strength much more than the rest; None where not.
-
-    Such are the rainbows of flakes and films in models without them: other parameters cannot make up for it.
+    """A sentence where a model misses the highlight's colour or strength much more than the rest; None where not. Such
+    are the rainbows of flakes and films in models without them: other parameters cannot make up for it.
     """
     ball = panel.sun(_HIGHLIGHT_SUN_DEG)
     xyz, xyz_star = (ball.xyz(values_at(brdf, ball), brdf.bands) for brdf in (fitted, material))
@@ -180,9 +178,8 @@ def relative_residuals(samples: FitSamples, f_cos: Array) -> dict[str, float]:
 
 
 def best_diffuse(criterion: Criterion) -> tuple[Array, float]:
-    """The constant-albedo diffuse that fits best: its albedo per band (B,), and its sum of squared residuals.
-
-    The sum is what a fit has to stay below. Source: Gauss-Newton, band by band.
+    """The constant-albedo diffuse that fits best, by Gauss-Newton, band by band: its albedo per band (B,), and its sum
+    of squared residuals, which a fit has to stay below.
     """
     samples = criterion.samples
     white = np.repeat(criterion.wo[:, 2:] / np.pi, samples.bands.count, axis=1)  # f_cos of a white diffuser

@@ -26,11 +26,8 @@ _BALL, _SUN_PIXELS = (6, 18, 8), 16  # pixels, rings and spokes; pixels under su
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Small pictures of a ball in the lights that fits see: errors are reported in others.
-
-    Attributes:
-        lights: the panel.
-        values: linear radiance of the material's pixels in 1 over that of a white surface; (K, B).
+    """Small pictures of a ball in the lights that fits see, linear radiance (K, B) in 1 over that of a white surface:
+    errors are reported in others.
     """
 
     lights: Panel
@@ -57,7 +54,6 @@ class FitSamples:
         wi, wo: unit vectors, shape (M, 3), above the horizon.
         f: BRDF in 1/sr, shape (M, B).
         weight: importance of each direction pair, mean 1, shape (M,).
-        bands: the B bands.
         is_isotropic: whether the material is, or is assumed to be.
         pixels: of the material's ball in the same bands; None where it is known at the samples alone.
     """
@@ -74,17 +70,11 @@ class FitSamples:
     def from_arrays(
         cls, wi: Array, wo: Array, f: Array, *, bands: Bands | None = None, weight: Array | None = None
     ) -> FitSamples:
-        """Samples of a table.
+        """Samples of a table of f (M, B), not times the cosine, in 1/sr, at unit vectors (M, 3), above the horizon;
+        linear sRGB by default.
 
-        Args:
-            wi, wo: unit vectors, shape (M, 3).
-            f: BRDF (not times the cosine) in 1/sr, shape (M, B).
-            bands: their wavelengths; linear sRGB if None.
-            weight: importance per pair, shape (M,), not negative; `cos(theta_i)` if None, which with values
-                times `cos(theta_o)` weighs errors by both cosines.
-        Raises:
-            ShapeError: a shape is wrong, a value is not finite, or a direction is not above the horizon.
-            UsageError: values are negative or all zero, or there are too few different pairs.
+        Weights (M,) are not negative; by default they are `cos(theta_i)`, which with values times `cos(theta_o)` weighs
+        errors by both cosines.
         """
         bands = Bands(None) if bands is None else bands
         wi, wo, f = require_directions(wi, "wi"), require_directions(wo, "wo"), np.asarray(f, float)
@@ -152,9 +142,8 @@ class FitSamples:
 
 
 def from_readings(readings: Readings) -> FitSamples:
-    """Samples of an instrument's readings: those measured in all bands, 87 degrees from the normal at most.
-
-    Three narrow bands become spectra, see `colour.narrow_bands`.
+    """Samples of an instrument's readings: those measured in all bands, 87 degrees from the normal at most; three
+    narrow bands become spectra, see `colour.narrow_bands`.
     """
     readings = with_spectra(readings)
     far = np.minimum(readings.wi[:, 2], readings.wo[:, 2]) >= _GRAZING_COS
@@ -170,11 +159,8 @@ def from_readings(readings: Readings) -> FitSamples:
 
 
 def from_brdf(brdf: EvaluableBRDF, rotation_rad: float = 0.0) -> FitSamples:
-    """Samples of a BRDF, dense around the mirror direction, and its ball; negative values count as 0.
-
-    Args:
-        brdf: the BRDF.
-        rotation_rad: azimuth by which it lies turned, which is undone.
+    """Samples of a BRDF, dense around the mirror direction, and its ball, with the azimuth undone by which it lies
+    turned; negative values count as 0.
     """
 
     def of(wi: Array, wo: Array) -> Array:

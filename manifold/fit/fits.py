@@ -62,10 +62,6 @@ class FitSettings:
     wide_colours: bool = False
     sample: str | None = None
 
-    def name_of(self, source: Measured) -> str:
-        """Of the material that is fitted."""
-        return self.sample or source.name
-
     def to_json(self) -> dict[str, Any]:
         """Plain values, on which a fit depends beside its material."""
         return plain(vars(self))
@@ -103,14 +99,8 @@ def read_family(path: Path) -> BsdfFamily:
 
 
 def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | None = None) -> Outcome[Any]:
-    """Fit a material and write the JSON; of what was measured not where an earlier run has.
-
-    Args:
-        source: a file or another material; what an outcome has as its source is the prediction where this is a place.
-        target: the JSON.
-        settings: how; the usual ones by default.
-    Returns:
-        The fit, or why there is none of what was measured.
+    """Fit a file or another material and write the JSON; of what was measured not where an earlier run has. The
+    outcome's source is the prediction where this is a place; there may be no fit of what was measured.
     """
     backend.imported()
     disk.require_writable(target)
@@ -118,7 +108,7 @@ def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | Non
     if isinstance(source, PlaceSource):
         return _fit_prediction(source, target, settings)
     measured = FileSource(source) if isinstance(source, Path) else source
-    name = settings.name_of(measured)
+    name = settings.sample or measured.name
     try:
         require_material_name(name)
         content, was_there = _fitted(name, measured, target, settings)
@@ -131,11 +121,8 @@ def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | Non
 
 
 def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input]:
-    """Fit many materials, one JSON each; up-to-date fits are kept.
-
-    Args:
-        settings: how.
-        with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
+    """Fit many materials, one JSON each; up-to-date fits are kept. With pictures, each fit is drawn beside its
+    material, where that is a whole BRDF, into NAME.fit.png.
     """
     backend.imported()
     columns: dict[str, Callable[[Content], Any]] = {

@@ -108,14 +108,8 @@ def minimize(
     residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None,
     kept: Mask | None = None,
 ) -> Minimum:  # fmt: skip
-    """Refine parameter values within their ranges.
-
-    Args:
-        residuals: what is minimised.
-        start: values (K,).
-        iterations, tolerance: where to end.
-        part: of the ranges, lower and upper ends (K,) each; all of them if None.
-        kept: which values stay as they are, bool (K,); none if None.
+    """Refine values (K,) within their ranges, or within lower and upper ends (K,) of a part of them, but those kept,
+    (K,).
     """
     layout = residuals.layout
     free = np.ones(layout.size, bool) if kept is None else ~kept
@@ -144,13 +138,11 @@ def minimize(
 
 
 def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
-    """Parameter vectors spread over the ranges, and their costs on a few of the samples, best first.
+    """Parameter vectors (n, K) spread over the ranges, and their costs (n,) on a few of the samples, best first; those
+    where the BSDF is not finite are left out.
 
-    Bands share their values in a vector, except those of an affine parameter: two evaluations give its best value
-    in every band, to first order in the residual's measure.
-
-    Returns:
-        Vectors (n, K) and costs (n,), those left out where the BSDF is not finite.
+    Bands share their values in a vector, except those of an affine parameter: two evaluations give its best value in
+    every band, to first order in the residual's measure.
     """
     layout, bsdf, metric = residuals.layout, residuals.evaluator, residuals.criterion.metric
     samples = residuals.criterion.samples
@@ -202,11 +194,8 @@ def _cost(minimum: Minimum) -> float:
 
 
 def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
-    """Minima, best first, and of the rivals those that noise may hide and in whose part no such minimum lies.
-
-    Args:
-        minima: as `find_minima` returns them.
-        limit: difference of two costs that noise may hide.
+    """Minima, as `find_minima` has them, best first, and of the rivals those whose difference of cost noise may hide,
+    below the limit, and in whose part no such minimum lies.
     """
     best = minima[0].cost
     kept = [one for one in minima if one.part is None]
@@ -222,12 +211,7 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
 
 
 def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
-    """All distinct minima found, best first; of few samples followed by rivals, see `select_minima`.
-
-    Args:
-        residuals: of all samples.
-        options: hyperparameters.
-    """
+    """All distinct minima found, best first; of few samples followed by rivals, see `select_minima`."""
     stages = Stages({"coarse search": 4, "refinement": 3, "valleys": 3})
     stages.begin("coarse search")
     layout = residuals.layout
@@ -270,18 +254,11 @@ def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
 def refine_bands(
     family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
 ) -> tuple[dict[str, float | list[float]], float]:
-    """Values of the parameters per band, each band by itself, what bands share kept.
+    """All values by name, those of the parameters per band fitted to samples in B bands, each band by itself, from the
+    mean of RGB, what bands share kept; and the relative residual.
 
     Levenberg-Marquardt in all bands at once, at some of the samples. Values stay above 0: Mitsuba takes no negative
     spectra.
-
-    Args:
-        family: what is fitted.
-        samples: to what, in B bands.
-        metric: measure of the residuals.
-        values: by name, in RGB; every band starts from their mean.
-    Returns:
-        All values by name, and the relative residual.
     """
     criterion = Criterion(samples.subset(_spread(len(samples), _BAND_PAIRS)), metric)
     bands = evaluator(family, criterion.wi, criterion.wo, samples.bands.count)

@@ -57,12 +57,8 @@ class ParameterIdentifiability:
 
 
 def residual_variance(residual: Array, n_parameters: int, floor: float) -> float:
-    """Variance of one residual: what the fit leaves over, but no less than that of the assumed noise.
-
-    Args:
-        residual: shape (n,).
-        n_parameters: K.
-        floor: variance that the assumed noise of the samples causes.
+    """Variance of one residual: what the fit of n parameters leaves over, but no less than what the assumed noise
+    causes.
     """
     freedom = max(residual.size - n_parameters, 1)
     return max(float(residual @ residual) / freedom, floor)
@@ -74,13 +70,8 @@ def as_good_limit(variance: float, n_parameters: int) -> float:
 
 
 def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
-    """The step (K,) of one Gauss-Newton iteration, no longer than a tenth of any range, and the cost it promises.
-
-    Args:
-        layout: of the K values.
-        p: fitted values (K,).
-        residual: shape (n,).
-        J: derivatives of the residuals by the values, shape (n, K).
+    """The step (K,) of one Gauss-Newton iteration, no longer than a tenth of any range, and the cost it promises, by
+    residuals (n,) and their derivatives (n, K).
     """
     span = layout.maximum - layout.minimum
     room = np.array([layout.minimum - p, layout.maximum - p]) / span
@@ -107,20 +98,13 @@ def identify_parameters(
     J: Array,
     variance: float,
     alternatives: list[Array],
-    kept: Mask | None = None,
+    kept: Mask,
 ) -> tuple[ParameterIdentifiability, ...]:
-    """The identifiability of every value of the layout.
+    """The identifiability of all K fitted values, by derivatives (n, K) of the residuals, the variance of one of these,
+    other values (K,) that fit as well within the noise, and which values were left at their defaults, (K,).
 
-    Args:
-        layout: of the K values.
-        p: fitted values (K,).
-        J: derivatives of the residuals by the values, shape (n, K).
-        variance: of one residual.
-        alternatives: other values (K,) that fit as well within the noise.
-        kept: which values were left at their defaults, bool (K,); none if None.
-
-    The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range:
-    it keeps directions that the samples do not see finite.
+    The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range: it keeps
+    directions that the samples do not see finite.
     """
     span = layout.maximum - layout.minimum
     prior = span / np.sqrt(12.0)
@@ -130,7 +114,6 @@ def identify_parameters(
     unit_error = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(unit_error, unit_error))
     np.fill_diagonal(correlation, 0.0)
-    is_kept = np.zeros(layout.size, bool) if kept is None else kept
     made = []
     for k, label in enumerate(layout.labels):
         error = float(unit_error[k] * prior[k])
@@ -153,10 +136,10 @@ def identify_parameters(
                 value=float(p[k]),
                 standard_error=error,
                 state=state,
-                at_bound=not is_kept[k]
+                at_bound=not kept[k]
                 and bool(min(p[k] - layout.minimum[k], layout.maximum[k] - p[k]) < _BOUND * span[k]),
                 entangled_with=layout.labels[partner] if entangled else None,
-                is_kept=bool(is_kept[k]),
+                is_kept=bool(kept[k]),
             )
         )
     return tuple(made)
@@ -187,20 +170,12 @@ def keep_undetermined(
     limit: float,
     options: GaussNewton,
 ) -> tuple[Minimum, TriedDefaults]:
-    """The best minimum with undetermined values at their defaults, where that costs nothing, the others refined again.
+    """The best minimum with undetermined values at their defaults, where that costs nothing, the others refined again;
+    and what became of the values that were set to defaults.
 
     Undetermined is what the samples do not see, and what is uncertain and ended at an end of its range that is not its
     default. One after the other, the least certain first, is set to its default; it stays there where the fit is as
-    good within the noise.
-
-    Args:
-        residuals: of all samples.
-        best: the best minimum.
-        statements: of its K values.
-        limit: difference of two costs that noise may hide.
-        options: of the refinements.
-    Returns:
-        The minimum, and what became of the values that were set to defaults.
+    good within the noise: the costs differ by less than the limit.
     """
     layout = residuals.layout
     owners = layout.owner

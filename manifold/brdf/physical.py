@@ -68,14 +68,10 @@ def physical_file(
     """A file that is physical, between its nodes too; one that is already is returned as it is.
 
     Negative values become zero. A file that is not reciprocal within 5 % gets values of exchanged directions that are;
-    while it does not become so, incidences are refined, then both grids, up to three times as many nodes per axis: what
-    is not smooth there keeps a larger error. Then bands with an albedo above 1, at an incidence up to 85 degrees, are
-    scaled down there.
-
-    Args:
-        file: what would be written if it need not be physical.
-        measure: measures the same with other numbers of incidences and of nodes per axis; None does not refine.
-        keeps_hue: scale all bands alike.
+    while it does not become so, incidences are refined, then both grids, up to three times as many nodes per axis,
+    where `measure` measures the same with other numbers of incidences and of nodes per axis: what is not smooth there
+    keeps a larger error. Then bands with an albedo above 1, at an incidence up to 85 degrees, are scaled down there,
+    with `keeps_hue` all alike.
     """
     best, least = _reciprocal(file)
     for incidences, nodes in _REFINED if measure is not None else ():
@@ -111,12 +107,8 @@ def _reciprocal(file: BsdfFile) -> tuple[BsdfFile, float]:
 
 
 def _changed(file: BsdfFile, brdf: BRDF, movable: Mask | None = None) -> tuple[BsdfFile, Mask]:
-    """The file with the values of a BRDF made of it where these differ, and where that is, shape of `spectra`.
-
-    Args:
-        file: which holds what the BRDF changes.
-        brdf: evaluated at the nodes.
-        movable: of the values, those that may change; all if None.
+    """The file with the values of a BRDF made of it, at its nodes, where these differ and may change, by default all,
+    and where that is, shape of `spectra`.
     """
     changed = goniometer.remeasure(brdf, file).spectra
     is_changed = changed != goniometer.remeasure(MeasuredBRDF(file), file).spectra
@@ -130,13 +122,8 @@ class AlbedoScaledBRDF(WrappedBRDF):
     """A BRDF times s(theta_i) s(theta_o), with s below 1 only at elevations whose albedo exceeds 1."""
 
     def __init__(self, brdf: BRDF, theta_rad: Array, albedo: Array, keeps_hue: bool):
-        """Find s at elevations: s <- s sqrt(0.99 / albedo) there, as in symmetric Sinkhorn scaling.
-
-        Args:
-            brdf: the BRDF to be scaled.
-            theta_rad: elevations (T,), increasing, between which s is interpolated.
-            albedo: of each (T, B).
-            keeps_hue: by one s for all bands, not one each.
+        """Find s at elevations (T,), increasing, of albedo (T, B), between which s is interpolated: s <- s sqrt(0.99 /
+        albedo) there, as in symmetric Sinkhorn scaling; with `keeps_hue` one s for all bands.
         Source: Sinkhorn & Knopp 1967, for sums that may not exceed a limit.
         """
         super().__init__(brdf)

@@ -34,9 +34,8 @@ _SHARPNESS = 32  # power of the weights in smooth maxima; `_squared_each` multip
 def profile_pairs(
     incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG, azimuths_deg: Sequence[float] = (0.0,)
 ) -> tuple[Array, Array]:
-    """Directions wi (I, 1, 3) and wo (I, D, 3): in the plane of incidence, around the mirror direction.
-
-    I counts all incidences at all azimuths.
+    """Directions wi (I, 1, 3) and wo (I, D, 3), I for all incidences at all azimuths: in the plane of incidence, around
+    the mirror direction.
     """
     offset = np.arange(-REACH_DEG, REACH_DEG + 1.0)
     incidence = np.array(incidences_deg)
@@ -49,8 +48,7 @@ def profile_pairs(
 
 
 def valley_depth(f: Array) -> Array:
-    """Depth of the deepest minimum of profiles f (..., D), relative to the lower of the maxima on its two sides, (...).
-
+    """Depth of the deepest minimum of profiles f (..., D), relative to the lower of the maxima on its two sides, (...);
     0 where all values are dark.
     """
     f = np.asarray(f, dtype=np.float64)
@@ -77,17 +75,12 @@ def _deepest(f, depth):
 
 
 def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
-    """Squared depths of the valleys of blends beyond the mean of the depths allowed for their materials, summed.
+    """Squared depths of the valleys of blends u (K, N) beyond the mean of the depths (N,) allowed for their materials,
+    summed, (K,), and its gradient by u, (K, N).
 
-    Smooth in u, so that what minimises it does not depend on rounding: depths are summed over directions, where
-    `valley_depth` takes the deepest, and the maxima on their sides are means weighted with the 32nd power of values.
-
-    Args:
-        u: weights of blends, shape (K, N).
-        profiles: cube roots of the materials at `profile_pairs()` or some of them, shape (N, I, D, B).
-        limits: depth that each material may have, shape (N,).
-    Returns:
-        Shape (K,), and its gradient by u, (K, N).
+    Profiles are cube roots of the materials at `profile_pairs()` or some of them, shape (N, I, D, B). Smooth in u, so
+    that what minimises it does not depend on rounding: depths are summed over directions, where `valley_depth` takes
+    the deepest, and the maxima on their sides are means weighted with the 32nd power of values.
     """
     flat = profiles.reshape(len(profiles), -1)
     roots = (u @ flat).reshape(len(u), *profiles.shape[1:])
@@ -114,9 +107,8 @@ def squared_valleys_of_some(
 
 
 def _squared(roots: Array, allowed: Array) -> tuple[Array, Indices, Array, Array]:
-    """Of blends with cube roots (K, I, D, B) and depths allowed (K,): `squared_valleys`, (K,).
-
-    And which blends have any, (k,); the gradients of these by their roots, (k, I D B), and by what is allowed, (k,).
+    """Of blends with cube roots (K, I, D, B) and depths allowed (K,): `squared_valleys`, (K,), which blends have any,
+    (k,), and the gradients of these by their roots, (k, I D B), and by what is allowed, (k,).
     """
     value, by_allowed, by_roots = np.zeros(len(roots)), np.zeros(len(roots)), np.empty_like(roots)
     _squared_each(roots, allowed, value, by_roots, by_allowed)
@@ -221,11 +213,8 @@ def plausibility(brdf: BRDF) -> Plausibility:
 
 
 def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausibility]:
-    """Measure M BRDFs that are evaluated together.
-
-    Args:
-        evaluate: called with a few thousand direction pairs in all, in blocks.
-        is_isotropic: of all of them; others are evaluated at eight azimuths of incidence.
+    """Measure M BRDFs that are evaluated together, in blocks of a few thousand direction pairs in all; anisotropic ones
+    at eight azimuths of incidence.
     """
     wo, _ = hemisphere_quadrature(12, 16)
     wide = [(wi, wo, np.ones(len(wo))) for wi in incident_directions(_INCIDENCES_DEG, is_isotropic)]
@@ -278,11 +267,8 @@ def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: b
 def _over_incidences(
     evaluate: Evaluate, quadratures: Iterable[tuple[Array, Array, Array]]
 ) -> tuple[Array, Array, Array]:
-    """Share of negative values and reciprocity error of M BRDFs (M,), and their albedo at K incidences (K, M).
-
-    Args:
-        evaluate: as of `plausibilities`.
-        quadratures: of each incidence wi (3,), wo (P, 3) and their weights in sr (P,).
+    """Share of negative values and reciprocity error of M BRDFs (M,), and their albedo at K incidences (K, M), by
+    quadratures: wi (3,), wo (P, 3) and their weights in sr (P,).
     """
     negative, squared, difference, albedo = [], [], [], []
     for incident, wo, measure in quadratures:
@@ -299,10 +285,9 @@ def _over_incidences(
 
 
 def mirror_difference(brdf: BRDF, other: BRDF) -> float:
-    """Difference of another BRDF within five degrees of mirror directions, at incidences of 15, 20, ... 75 degrees.
-
-    It is `sum |f* - f| / sum f` over directions and bands at each incidence (and azimuth), the largest of these;
-    negative values count as 0.
+    """Difference of another BRDF within five degrees of mirror directions, at incidences of 15, 20, ... 75 degrees:
+    `sum |f* - f| / sum f` over directions and bands at each incidence (and azimuth), the largest of these; negative
+    values count as 0.
     """
     wi = incident_directions(_MIRROR_INCIDENCES_DEG, brdf.is_isotropic and other.is_isotropic)
     m = from_spherical(np.deg2rad([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])[:, None], np.deg2rad(range(0, 360, 45)))
@@ -314,12 +299,8 @@ def mirror_difference(brdf: BRDF, other: BRDF) -> float:
 
 
 def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
-    """Directional albedo of a BRDF by quadrature over half vectors, shape (..., B).
-
-    Args:
-        brdf: of which `eval_cos` is integrated.
-        wi: incident unit vectors (..., 3).
-        resolution: nodes in elevation and in azimuth.
+    """Directional albedo of a BRDF at unit vectors wi (..., 3) by quadrature over half vectors, `resolution` nodes in
+    elevation and in azimuth, shape (..., B).
     """
     wi = require_directions(wi, "wi")
     flat = wi.reshape(-1, 3)

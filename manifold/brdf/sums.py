@@ -203,14 +203,9 @@ def _add_material(located, spectra, slices, shares, cells, corners, weight, take
 
 @nb.njit(cache=True, nogil=True, fastmath=FASTMATH)
 def add_located(located, group, weights, take_root, total):
-    """Add the sum of weights f, or of weights times cube roots of f, of K located pairs to total (K, B).
-
-    Args:
-        located: as `Pairs.located` gives them, shape (K, 5).
-        group: `GROUP` materials' tables, of the same types.
-        weights: single precision, shape (GROUP,); a material with none is not read.
-        take_root: add cube roots.
-        total: double precision, shape (K, B).
+    """Add the sum of weights f, or of weights times cube roots of f, of K pairs (K, 5), as `Pairs.located` gives them,
+    to total (K, B), double precision, from tables of `GROUP` materials, of the same types, and their weights (GROUP,),
+    single precision; a material with none is not read.
     """
     width = -(-total.shape[1] // _LANES) * _LANES
     slices, shares = np.zeros((_TILE, 4), np.int64), np.zeros((_TILE, 4))
@@ -242,12 +237,8 @@ class WeightedSum:
     def __init__(
         self, materials: Sequence[MeasuredBRDF], weights: Sequence[float] | Array, *, cube_root: bool
     ):
-        """Prepare a sum.
-
-        Args:
-            materials: of the same bands.
-            weights: one per material, used in single precision.
-            cube_root: add roots instead of f.
+        """Prepare a sum of f, or of its cube roots, over materials of the same bands, by weights used in single
+        precision.
         """
         self._cube_root = cube_root
         alike: dict[Any, list[tuple[Any, float]]] = {}  # compiled loops take tables of the same types
@@ -263,11 +254,8 @@ class WeightedSum:
                 self._groups.append((symmetry, tables, np.array(shares, dtype=np.float32)))
 
     def add_to(self, total: Array, pairs: Pairs) -> None:
-        """Add the sum at K direction pairs, on one core and outside the interpreter's lock.
-
-        Args:
-            total: added to, float64, C-contiguous, shape (K, B).
-            pairs: those below the horizon add nothing.
+        """Add the sum at K direction pairs to a total (K, B), float64, C-contiguous, on one core and outside the
+        interpreter's lock; pairs below the horizon add nothing.
         """
         for symmetry, tables, weights in self._groups:
             add_located(pairs.located(*symmetry), tables, weights, self._cube_root, total)

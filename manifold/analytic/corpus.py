@@ -303,8 +303,8 @@ _PIPELINE_VERSIONS = ((2, 0), (3, 0), (3, 1), (3, 2), (3, 3))
 # flakes sparkle.
 _SPECKLE = {"metallic": 0.008, "chrome": 0.008, "iridescent": 0.02, "flake": 0.03}
 _LEAST_SPECKLE = 0.003
-_DRIFT = 0.005  # of the lamp, from one incidence to the next
-_MAX_ALBEDO = 0.99  # of a file at the incidences between its last nodes, before noise
+_DRIFT = 0.005  # drift of the lamp, from one incidence to the next
+_MAX_ALBEDO = 0.99  # largest albedo at the incidences between a file's last nodes, before noise
 _STEEPEST = np.deg2rad(87.0)
 # As in the real database, where two files are finer than the others.
 _RESOLUTIONS = {"syn_gloss_yellow": 64, "syn_flake_blue_fine": 48}
@@ -373,12 +373,14 @@ def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile
     """
     rng = np.random.default_rng([seed, *material.name.encode()])
     version = _PIPELINE_VERSIONS[int(rng.integers(len(_PIPELINE_VERSIONS)))]
+    theta_i = goniometer.default_theta_i(8)
+    theta_i[1:-1] += np.deg2rad(rng.uniform(-1.5, 1.5, 6))
     file = goniometer.measure(
         material.truth(),
         material.name,
         description=material.description,
         resolution=material.resolution,
-        theta_i_rad=_theta_i(rng),
+        theta_i_rad=theta_i,
         warp_exponent=1.0,
         version=version,
     )
@@ -430,13 +432,6 @@ def write_files(
         if not (keep and paths[name].exists()):
             writers[name](paths[name])
     return list(paths.values())
-
-
-def _theta_i(rng: np.random.Generator) -> Array:
-    """Eight elevations near the default ones, each moved by up to a degree and a half."""
-    theta = goniometer.default_theta_i(8)
-    theta[1:-1] += np.deg2rad(rng.uniform(-1.5, 1.5, 6))
-    return theta
 
 
 def _energy_conserving(file: BsdfFile) -> BsdfFile:

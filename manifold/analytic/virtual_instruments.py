@@ -25,7 +25,7 @@ from manifold.records import Array, Bands
 MA_T12_BANDS = Bands(tuple(float(nm) for nm in range(400, 701, 10)))
 MINI_DIFF_BANDS = Bands((465.0, 525.0, 630.0))
 MINI_DIFF_INCIDENCES_DEG = (0.0, 20.0, 40.0, 60.0)
-_SEES_DEG = 75.0  # what a Mini-Diff's sensor covers
+_SEES_DEG = 75.0  # range of a Mini-Diff's sensor
 _FLAKY = ("metallic", "flake", "iridescent")
 
 

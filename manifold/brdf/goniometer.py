@@ -21,7 +21,7 @@ from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
 from manifold.errors import UsageError
 from manifold.records import Array, BsdfFile, Mask
 
-Floats = NDArray[np.float32]  # as files hold them
+Floats = NDArray[np.float32]  # precision of files
 
 WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured files
 # Retro-reflection is read no further out: there f_cos falls to zero, and a normal distribution that drops by
@@ -29,12 +29,12 @@ WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured fi
 _RETRO_LIMIT = np.deg2rad(85.0)
 _POWER_ITERATIONS = 12
 _OVERSAMPLING = 4  # quadrature points per node of the normal distribution
-_TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # of incident and outgoing directions away from a normal, to its sides
-_LEAST_SHARE = 0.95  # of what a normal reflects to the side; GGX metals send more than that back
+_TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # angles of incident and outgoing directions to the sides of a normal
+_LEAST_SHARE = 0.95  # share of what a normal reflects to the side; GGX metals send more than that back
 _STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node to the next
 SOFT_BEND = 0.3
 """A `bend` with which files of neural fits get no valleys over 10 % of their own; docs/explanation/rgl-files.md."""
-_WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/explanation/rgl-files.md
+_WARP_EXPONENT = 0.5  # exponent of the visible normals in the warp; docs/explanation/rgl-files.md
 _BELOW_HORIZON = 0.1  # weight of normals that mirror light below the horizon, where cells hold zeros
 _FADE = 0.5  # sine of the angle below the horizon at which their weight would be 0
 

@@ -10,8 +10,8 @@ from manifold.brdf.measured import EvaluableBRDF
 from manifold.directions import from_spherical, u_to_phi, u_to_theta
 from manifold.records import Array, BsdfFile
 
-_LEAST_ANISOTROPY = 0.05  # of second moments; those of weaves, whose two threads cross, are below 0.01
-_DIGITS = 1  # of degrees
+_LEAST_ANISOTROPY = 0.05  # anisotropy of second moments; weaves, whose two threads cross, are below 0.01
+_DIGITS = 1  # decimals of degrees
 
 
 def aligned(file: BsdfFile) -> BsdfFile:

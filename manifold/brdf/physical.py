@@ -27,11 +27,13 @@ RECIPROCITY_ERROR = 0.05
 """The most that a physical file has, and the most by which possible values of exchanged directions differ."""
 
 _AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are scaled by different factors afterwards
-_ALBEDO = 0.99  # to which what exceeds 1 is scaled: quadratures of sharp highlights at 85 degrees err by 1 %
+_ALBEDO = (
+    0.99  # albedo to which those above 1 are scaled: quadratures of sharp highlights at 85 degrees err by 1 %
+)
 _BALANCES = 30  # rounds, after which no albedo of a test is above 0.991
-_DIMMINGS = 4  # of a file, before what is left above 1 between its incidences is taken from these alone
-_AVERAGES = 6  # of a file with its exchanged self, at most, before its grids are refined
-_GAIN = 0.97  # of the error: what another average has to gain
+_DIMMINGS = 4  # rounds of scaling, before what is left above 1 between incidences is taken from these alone
+_AVERAGES = 6  # most averages of a file with its exchanged self, before its grids are refined
+_GAIN = 0.97  # share of the error that another average has to reach
 # Factors of the numbers of incidences and of outgoing nodes.
 _REFINED = ((2.0, 1.0), (2.0, 1.5), (3.0, 2.0), (3.0, 3.0))
 

@@ -122,7 +122,7 @@ def _squared_each(roots, allowed, value, by_roots, by_allowed):
     K, I, D, B = roots.shape
     f, depth = np.empty((I, D)), np.empty(I)
     less, power, by_f, slopes = np.empty(D), np.empty(D), np.empty(D), np.empty((2, D))
-    sums, means = np.empty((2, D)), np.empty((2, D))  # of what lies to the left, and to the right
+    sums, means = np.empty((2, D)), np.empty((2, D))  # sums and means to the left, and to the right
     for k in range(K):
         for i in range(I):
             for d in range(D):
@@ -172,7 +172,7 @@ def _squared_each(roots, allowed, value, by_roots, by_allowed):
 Evaluate = Callable[[Array, Array], Array]
 """Values f in 1/sr of M BRDFs at direction pairs wi, wo (P, 3): shape (M, P, B)."""
 
-_INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # for negative values and reciprocity
+_INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # incidences for negative values and reciprocity
 _MIRROR_INCIDENCES_DEG = tuple(range(15, 76, 5))
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))

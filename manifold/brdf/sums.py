@@ -215,7 +215,7 @@ def add_located(located, group, weights, take_root, total):
     for start in range(0, located.shape[0], _TILE):
         tile = located[start : start + _TILE]
         sums[:] = 0.0
-        known = -1  # whose grids the tile is located in
+        known = -1  # material in whose grids the tile is located
         for m in range(len(group)):
             if weights[m] == 0.0:
                 continue

@@ -16,7 +16,7 @@ from manifold.records import Array, Bands
 class WrappedBRDF(NotebookPicture, ABC):
     """A BRDF with its values changed by `eval`, sampled as it was."""
 
-    _albedo_nodes: ClassVar[int] = 32  # of the quadrature, in elevation and in azimuth
+    _albedo_nodes: ClassVar[int] = 32  # nodes of the quadrature, in elevation and in azimuth
 
     def __init__(self, brdf: BRDF):
         """Wrap a BRDF; one that is never sampled may lack `sample` and `pdf`."""

@@ -23,7 +23,7 @@ from manifold.disk import read_json
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array, Bands, Indices, Mask, plain
 
-_DARK = 1e-3  # of the largest value: errors of darker ones are relative to this
+_DARK = 1e-3  # share of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"
 _MOST_WORSE = 0.25  # share of samples that a correction may make worse
 FORMAT_VERSION = 1

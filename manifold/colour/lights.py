@@ -19,7 +19,7 @@ _SOFT_BOXES = (
     (98.0, 32.0, 5.0, 26.0, 7.0),  # strip to the right
     (-38.0, 24.0, 22.0, 5.0, 6.0),  # rim, behind the ball
 )
-_EDGE_DEG = 2.0  # over which a soft box fades out
+_EDGE_DEG = 2.0  # angle over which a soft box fades out
 _ZENITH, _HORIZON = 0.9, 0.28
 
 

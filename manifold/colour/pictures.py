@@ -24,12 +24,12 @@ _MAGIC = {
     b"II+\0": "tiff", b"MM\0+": "tiff", b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"BM": "bmp", b"RIFF": "webp",
 }  # fmt: skip
 _LINEAR = ("openexr", "hdr", "pnm", "tiff")  # unless a profile says otherwise
-_MOST_BYTES = 1_200_000_000  # of decoded values: 100 million pixels in single precision
+_MOST_BYTES = 1_200_000_000  # size of decoded values: 100 million pixels in single precision
 _MOST_TILE = 1 << 24  # pixels of a tile, which is decoded whole
 _TIFF_KINDS = {0: "white is 0", 3: "palette", 5: "CMYK", 6: "YCbCr", 8: "CIELAB"}
 _PRIMARIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of sRGB and its white
-_MOST_CODE = 65535  # of 16 bits
-_RAW_WHITE = 0.999  # of the largest code: LibRaw rounds
+_MOST_CODE = 65535  # largest code of 16 bits
+_RAW_WHITE = 0.999  # share of the largest code that counts as white: LibRaw rounds
 _MOST_CHUNKS = 100
 _HEIF = (b"heic", b"heix", b"hevc", b"mif1", b"msf1", b"avif")  # brands behind `ftyp`
 _SAY_COLOURS = {b"sRGB", b"gAMA", b"iCCP", b"cICP", b"cHRM"}  # chunks of PNG

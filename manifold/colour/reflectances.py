@@ -228,7 +228,7 @@ def _read_spd(path: Path) -> tuple[Array, Array]:
 NODES_NM = (460.0, 540.0, 605.0)
 """Where blue, green and red weigh alone; between them two share, so that the weights of a wavelength sum to 1."""
 
-_LEAST = 1e-3  # of a weight's change, so that spectra stay positive
+_LEAST = 1e-3  # least change of a weight, so that spectra stay positive
 
 
 def weights_at(wavelengths_nm: Array) -> Array:

@@ -101,7 +101,7 @@ def _in_all_bands(data: Data, training: Indices, weights: Array, mapping: ValueM
     return Combination(mapping, spread, is_clipped=False)
 
 
-NUMBERS_PER_BAND = 26  # of a reconstruction: about 13 weights and which atoms they are of; none is fixed
+NUMBERS_PER_BAND = 26  # about 13 weights of a reconstruction, and which atoms they are of; none is fixed
 
 
 def few_numbers(B: int) -> int:

@@ -194,13 +194,13 @@ class _Measuring:
     def measure(self, keys: Sequence[str]) -> _Measured:
         """Rows of settings."""
         with stopwatch.one_core():
-            rows = [self._row(self._known[key]) for key in keys]
+            rows = [
+                self._held.measure(method)
+                if isinstance(method := self._known[key], Method)
+                else seen_fits.measure(method, self._files, self._how.fitted, self._held)
+                for key in keys
+            ]
         return _Measured(rows, self._held.watch.reference_seconds, self._held.scaled)
-
-    def _row(self, method: Method | str) -> ChartRow:
-        if isinstance(method, Method):
-            return self._held.measure(method)
-        return seen_fits.measure(method, self._files, self._how.fitted, self._held)
 
 
 def _measure_there(keys: Sequence[str], *, library: Path, names: tuple[str, ...], how: _How) -> _Measured:

@@ -144,7 +144,7 @@ class HeldOut:
 
             splits = leave_out(self.data.n_materials, self.folds)
             encoded = cross_validate(self.data, fit, splits, lap=lap, own_tables=_REPEATS)
-            times = list(map(operator.add, self._tabulating, encoded.fit_times))  # as many as both have
+            times = list(map(operator.add, self._tabulating, encoded.fit_times))  # ends with the shorter
             self._fits[fit] = list(encoded.combinations), RelativeTime.of(times), tuple(warned)
         return self._fits[fit]
 

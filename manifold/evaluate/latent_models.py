@@ -22,7 +22,7 @@ from manifold.model.settings import Settings
 from manifold.records import Array, Indices
 
 SAMPLE_BANDS = Settings().sample_bands
-_TOLERANCE = 1e-5  # of fits that are made once per left-out material
+_TOLERANCE = 1e-5  # tolerance of fits that are made once per left-out material
 
 
 def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:

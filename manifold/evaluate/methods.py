@@ -29,7 +29,7 @@ BLENDS = "blends, the default"
 _FEW = "one or two materials"
 _FAMILIES = {"blend": BLENDS, "material": "GPLVM, whole materials"}
 _SAMPLES = 3  # bands per material that are samples in charts, where nothing else is said
-_COARSE = ((2, 1), (2, 2), (4, 1))  # of outgoing rows and columns, and of incidences, one in so many is kept
+_COARSE = ((2, 1), (2, 2), (4, 1))  # one in so many outgoing rows and columns, and incidences, is kept
 
 
 # -- reports -----------------------------------------------------------------------------------------------

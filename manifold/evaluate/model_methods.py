@@ -43,7 +43,7 @@ def model_methods(model: Manifold) -> list[Method]:
         Latents were fitted with the material, so the error is optimistic. Of whole materials it is the closed
         form of leave-one-out (Rasmussen & Williams 2006, eq. 5.12).
         """
-        variance = _process(model, data, training).output_variance  # of all materials, this one too
+        variance = _process(model, data, training).output_variance  # variance of all materials, this one too
 
         def encode(i: int) -> Combination:
             return _process(model, data, np.delete(training, i), variance).at(space.X[i])
@@ -66,7 +66,7 @@ def model_methods(model: Manifold) -> list[Method]:
     pca = Method(
         "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
     )
-    if s.kind == "blend":  # whose places are found in one way
+    if s.kind == "blend":  # places of blends are found in one way
         own = [
             method("blend_encoded", "blend, encoded, others kept", fit_blend_encoded, refits=False),
             method("blend_refitted", "blend, refitted without it", fit_settings(s)),

@@ -29,7 +29,7 @@ from manifold.records import Array, Indices, plain
 from manifold.render import fit_json
 from manifold.render.fitted_brdf import FittedBRDF
 
-_RIDGE = 1e-3  # of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
+_RIDGE = 1e-3  # share of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ METHODS: Registry[ReadingMethod] = Registry(
 COUNTS = (1, 2, 5, 8, 10, 12, 16, 20, 50)
 _MA_T12 = "completion at an MA-T12"
 _GLOSS_DEG = (20.0, 60.0)
-_KINDS = ("ball", "cube_root", "linear")  # of errors, in the order in which they are kept
+_KINDS = ("ball", "cube_root", "linear")  # kinds of errors, in the order in which they are kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -237,7 +237,7 @@ def _encode(data: Data, methods: Sequence[Method], known: Mapping[str, Encoded])
         def step(done: int, before: int = m * data.n_materials, title: str = method.title) -> None:
             progress.report(before + done, len(methods) * data.n_materials, title)
 
-        with warnings.catch_warnings():  # of fits to compare with, whose maps nobody uses
+        with warnings.catch_warnings():  # fits to compare with: nobody uses their maps
             warnings.simplefilter("ignore", IsolatedLatentsWarning)
             encoded.append(known.get(method.key) or encode_all(data, method, step))
     return encoded
@@ -338,7 +338,7 @@ def _refit_there(
 def _refit(task: _Refits, *, model: Path, library: Path | None) -> Encoded:
     data, methods = _refitting(model, library)
     splits = leave_out(data.n_materials)[task.first : task.last]
-    with warnings.catch_warnings():  # of fits to compare with, whose maps nobody uses
+    with warnings.catch_warnings():  # fits to compare with: nobody uses their maps
         warnings.simplefilter("ignore", IsolatedLatentsWarning)
         return cross_validate(data, methods[task.method].fit, splits)
 

@@ -14,7 +14,7 @@ from manifold.names import counted
 from manifold.text_tables import table_lines
 
 _WIDTH = 80
-_SHOWN_COORDINATES = 2  # of a latent, so that a row fits 80 columns
+_SHOWN_COORDINATES = 2  # coordinates of a latent, so that a row fits 80 columns
 # Methods whose errors every material shows: column title per key, most honest first, as many as fit.
 _MATERIAL_COLUMNS = {
     "blend_refitted": "refitted",
@@ -27,7 +27,7 @@ _MATERIAL_COLUMNS = {
 }
 _SHOWN_METHODS = 4
 _OWN_METHODS = ("blend_refitted", "gp_refitted", "blend_encoded", "gp_encoded")  # most honest first
-_LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # of standardised errors, within which a method counts as calibrated
+_LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # root mean squares between which a method counts as calibrated
 _MANY_DIGITS = 1e5
 _KINDS = {
     "blend": "Blends of materials: {}, and two colours per band",

@@ -38,7 +38,7 @@ MAX_DIMENSIONS = 6
 PAYS = 0.05  # an added dimension has to take this share off the error
 LEAVE_ONE_OUT_UP_TO = 20  # materials; more are dealt into FOLDS
 FOLDS = 5
-_TOLERANCE = 1e-4  # of the fits: finer ones move no error by more than it varies between folds
+_TOLERANCE = 1e-4  # tolerance of fits: finer ones move no error by more than it varies between folds
 
 
 @dataclass(frozen=True, kw_only=True)

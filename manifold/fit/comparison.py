@@ -21,7 +21,7 @@ from manifold.render.ball import read_material, render_material
 from manifold.render.fitted_brdf import FittedBRDF
 from manifold.render.render import RenderSettings
 
-_PIXELS = 96  # of a ball by quadrature
+_PIXELS = 96  # pixels across a ball by quadrature
 
 
 def picture_of_fit(

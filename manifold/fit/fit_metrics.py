@@ -18,7 +18,7 @@ from manifold.metrics import Errors
 from manifold.records import Array
 
 METRICS = ("appearance", "cube-root", "linear", "log")
-_KNEE = 1e-3  # of the mean value: below, roots and logarithms turn linear, so that 0 has a finite slope
+_KNEE = 1e-3  # share of the mean value: below, roots and logarithms turn linear, so that 0 has a finite slope
 _BALL = 3.0  # a relative residual of 3 % of the samples weighs as much as cube roots of pixels that are off by 0.01
 _SHOULDER = (
     0.1  # slope of the logarithm that values above display white follow, which a display shows as white

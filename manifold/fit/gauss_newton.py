@@ -19,8 +19,8 @@ from manifold.records import Array, Indices, Mask
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import BsdfFamily, Layout
 
-_BAND_ITERATIONS, _BAND_PAIRS = 20, 512  # of `refine_bands`, at most
-_VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
+_BAND_ITERATIONS, _BAND_PAIRS = 20, 512  # most iterations, and pairs, of `refine_bands`
+_VALLEY = 0.2  # share of the ranges: how far to look along the flattest direction
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ UNCERTAIN = "uncertain"
 UNSEEN = "not seen"
 AMBIGUOUS = "ambiguous"
 
-_CONFIDENCE = 0.99  # at which a second minimum counts as worse than the best
-_BOUND = 2e-3  # of the range: nearer to an end is at the end
+_CONFIDENCE = 0.99  # confidence at which a second minimum counts as worse than the best
+_BOUND = 2e-3  # share of the range: nearer to an end is at the end
 _CORRELATED = 0.9
-_STEP = 0.1  # of every range: how far a linear model is trusted
+_STEP = 0.1  # share of every range: how far a linear model is trusted
 
 
 @dataclass(frozen=True)

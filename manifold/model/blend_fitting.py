@@ -29,20 +29,20 @@ from manifold.model.decoding import OF_BALL, appearance_weight, integrating_sphe
 from manifold.model.landmarks import SIGNATURE, Comparison, farthest_samples, landmark_layout, signatures
 from manifold.records import Array, Indices, evenly_spaced
 
-_BANDS = 12  # in which materials are compared, evenly spaced
+_BANDS = 12  # bands in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
 _UNIT = 20.0  # CIEDE2000 of the ball per unit of distance, before the layout is scaled
 # Depth allowed in all blends: few measured materials have a deeper valley; where one has, blends with it may.
 _MEASURED_VALLEY = 0.08
 _VALLEY_APART = 300.0  # CIEDE2000 between two materials per depth of the valley in their blend, added
-_VALLEY_COST = 10.0  # of valleys in blends of two, against stress
-_SQUARED_VALLEY_COST = 6000.0  # of squared depths in blends of several, against stress
+_VALLEY_COST = 10.0  # weight of valleys in blends of two, against stress
+_SQUARED_VALLEY_COST = 6000.0  # weight of squared depths in blends of several, against stress
 _PROFILE_BANDS, _PROFILE_STRIDE = 4, 2  # bands and stride of directions, of profiles of blends of several
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
-_SHARES = (0.2, 0.5, 0.8)  # of the first material, in the blends of two that are evaluated
+_SHARES = (0.2, 0.5, 0.8)  # shares of the first material, in the blends of two that are evaluated
 
 
-Floats = NDArray[np.float32]  # of thousands of materials
+Floats = NDArray[np.float32]  # single precision: there are thousands of materials
 Halves = NDArray[np.float16]  # cube roots to 0.05 %, which no colour difference shows
 
 

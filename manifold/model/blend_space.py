@@ -26,9 +26,12 @@ from manifold.model.settings import Settings
 from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices
 
-_TRIED_PLACES, _REFINED_PLACES = 150, 3  # of the search for a new material's place
-_EVALUATIONS = 150  # of each refinement
-_COORDINATES = 33  # of a path, tried in that search
+_TRIED_PLACES, _REFINED_PLACES = (
+    150,
+    3,
+)  # places that the search for a new material's place tries, and refines
+_EVALUATIONS = 150  # evaluations of each refinement
+_COORDINATES = 33  # coordinates of a path that the search tries
 _FIRST_COORDINATE = 0.05
 _LEAST_NORM = 1e-12
 _ENDS, _SPARSE = ("dark", "bright"), ("_data", "_indices", "_indptr")

@@ -30,13 +30,13 @@ _FLATTENING = 10.0 ** np.arange(
 _PLACES, _PLACES_OF_EACH = 1500, 75  # number of blends evaluated: at most, and per sample
 _MOST_BLENDED = 4  # samples of a convex combination
 RISING = 10.0 ** np.linspace(-2.0, 0.0, 8)  # weights of the cost, each at new places inside the hull
-DAMPING = 20.0  # of these steps
+DAMPING = 20.0  # damping of the steps with these weights
 _STRENGTH = 3.0  # weight of implausible blends against stress
 _SEPARATION = 10.0  # weight of the least distances against stress
-_RADIUS = 0.9  # of the kernel, in sides of a sample's share of the convex hull
+_RADIUS = 0.9  # radius of the kernel, in sides of a sample's share of the convex hull
 _NEAREST = 2.5  # length scales between neighbours, at most, in the median: in many dimensions the hull is all but flat
-_TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-7, "maxcor": 20}  # of L-BFGS
-_LEAST_SHARE_OF_UNIT = 1e-2  # of the typical distance: smaller target distances count as this
+_TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-7, "maxcor": 20}  # options of L-BFGS
+_LEAST_SHARE_OF_UNIT = 1e-2  # share of the typical distance: smaller target distances count as this
 
 Cost = Callable[[Array], tuple[Array, Array]]
 """From weights u (K, N) of blends to their cost (K,) and its gradient by u (K, N)."""
@@ -281,7 +281,7 @@ def inside_hull(X: Array, count: int, rng: np.random.Generator) -> Array:
         simplices = np.sort(scipy.spatial.Delaunay(X).simplices, axis=1)  # [S, Q + 1]
     except (scipy.spatial.QhullError, ValueError):  # one dimension, too few samples, or all in a plane
         return np.zeros((0, N))
-    simplices = simplices[np.lexsort(simplices.T)]  # in an order that does not depend on rounding
+    simplices = simplices[np.lexsort(simplices.T)]  # sorted: the order does not depend on rounding
     volume = np.abs(np.linalg.det(X[simplices[:, 1:]] - X[simplices[:, :1]]))
     around = simplices[rng.choice(len(simplices), count, p=volume / volume.sum())]
     shares = np.zeros((count, N))

@@ -21,8 +21,8 @@ from manifold.records import Array, Indices
 WHITE = 0.9
 """Reflectance at which paths end, unless their albedo would exceed 1."""
 
-_BODY_QUANTILE = 0.05  # of the values above the horizon: the Lambertian part
-_LEAST_STEP = 1e-4  # between the coordinates of vertices
+_BODY_QUANTILE = 0.05  # quantile of the values above the horizon: the Lambertian part
+_LEAST_STEP = 1e-4  # least step between the coordinates of vertices
 # Coordinate of the dark vertex relative to the darkest band, of materials without a Lambertian part.
 _NO_BODY = 0.3
 _TABLE = 65  # coordinates at which a blend's reflectance is tabulated

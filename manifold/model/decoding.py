@@ -20,7 +20,7 @@ from manifold.model.settings import Settings
 from manifold.pairs import Pairs
 from manifold.records import Array
 
-REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
+REFLECTANCE_INCIDENCE_DEG = 8.0  # incidence in integrating spheres, specular included
 
 
 def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> Picture:

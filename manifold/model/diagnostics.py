@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
-MOST_VALLEY = 0.1  # of the values beside it; measured materials reach 0.07
-MOST_RESIDUAL = 0.02  # of a reflectance
-MOST_UNMEASURED = 0.01  # of the cells that should hold something
+MOST_VALLEY = 0.1  # depth of a valley over the values beside it; measured materials reach 0.07
+MOST_RESIDUAL = 0.02  # difference between reflectances
+MOST_UNMEASURED = 0.01  # share of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
 MOST_EMBEDDING_BALL = 5.0  # CIEDE2000: an observer sees two different colours (Mokrzycki & Tatol 2011)
 
@@ -150,7 +150,7 @@ def in_words(expected: Errors[Array] | None, materials: int) -> list[str]:
     """An expected error for a terminal, of a model of `materials` materials."""
     if expected is None:
         return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
-    if expected.ball < 0.05 and expected.cube_root < 0.005:  # which are printed as 0
+    if expected.ball < 0.05 and expected.cube_root < 0.005:  # both are printed as 0
         return ["none: a measured material"]
     words = [*expected.words, "90 % of errors below twice these"]
     return words + [f"coarse: known from {materials} materials"] * (materials < COARSE_BELOW)

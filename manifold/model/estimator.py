@@ -87,7 +87,7 @@ class Observation:
 
 _FITS = 2  # the second with the slopes, and the bounds, of the first
 _AT_ONCE = 16  # atoms that enter together
-_TOLERANCE = 1e-9  # of slopes, relative to the norm of the target
+_TOLERANCE = 1e-9  # least slope that counts, relative to the norm of the target
 
 
 def explain(
@@ -154,7 +154,7 @@ def _fit(
     used, v = start > 0.0, np.zeros_like(start)
     unfinished = np.arange(len(y))
     while unfinished.size:
-        left = np.empty((len(unfinished), A.shape[1]))  # of what was seen, weighted
+        left = np.empty((len(unfinished), A.shape[1]))  # remainders of what was seen, weighted
         slopes = cross[unfinished]
         for k, b in enumerate(unfinished.tolist()):
             columns = np.flatnonzero(used[b])

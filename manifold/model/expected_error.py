@@ -188,7 +188,7 @@ def landmark_left_out(
     return find, measure
 
 
-_BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
+_BANDS = 12  # bands in which errors are measured, evenly spaced, beside those of the samples
 # Files of 0.2.0 hold errors in the studio alone, by "left_out_": they are not calibrated.
 _PREFIX, _ARRAYS = "left_out_in_lights_", ("places", "ball", "cube_root", "residual", "materials")
 _SAMPLE = 200  # materials that are left out where not all were laid out: spread evenly over the map

@@ -30,14 +30,14 @@ from manifold.model.materials import MaterialCache
 from manifold.pairs import Pairs
 from manifold.records import Array, Indices
 
-_TRIED_PLACES, _STARTS = 150, 3  # of the search for the place of a sample among the landmarks
-_STEPS = 60  # of each search
+_TRIED_PLACES, _STARTS = 150, 3  # places tried for a sample among the landmarks, and searches from them
+_STEPS = 60  # steps of each search
 _AT_ONCE = 64  # samples whose places are tried together
 _COMPARED = 12  # neighbours that a sample is compared with
 _COMPARE_AGAIN = 4  # steps after which neighbours are found again
 _BLENDED = 64  # nearest samples that make a blend
 _LEAST_PLACES = 1500  # number of blends evaluated, if there are fewer samples
-_LIMITS = {"maxiter": 40, "maxfun": 60, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # of L-BFGS
+_LIMITS = {"maxiter": 40, "maxfun": 60, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
 
 LocalCost = Callable[[Array, Indices], tuple[Array, Array]]
 """From weights u (K, n) of blends of samples (K, n) to their cost (K,) and its gradient by u (K, n)."""
@@ -165,7 +165,7 @@ SIGNATURE = 32
 """Number of landmarks by whose products with a material those like it are found, at most."""
 
 _AROUND, _ALIKE = 64, 16  # candidates: nearest on the map, and most alike in their own colours
-_ROUNDS = 3  # of searches, each around the place that the one before found
+_ROUNDS = 3  # searches, each around the place that the one before found
 _MOVED = 1.0  # length scales: a place farther than this from where it was looked for is looked for again
 _RIDGE = 1e-6  # relative to the mean squared norm: landmarks may be alike
 

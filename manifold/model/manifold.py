@@ -63,7 +63,7 @@ class Manifold(LatentMap):
         self.statistics = statistics
         self.notes: tuple[str, ...] = ()
         self._walked: dict[str, Walked] = {}
-        self._searches: dict[bool, LandmarkSearch] = {}  # by whether all materials are isotropic
+        self._searches: dict[bool, LandmarkSearch] = {}  # keys: whether all materials are isotropic
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)

@@ -17,7 +17,7 @@ from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
 from manifold.records import AnyArray, Array, Indices, evenly_spaced
 
-_EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spaced
+_EMBEDDING_BANDS = 20  # bands of a whole material that serve to embed it, evenly spaced
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -71,7 +71,7 @@ class LobeSampling:
 
 # Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.
 BLOCK_PAIRS = 2048
-_BLOCKS = 8  # at least, where there are enough pairs: to be shared out among threads
+_BLOCKS = 8  # least number of blocks, where there are enough pairs: threads share them
 _SHOWN_PARTS = 3
 
 

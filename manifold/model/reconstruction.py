@@ -143,10 +143,10 @@ def reconstruct(
     return PredictedBRDF(sampled, combination, brdf.bands)
 
 
-_CANDIDATES = 40  # of either sort, those of largest slope, are tried each time
+_CANDIDATES = 40  # atoms of either sort, those of largest slope, that are tried each time
 _SWEEPS = 4
 _FEW = 6  # terms, of which pairs are exchanged, too
-_LEAST_GAIN = 1e-9  # of the relative squared error
+_LEAST_GAIN = 1e-9  # least decrease of the relative squared error
 
 
 def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Array:
@@ -181,7 +181,7 @@ def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Ar
 
 class _Term(NamedTuple):
     atom: int
-    is_shared: bool  # by all bands: one weight
+    is_shared: bool  # whether all bands share one weight
 
 
 class _Search:

@@ -26,13 +26,13 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array
 
 ROUGHNESSES = np.geomspace(0.9, 0.005, 36)
-PATH_NODES = 17  # of t, between which a walk's share is linear
-_STEPS = 33  # whose visible sizes are added up
-_FITTED_NM = (450.0, 550.0, 650.0)  # of the bands that choose the roughness
-_COARSE = 3  # of the roughnesses, one in this many is tried first
+PATH_NODES = 17  # values of t, between which a walk's share is linear
+_STEPS = 33  # points of a walk, the visible steps between which are added up
+_FITTED_NM = (450.0, 550.0, 650.0)  # wavelengths of the bands that choose the roughness
+_COARSE = 3  # one roughness in this many is tried first
 _LOG_RATIO = float(np.log(ROUGHNESSES[1] / ROUGHNESSES[0]))
 _SHAPE_KEPT = 4.0  # positions, at which nothing is kept: 1.8 times as rough
-_MOST_EXCESS = 3.0  # over the lobe, that is part of the highlight: measured peaks are sharper than GGX
+_MOST_EXCESS = 3.0  # multiple of the lobe that is part of the highlight: measured peaks are sharper than GGX
 _LEAST_STRENGTH = 1e-4
 _LEAST_VALUE = 0.02  # 1/sr: differences between values far below it do not count
 
@@ -88,7 +88,9 @@ def fit_highlight(brdf: BRDF) -> Highlight:
         columns = np.stack([np.full_like(lobe, 1.0 / np.pi), lobe * (1.0 - schlick), lobe * schlick], axis=1)
         found, error = [], 0.0
         for band in bands:
-            slope = weight * (f[:, band] + _LEAST_VALUE) ** (-2.0 / 3.0)  # of cube roots, up to a factor
+            slope = weight * (f[:, band] + _LEAST_VALUE) ** (
+                -2.0 / 3.0
+            )  # slope of cube roots, up to a factor
             q, r = np.linalg.qr(columns * slope[:, None])
             found.append(
                 scipy.optimize.lsq_linear(r, q.T @ (f[:, band] * slope), (0.0, 1.0), method="bvls").x

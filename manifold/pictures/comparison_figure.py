@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from manifold.plots.figures import in_lines, new_figure
 from manifold.records import Array, Mask
 
-_LARGEST_DELTA_E = 10.0  # of the colour scale: far above what anybody takes for the same colour
+_LARGEST_DELTA_E = 10.0  # end of the colour scale: far above what anybody takes for the same colour
 
 
 def comparison(

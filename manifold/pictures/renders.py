@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # What a measured file does without (models, predictions, figures) is imported where it is used: it takes 1.5 s.
 
-RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
+RIM = 0.03  # share of the ball's radius: where it meets the ground, and pixels see both
 
 
 @dataclass(frozen=True)

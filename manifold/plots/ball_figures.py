@@ -27,7 +27,7 @@ _BALL_POINTS = 30.0  # diameter of a ball on the map
 _LINE = 13  # letters of a name before it is broken
 _STEPS = 400
 _ATTRACTION = 0.02  # towards the true place, per step; falling to 0, so that the last steps only separate
-_GAP = 1.06  # of boxes, in their sizes
+_GAP = 1.06  # distance of boxes, in their sizes
 
 
 def ball_map(

@@ -86,7 +86,7 @@ def shortened(name: str, most: int = 40) -> str:
     return text.replace("$", r"\$")
 
 
-_MOST_LINES = 3  # of a title
+_MOST_LINES = 3  # lines of a title
 
 
 def in_lines(name: str, width: int = 40) -> str:
@@ -120,9 +120,9 @@ def save(figure: Figure, path: Path) -> None:
         figure.savefig(partial)
 
 
-_WIDTH, _HEIGHT = 1.15, 1.6  # of a cell, in inches
+_WIDTH, _HEIGHT = 1.15, 1.6  # size of a cell, in inches
 _MOST_COLUMNS = 16
-_LETTERS = 15  # of a line of a name
+_LETTERS = 15  # letters in a line of a name
 
 
 def contact_sheet(cells: Sequence[tuple[str, str, Path]], under: str | None) -> Figure:

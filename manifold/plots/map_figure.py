@@ -17,12 +17,12 @@ from manifold.plots.figures import new_figure, place_names, shortened
 from manifold.records import Array, Indices
 
 _DOT_POINTS = 10.5  # diameter of a material
-_POINTS_AREA, _MOST_AREA = 60000.0, 30.0  # of all small points together, and of one, in square points
+_POINTS_AREA, _MOST_AREA = 60000.0, 30.0  # area of all small points together, and of one, in square points
 MARK = "#d55e00"
 _UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
 _BALL_RANGE, _BALL_TICKS = (0.5, 16.0), (0.5, 1, 2, 4, 8, 16)  # CIEDE2000; a difference of 1 is visible
 _GRID = 120  # background samples per axis
-_MARGIN = 0.18  # of the range of the latents, around them
+_MARGIN = 0.18  # margin around the latents, as a share of their range
 
 
 def latent_map(model: Manifold, marked: Array | None = None) -> Figure:

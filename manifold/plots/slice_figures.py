@@ -23,9 +23,9 @@ GEOMETRIES_DEG = ((45.0, 0.0), (45.0, -30.0), (45.0, 45.0), (60.0, 75.0))
 
 # Nearer to the horizon f = f_cos / cos of a file is what its cells beyond the horizon say (explanation/rgl-files.md).
 _ELEVATIONS_DEG = np.linspace(-85.0, 85.0, 341)
-_DECADES = 5.0  # that a logarithmic axis shows at most
+_DECADES = 5.0  # most decades of a logarithmic axis
 _BRIGHTEST = 3.0  # white of a Rusinkiewicz image, in times the median cube root
-_LEGEND_LETTERS = 115  # in the width of a figure
+_LEGEND_LETTERS = 115  # letters in the width of a figure
 _IMAGE = 180  # pixels of a Rusinkiewicz image per side
 # Okabe & Ito: distinct for colour-blind readers; line styles distinguish them without colour.
 _COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")

@@ -107,7 +107,7 @@ def choose() -> Backend:
         return Backend("scalar")
     library = find_library()
     if library is not None:
-        os.environ[LIBRARY_VARIABLE] = str(library)  # for Dr.Jit, which reads it once, as it is imported
+        os.environ[LIBRARY_VARIABLE] = str(library)  # Dr.Jit reads it once, as it is imported
         return Backend("llvm", library)
     if wanted == "llvm":
         raise UsageError(f"{RENDERER_VARIABLE} is llvm, but there is no libLLVM; {INSTALL}")

@@ -18,7 +18,7 @@ from manifold.records import Array, Indices
 from manifold.render import backend
 from manifold.render.bsdf_parameters import BsdfFamily, Layout
 
-_LANES = 1 << 20  # of one wavefront; more are evaluated one after the other
+_LANES = 1 << 20  # lanes of one wavefront; more are evaluated one after the other
 
 
 class Evaluator(Protocol):

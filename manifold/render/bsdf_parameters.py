@@ -15,7 +15,7 @@ Transform = Literal["identity", "log", "square", "gloss"]
 """The optimiser's coordinate of a parameter p: p, log p, the square root of its distance from the minimum, or minus the
 logarithm of its distance from the maximum (plus a hundredth of the range), as a gloss sets the width of a lobe."""
 
-_LOG_FLOOR = 1e-6  # what log takes a minimum of 0 for
+_LOG_FLOOR = 1e-6  # least value whose logarithm is taken
 _GLOSS_FLOOR = 0.0101  # Mitsuba's clear coat: alpha 0.1 at gloss 0, 0.001 at gloss 1
 
 
@@ -203,14 +203,14 @@ class Layout:
 
 
 _COLOUR = FreeParameter("base_color", 0.0, 1.0, 0.5, per_band=True, affine=True, tolerance=0.01)
-_WIDE = replace(_COLOUR, minimum=-0.25, maximum=1.25)  # what lies outside Rec. 709 is found and can be said
+_WIDE = replace(_COLOUR, minimum=-0.25, maximum=1.25)  # colours outside Rec. 709 are found, and reported
 
 # Undetermined ones keep Mitsuba's defaults.
 _PRINCIPLED = (
     _COLOUR,
     FreeParameter("metallic", 0.0, 1.0, 0.2, undetermined=0.0),
     FreeParameter("roughness", 0.02, 1.0, 0.5, transform="log", undetermined=0.5),
-    FreeParameter(  # of which the index is a smooth function
+    FreeParameter(  # the index is a smooth function of it
         "specular", 0.0, 1.0, 0.5, transform="square", undetermined=0.5
     ),
     FreeParameter("clearcoat", 0.0, 1.0, 0.2, undetermined=0.0),

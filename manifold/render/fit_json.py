@@ -23,7 +23,7 @@ from manifold.render.plugin_names import holds_none, require_plugins, types_of
 if TYPE_CHECKING:
     from manifold.fit.principled import FitResult
 
-_SLACK = 1e-6  # of a range: single precision of a value at its end
+_SLACK = 1e-6  # share of a range: single precision of a value at its end
 
 
 @lru_cache(maxsize=1)
@@ -57,7 +57,7 @@ def is_number(value: Any) -> bool:
 def family_of(content: Any, file: str) -> BsdfFamily:
     """The family of a JSON description of a BSDF, in a file of this name; see `BsdfFamily.to_json`."""
     _require_schema(content, file, "bsdf")
-    if holds_none(content.get("fixed", {})):  # which ends Mitsuba's process
+    if holds_none(content.get("fixed", {})):  # null ends Mitsuba's process
         raise FileFormatError(f"{file}: fixed contains null, expected a value; remove that entry")
     require_plugins(types_of(content), file)
     try:

@@ -132,7 +132,7 @@ def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PE
     """FLIP between display values in [0, 1], shapes (H, W, 3): 0 alike to 1 as different as can be, shape (H, W).
     Source: Andersson et al. 2020, DOI 10.1145/3406183; its authors' program, for a low dynamic range.
     """
-    from flip_evaluator import evaluate  # which pictures that are not compared do without
+    from flip_evaluator import evaluate  # only comparisons need it
 
     require_pictures(reference, test)
     pictures = (np.clip(p, 0.0, 1.0).astype(np.float32) for p in (reference, test))

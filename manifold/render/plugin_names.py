@@ -14,7 +14,9 @@ from typing import Any
 from manifold.errors import FileFormatError
 from manifold.render import backend
 
-_KEYWORDS = frozenset({"scene", "rgb", "spectrum", "ref", "manifold"})  # of dictionaries; and our own plugin
+_KEYWORDS = frozenset(
+    {"scene", "rgb", "spectrum", "ref", "manifold"}
+)  # types of dictionaries; and our own plugin
 
 
 def require_plugins(types: Iterable[object], origin: str) -> None:

@@ -16,7 +16,7 @@ from manifold.directions import HORIZON
 from manifold.records import Array, Bands, BsdfFile
 
 _SEEN_NM = np.arange(380.0, 781.0, 1.0)
-_COLOUR_WEIGHT = 30.0  # of colours against spectra, in standard deviations
+_COLOUR_WEIGHT = 30.0  # weight of colours against spectra, in standard deviations
 
 
 def band_nodes(bands: Bands, light: Array, count: int) -> Array:

@@ -53,7 +53,7 @@ class SceneDocument:
     def __init__(self, state: Any, origin: str) -> None:
         """Take Mitsuba's `ParserState`; see `read`."""
         self._state, self.origin = state, origin
-        self._keys: dict[int, str] = {}  # of the nodes that are measured materials
+        self._keys: dict[int, str] = {}  # keys of the nodes that are measured materials
         found: dict[str, SceneMaterial] = {}
         for k, node in enumerate(state.nodes):
             if node.props.plugin_name() in KINDS:
@@ -127,7 +127,7 @@ class SceneDocument:
         mi = backend.mitsuba("rgb", Backend("scalar"))
         state = self._with(mi, bsdfs)
         for node in state.nodes:
-            if node.props.plugin_name() == "manifold":  # which a dictionary does not call a BSDF
+            if node.props.plugin_name() == "manifold":  # a dictionary does not call it a BSDF
                 node.type = mi.ObjectType.BSDF
         disk.write_text(path, _accepted(lambda: mi.parser.write_string(state), self.origin))
 

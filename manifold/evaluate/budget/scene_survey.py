@@ -26,7 +26,7 @@ from manifold.render import backend, images
 from manifold.render.backend import Backend
 
 LIGHT_SAMPLES = 16
-MOST_PIXELS = 400  # of one material, for light
+MOST_PIXELS = 400  # pixels of one material whose light is sampled
 
 _WAVELENGTHS_NM = np.arange(360.0, 831.0, 5.0)
 _WHITE_QUANTILE = 0.95
@@ -210,7 +210,7 @@ def _lighting_at(
     for k in range(n):
         si = chosen[k // LIGHT_SAMPLES][2]
         sample = mi.Point2f(float(points[k, 0]), float(points[k, 1]))
-        side = 1.0 if si.wi.z >= 0.0 else -1.0  # of two-sided surfaces
+        side = 1.0 if si.wi.z >= 0.0 else -1.0  # side of two-sided surfaces
         wi[k] = si.wi.x, si.wi.y, side * si.wi.z
         for j, chunk in enumerate(chunks):
             if chunk is not None:

@@ -24,7 +24,7 @@ def table(made: Stability) -> list[list[str]]:
             [
                 short(row.mode, _MODE_WIDTH) if row.mode != previous else "",
                 short(row.method, _METHOD_WIDTH),
-                _number(row.undetected_error),
+                "-" if row.undetected_error is None else f"{row.undetected_error:.2g}",
                 f"{row.limit:g}",
                 outcomes(row),
             ]
@@ -83,7 +83,3 @@ def summary(made: Stability) -> str:
 def short(text: str, width: int) -> str:
     """A text cut to a width."""
     return text if len(text) <= width else text[: width - 2] + ".."
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2g}"

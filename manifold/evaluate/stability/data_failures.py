@@ -59,11 +59,6 @@ def _times(file: BsdfFile, cells: Mask, factor: float) -> BsdfFile:
     return replace(file, spectra=file.spectra * scale[:, :, None])
 
 
-def _marked(file: BsdfFile, cells: Mask, version: tuple[int, int]) -> BsdfFile:
-    """The file, as a pipeline of a version writes it, with cells (P, T, H, W) marked as not measured."""
-    return replace(file, version=version, valid=goniometer.pack_valid(file.measured_mask & ~cells, version))
-
-
 Degrade = Callable[[BsdfFile, float], BsdfFile]
 
 
@@ -75,7 +70,8 @@ def _zeroed(file: BsdfFile, share: float) -> BsdfFile:
 def _masked(file: BsdfFile, share: float) -> BsdfFile:
     """Cells are lost and marked; they hold half their value: a fault that an instrument noted."""
     lost = lost_cells(file, share)
-    return _times(_marked(file, lost, (3, 1)), lost, 0.5)
+    valid = goniometer.pack_valid(file.measured_mask & ~lost, (3, 1))
+    return _times(replace(file, version=(3, 1), valid=valid), lost, 0.5)
 
 
 def middle_of_family(bed: TestBed) -> list[BsdfFile]:

@@ -138,7 +138,7 @@ def _fit_to(wi: Array, wo: Array) -> Measurement:
 
 def _unreached(brdf: Callable[[float], BRDF], bed: TestBed, severity: float) -> Measurement:
     """The residual of a fit of a material that its parameters cannot represent."""
-    found = fit_bsdf(replace(from_brdf(brdf(severity)), is_isotropic=True))  # as the default is for others
+    found = fit_bsdf(replace(from_brdf(brdf(severity)), is_isotropic=True))  # the default for other sources
     ends = [s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))]
     kinds = ("diffuse", "does not fit", *(["end of the range"] * bool(ends)))
     notes = [note for note in found.notes if any(kind in note for kind in kinds)]

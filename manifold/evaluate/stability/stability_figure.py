@@ -22,7 +22,7 @@ _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _MARKERS = {FINE: "o", WARNED: "^", REFUSED: "X", WRONG: "P"}
 _DEFECT_COLOUR = "#d55e00"
-_LEAST = 1e-3  # of the limit: smaller errors are drawn here
+_LEAST = 1e-3  # share of the limit: smaller errors are drawn here
 
 
 def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
@@ -44,7 +44,7 @@ def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
 
 
 def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
-    places = np.arange(len(mode.severities))  # in steps: many severities are no numbers to scale
+    places = np.arange(len(mode.severities))  # equal steps: many severities are no numbers to scale
     for k, row in enumerate(rows):
         colour, dash = _COLOURS[k % len(_COLOURS)], _DASHES[k % len(_DASHES)]
         heights = np.array([_height(one.error, row.limit) for one in row.results])

@@ -60,7 +60,7 @@ def named(alpha: float, colour: int) -> str:
 class TestBed:
     """Libraries, models and tables, each made when first asked for; its files vanish at the end of a `with` block."""
 
-    __test__ = False  # for pytest, which takes classes of such names for tests
+    __test__ = False  # pytest takes classes of such names for tests
 
     def __init__(self) -> None:
         self._made: dict[Hashable, Any] = {}

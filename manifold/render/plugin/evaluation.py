@@ -231,7 +231,9 @@ class Evaluation:
             return
         self._has_samples = mixture.weights.ndim == 3
         self._weights, *self._slopes = map(self._uploaded, (mixture.weights, *mixture.slopes))
-        self._offsets = [v - dr.detach(v) for v in (latent, colours) if v is not None]  # of value 0
+        self._offsets = [
+            v - dr.detach(v) for v in (latent, colours) if v is not None
+        ]  # zeros with derivatives
 
     def _uploaded(self, weights: Array) -> Any:
         """Weights of materials, or of samples padded as they are stored."""

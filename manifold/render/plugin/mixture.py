@@ -23,7 +23,7 @@ _NO_TOLERANCE = (
     "tolerance needs a Gram matrix of whole materials; leave it out, or embed with kind `material`"
 )
 
-_STEP = 1e-5  # of central differences of weights, in length scales of the latents and units of the colours
+_STEP = 1e-5  # step of central differences of weights, in length scales of latents and units of colours
 
 SEEN_NM = (360.0, 830.0)
 """Wavelengths that Mitsuba renders."""
@@ -223,7 +223,8 @@ def _tables(
     if before is not None and set(materials) <= set(known):
         return known, before.tables
     wanted = sorted({*map(int, materials), *known})
-    files = _read(model, wanted)
+    with ThreadPoolExecutor() as pool:
+        files = list(pool.map(lambda k: model.materials.filled_file(model.names[k]), wanted))
     order = _by_size(files)
     return [wanted[k] for k in order], packed_tables.pack([files[k] for k in order], bands)
 
@@ -250,9 +251,3 @@ def _by_size(files: list[BsdfFile]) -> list[int]:
         return (*(a.shape for a in (file.spectra, file.vndf, file.ndf, file.sigma)), file.jacobian)
 
     return sorted(range(len(files)), key=sizes)
-
-
-def _read(model: Manifold, which: Iterable[int]) -> list[BsdfFile]:
-    """Measured files as predictions combine them, unmeasured cells filled."""
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda k: model.materials.filled_file(model.names[k]), which))

@@ -26,7 +26,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.model.located import reconstruct_file
+from manifold.model.location import reconstruct_file
 from manifold.records import BsdfFile
 from manifold.render.fitted_brdf import FittedBRDF
 

@@ -36,7 +36,7 @@ from manifold.directions import from_spherical
 from manifold.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
-from manifold.model.walks import PATH_NODES, Walked, step_of, walk_path
+from manifold.model.walks import WALK_NODES, Walked, step_of, walk_shares
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands
 
@@ -67,7 +67,7 @@ def values(brdf: BRDF) -> Array:
 def ways(a: BRDF, b: BRDF, walked: tuple[Walked, Walked]) -> dict[str, Way]:
     """Every method between two materials."""
     f_a, f_b = values(a), values(b)
-    nodes, shares = np.linspace(0.0, 1.0, PATH_NODES), walk_path(*walked)
+    nodes, shares = np.linspace(0.0, 1.0, WALK_NODES), walk_shares(*walked)
 
     def cube_roots(t: float) -> Array:
         return ((1.0 - t) * np.cbrt(f_a) + t * np.cbrt(f_b)) ** 3

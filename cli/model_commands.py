@@ -28,7 +28,7 @@ from .outputs import or_default, written
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
     from manifold.model.diagnostics import DiagnosedPrediction
-    from manifold.model.located import Reconstruction
+    from manifold.model.location import Reconstruction
 
 AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported

@@ -26,7 +26,7 @@ from manifold.estimate.sources import PlaceSource
 from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model.located import Reconstruction
+from manifold.model.location import Reconstruction
 from manifold.model.manifold import load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.pictures import renders as pictures

@@ -207,7 +207,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     latent = search.nearest(place.latent, factor, units)
     colours = search.colours(latent, factor) if units or is_tinted else chosen.colours
     reached = model.predict(latent, colours).turned(place.rotation_rad)
-    moved = replace(place, latent=latent, path=None) if units else place
+    moved = replace(place, latent=latent, walk=None) if units else place
     return Adjusted(moved, colours, {}, (wanted, wanted), 0.0).reached_by(reached, units)
 
 

@@ -169,7 +169,7 @@ class Input:
         place, colour = loaded.place(source.place), source.colour.made_of()
         model = _sha256(source.model, source.model.stat().st_mtime_ns)
         hashes = {"model": model, "library": loaded.library.content_hash}
-        return hashes | {"latent": place.latent.tolist(), "path": place.path, "colour": colour}
+        return hashes | {"latent": place.latent.tolist(), "path": place.walk, "colour": colour}
 
 
 @lru_cache

@@ -32,9 +32,9 @@ from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.model import diagnostics, located
+from manifold.model import diagnostics, location
 from manifold.model.comparison import brdf_errors
-from manifold.model.located import Located
+from manifold.model.location import Located
 from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
@@ -187,7 +187,7 @@ def locate(
     loaded = load_model(model, library)
     balls, material, notes = _found(request, loaded.library, None, {}, stages)
     seen = ClippedBRDF(material.brdf)
-    place = located.locate_brdf(loaded, seen)
+    place = location.locate_brdf(loaded, seen)
     notes += (
         *place.diagnostics,
         "the expected error and the residual of pixels are those of the material that the pixels show, the "

@@ -16,11 +16,11 @@ from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.estimate.sources import FileSource, MaterialSource, place_of, read_source
 from manifold.library.store import Library
-from manifold.model import diagnostics, located
+from manifold.model import diagnostics, location
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.model.comparison import brdf_errors
 from manifold.model.diagnostics import DiagnosedPrediction, diagnose
-from manifold.model.located import Located, Reconstruction
+from manifold.model.location import Located, Reconstruction
 from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import (
     DEFAULT_OPTIONS,
@@ -71,7 +71,7 @@ def predict(
     require_bsdf_output(output)
     model = load_model(model, library)
     place = place_of(latent, model)
-    if colour != NEAREST or place.path is not None:
+    if colour != NEAREST or place.walk is not None:
         model.prepare()
     if attributes is None:
         adjusted, chosen = None, choose_colour(model, place, colour)
@@ -143,7 +143,7 @@ def locate(
     library: Path | str | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> Located:
-    """Embed a measured file in a fitted manifold, see `manifold.model.located.locate`.
+    """Embed a measured file in a fitted manifold, see `manifold.model.location.locate`.
 
     An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
     output that was projected are those of the file.
@@ -164,7 +164,7 @@ def locate(
     file = _read(path)
     loaded = load_model(model, library)
     loaded.prepare()
-    found = located.locate(loaded, file)
+    found = location.locate(loaded, file)
     if output is None:
         return found
     how = f"at latent ({', '.join(found.coordinates)})"
@@ -180,7 +180,7 @@ def reconstruct(
     numbers: int | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> Reconstruction:
-    """Reconstruct a measured file from a library, see `manifold.model.located.reconstruct_file`, and write it.
+    """Reconstruct a measured file from a library, see `manifold.model.location.reconstruct_file`, and write it.
 
     An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
     output that was projected are those of the file.
@@ -201,7 +201,7 @@ def reconstruct(
     output = Path(output)
     require_bsdf_output(output)
     file = _read(path)
-    found = located.reconstruct_file(Library(library), file, without, numbers=numbers)
+    found = location.reconstruct_file(Library(library), file, without, numbers=numbers)
     how = f"from {found.materials} materials and analytic lobes"
     return _written(found, file, output, how, options)
 

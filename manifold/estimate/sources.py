@@ -129,7 +129,7 @@ def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
     if isinstance(source, LibrarySource) and source.name in model.names:
         return model.place(source.name)
     if isinstance(source, FileSource | LibrarySource):
-        from manifold.model.located import locate
+        from manifold.model.location import locate
 
         found = locate(model, read_source(source))
         return Place(found.latent, rotation_rad=found.rotation_rad)

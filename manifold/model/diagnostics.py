@@ -136,7 +136,7 @@ def diagnose(
         coordinates=model.space.printed(place.latent),
         colour=chosen.words,
         reflectance_residual=chosen.residual,
-        weights=model.largest_weights(place, 5, colours) if place.path is None or colours is not None else [],
+        weights=model.largest_weights(place, 5, colours) if place.walk is None or colours is not None else [],
         nearest=nearest,
         materials=len(model.names),
         expected=expected,

@@ -173,8 +173,8 @@ class Manifold(LatentMap):
         if np.asarray(x, dtype=object).ndim == 2:
             return [self.predict(row, colours) for row in x]
         place = self.place(x)
-        if place.path is not None and colours is None:
-            return self.interpolate(*place.path)
+        if place.walk is not None and colours is None:
+            return self.interpolate(*place.walk)
         x = place.latent
         combination = self.combination(x, colours)
         if combination.source is not None:

@@ -20,7 +20,7 @@ from manifold.model.places import (
     PlaceLike,
     on_line,
     parse_coordinates,
-    parse_path,
+    parse_walk,
     require_between,
     require_latent,
     require_latents,
@@ -164,9 +164,9 @@ class LatentMap:
             return x
         if not isinstance(x, str):
             return Place(require_latent(x, self.settings.latent_dim))
-        path = parse_path(x, self.names)
-        if path is not None:
-            return Place(self.between(*path), path)
+        walk = parse_walk(x, self.names)
+        if walk is not None:
+            return Place(self.between(*walk), walk)
         if x in self.names:
             return Place(self.latent(x))
         coordinates = parse_coordinates(x)

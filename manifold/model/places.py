@@ -20,12 +20,12 @@ class Place:
 
     Attributes:
         latent: shape (Q,).
-        path: the materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
+        walk: the materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
         rotation_rad: azimuth by which an anisotropic sample lies turned there, against the materials of the map.
     """
 
     latent: Array
-    path: tuple[str, str, float] | None = None
+    walk: tuple[str, str, float] | None = None
     rotation_rad: float = 0.0
 
 
@@ -34,7 +34,7 @@ PlaceLike = Place | Array | Sequence[float] | str
 materials, or coordinates with commas between. A material called `0,0` comes before these coordinates."""
 
 
-def parse_path(text: str, names: Collection[str]) -> tuple[str, str, float] | None:
+def parse_walk(text: str, names: Collection[str]) -> tuple[str, str, float] | None:
     """The two materials and t of `FROM:TO:T`; None where the text is a name itself, or of another form. Names may hold
     colons: of the ways to split the text, it is the one that gives two materials.
     """
@@ -79,7 +79,7 @@ def parse_coordinates(text: str) -> list[float] | None:
 
 def is_place(text: str) -> bool:
     """Whether a text has the form of coordinates or of `FROM:TO:T`, whatever materials there are."""
-    return parse_coordinates(text) is not None or parse_path(text, ()) is not None
+    return parse_coordinates(text) is not None or parse_walk(text, ()) is not None
 
 
 def require_latent(x: ArrayLike, latent_dim: int) -> Array:

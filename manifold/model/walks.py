@@ -26,7 +26,7 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array
 
 ROUGHNESSES = np.geomspace(0.9, 0.005, 36)
-PATH_NODES = 17  # values of t, between which a walk's share is linear
+WALK_NODES = 17  # values of t, between which a walk's share is linear
 _STEPS = 33  # points of a walk, the visible steps between which are added up
 _FITTED_NM = (450.0, 550.0, 650.0)  # wavelengths of the bands that choose the roughness
 _COARSE = 3  # one roughness in this many is tried first
@@ -195,8 +195,8 @@ class Walked:
         return np.asarray((1.0 - part) * self.balls[below] + part * self.balls[below + 1])
 
 
-def walk_path(start: Walked, end: Walked) -> Array:
-    """Share of the end at `PATH_NODES` even values of t, at which steps of the ball have equal CIEDE2000."""
+def walk_shares(start: Walked, end: Walked) -> Array:
+    """Share of the end at `WALK_NODES` even values of t, at which steps of the ball have equal CIEDE2000."""
     u = np.linspace(0.0, 1.0, _STEPS)
     positions = positions_between(start.highlight, end.highlight, u)
     share = u[:, None, None]
@@ -204,7 +204,7 @@ def walk_path(start: Walked, end: Walked) -> Array:
     lab = to_lab(srgb_to_xyz(np.clip(linear, 0.0, 1.0)), srgb_to_xyz(np.ones(3)))
     sizes = delta_e_2000_lab(lab[:-1], lab[1:]).mean(axis=1)
     length = np.concatenate([[0.0], np.cumsum(sizes + np.finfo(float).eps)])
-    return np.interp(np.linspace(0.0, length[-1], PATH_NODES), length, u)
+    return np.interp(np.linspace(0.0, length[-1], WALK_NODES), length, u)
 
 
 def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> PredictedBRDF:
@@ -229,12 +229,12 @@ class Walk:
 
     @cached_property
     def shares(self) -> Array:
-        """Shares of the second at `PATH_NODES` even values of t."""
-        return walk_path(*self.walked)
+        """Shares of the second at `WALK_NODES` even values of t."""
+        return walk_shares(*self.walked)
 
     def at(self, t: float) -> PredictedBRDF:
         """The step at t from 0 to 1; at both ends, the material itself."""
         if t in (0.0, 1.0):
             return PredictedBRDF([self.ends[int(t)]], Combination(Identity(), np.ones(1)))
-        share = float(np.interp(t, np.linspace(0.0, 1.0, PATH_NODES), self.shares))
+        share = float(np.interp(t, np.linspace(0.0, 1.0, WALK_NODES), self.shares))
         return step_of(self.ends, self.walked, share)

@@ -25,7 +25,7 @@ from manifold.estimate.sightings import PhotoRequest
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.fit.exports import TARGETS
 from manifold.model.colours import ColourChoice
-from manifold.model.places import parse_path
+from manifold.model.places import parse_walk
 from manifold.names import Registry
 
 Request = Mapping[str, Any]
@@ -142,8 +142,8 @@ def _place(request: Request, context: Context) -> PlaceSource:
     """The prediction that a request shows."""
     latent, like, rows = request["latent"], request.get("like"), request.get("spectrum")
     if isinstance(latent, str):
-        path = parse_path(latent, context.names)
-        if path is None or not set(path[:2]) <= set(context.names):
+        walk = parse_walk(latent, context.names)
+        if walk is None or not set(walk[:2]) <= set(context.names):
             raise UsageError("latent: expected FROM:TO:T, of two materials of this model")
     elif len(latent) != context.latent_dim:
         raise UsageError(f"latent: found {len(latent)} numbers, expected {context.latent_dim}")

@@ -29,7 +29,7 @@ from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
-from manifold.model.walks import ROUGHNESSES, Walked, walk_path
+from manifold.model.walks import ROUGHNESSES, Walked, walk_shares
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices, evenly_spaced
 
@@ -369,7 +369,7 @@ def _walks(tables: Tables) -> dict[str, Any]:
     walked, cosines = tables.walked, (tables.pairs.wi[:, 2], tables.pairs.wo[:, 2])
     lobes = [one.highlight for one in walked]
     shares = [
-        [walk_path(start, end)[1:-1].round(5).tolist() for end in walked[:k]]
+        [walk_shares(start, end)[1:-1].round(5).tolist() for end in walked[:k]]
         for k, start in enumerate(walked)
     ]
     return {

@@ -147,7 +147,7 @@ def latent_material(
     if isinstance(colour.reflectance, ReflectanceSpectrum):
         raise UsageError("direct renders take reflectances from a file; name one, or render a predicted file")
     loaded = load_model(model, library)
-    if loaded.space.takes_colours and colour == NEAREST and loaded.place(latent).path is not None:
+    if loaded.space.takes_colours and colour == NEAREST and loaded.place(latent).walk is not None:
         raise UsageError(
             "direct renders have the colours of latents, not those between two; render a predicted file"
         )

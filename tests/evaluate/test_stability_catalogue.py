@@ -157,7 +157,7 @@ def test_without_filling_and_diagnostic_embedded_unmeasured_cells_are_silently_w
     monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
     monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_BALL", np.inf)
     assert unguarded(bed, "exact_zeros", "embedding a file", 0.1).outcome == FINE
-    monkeypatch.setattr("manifold.model.located.fill_unmeasured", lambda file, cells: file)
+    monkeypatch.setattr("manifold.model.location.fill_unmeasured", lambda file, cells: file)
     assert unguarded(bed, "exact_zeros", "embedding a file", 0.1).outcome == WRONG
 
 

@@ -17,7 +17,7 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
-from manifold.model.places import parse_path
+from manifold.model.places import parse_walk
 from manifold.model.settings import KINDS, Settings
 from manifold.pictures import maps
 
@@ -174,9 +174,9 @@ def test_a_material_whose_name_reads_as_coordinates_is_that_material(tmp_path):
     ],
 )
 def test_a_path_is_between_any_two_names(text, names, expected):
-    assert parse_path(text, names) == expected
+    assert parse_walk(text, names) == expected
 
 
 def test_a_path_that_could_be_two_is_refused():
     with pytest.raises(UsageError, match="from 'a' to 'b:c', and from 'a:b' to 'c'"):
-        parse_path("a:b:c:0.5", {"a", "b:c", "a:b", "c"})
+        parse_walk("a:b:c:0.5", {"a", "b:c", "a:b", "c"})

@@ -20,7 +20,7 @@ from manifold.library.store import Library
 from manifold.metrics import cube_root_error, relative_error
 from manifold.model import reconstruction
 from manifold.model.comparison import brdf_errors
-from manifold.model.located import reconstruct_file
+from manifold.model.location import reconstruct_file
 from manifold.model.manifold import Manifold
 from manifold.model.reconstruction import reconstruct
 from manifold.pairs import RusinkiewiczGrid, cosine_weight

@@ -20,7 +20,7 @@ from manifold.estimate.sources import FileSource
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.metrics import relative_error
-from manifold.model.located import locate, reconstruct_file
+from manifold.model.location import locate, reconstruct_file
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.pairs import RusinkiewiczGrid, cosine_weight

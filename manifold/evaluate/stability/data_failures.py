@@ -23,7 +23,7 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import relative_error
 from manifold.model.diagnostics import diagnose
-from manifold.model.located import locate
+from manifold.model.location import locate
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions, output_file
 from manifold.model.places import Place

@@ -173,7 +173,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
             f"plugin manifold: no latent; give `latent` as 'x,y' or a material, or textures {', '.join(names)}"
         )
     place = model.place(str(properties["latent"]))
-    if place.path is not None:
+    if place.walk is not None:
         raise UsageError(
             f"plugin manifold: latent is '{properties['latent']}', a step of a walk, which no latent makes; write it "
             "to a file with `manifold predict`"

@@ -61,8 +61,9 @@ def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Ar
 def fresnel_thin_film(
     cos_theta: Array, wavelengths_nm: Array, film_eta: Array, thickness_nm: float, eta: Array, k: Array
 ) -> Array:
-    """Reflectance of a transparent film on a base of index eta + i k (B,), all internal reflections summed, at cosines
-    (n,) in [0, 1] and wavelengths (B,) in air; the film's index (B,) is at least 1, its thickness 0 for the bare base.
+    """Reflectance (n, B) of a transparent film on a base of index eta + i k (B,), all internal reflections summed.
+    Cosines (n,) are in [0, 1], wavelengths (B,) in air, the film's index (B,) at least 1; a thickness of 0 is the bare
+    base.
 
     Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently; Belcour & Barla
     2017, whose spectral integration to RGB is not needed here.

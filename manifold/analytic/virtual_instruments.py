@@ -45,8 +45,8 @@ def ma_t12_readings(brdf: BRDF, name: str, rng: np.random.Generator | None = Non
 
 
 def mini_diff_table(brdf: BRDF, rng: np.random.Generator | None) -> tuple[Array, Array]:
-    """The whole table of a Mini-Diff V2, padding included: theta_i, phi_i, theta_s, phi_s in radians, (P, 4), and f in
-    1/sr, (P, B). `rng` adds noise: 1 % of the value, and 2e-4 in 1/sr, so that dark values may be negative.
+    """The whole table of a Mini-Diff V2, padding included: angles in radians (P, 4), theta_i, phi_i, theta_s, phi_s,
+    and f in 1/sr (P, B). `rng` adds noise: 1 % of the value, and 2e-4 in 1/sr, so that dark values may be negative.
     """
     phi, theta = np.meshgrid(np.arange(0.0, 360.0, 10.0), np.arange(1.0, 91.0), indexing="ij")
     phi_s = np.deg2rad(np.concatenate([[0.0], phi.reshape(-1)]))

@@ -124,8 +124,8 @@ class AlbedoScaledBRDF(WrappedBRDF):
     """A BRDF times s(theta_i) s(theta_o), with s below 1 only at elevations whose albedo exceeds 1."""
 
     def __init__(self, brdf: BRDF, theta_rad: Array, albedo: Array, keeps_hue: bool):
-        """Find s at elevations (T,), increasing, of albedo (T, B), between which s is interpolated: s <- s sqrt(0.99 /
-        albedo) there, as in symmetric Sinkhorn scaling; with `keeps_hue` one s for all bands.
+        """Find s at elevations (T,), increasing, of albedo (T, B): s <- s sqrt(0.99 / albedo), as in symmetric Sinkhorn
+        scaling. Between them s is interpolated; with `keeps_hue` it is the same in all bands.
         Source: Sinkhorn & Knopp 1967, for sums that may not exceed a limit.
         """
         super().__init__(brdf)

@@ -285,9 +285,10 @@ def _over_incidences(
 
 
 def mirror_difference(brdf: BRDF, other: BRDF) -> float:
-    """Difference of another BRDF within five degrees of mirror directions, at incidences of 15, 20, ... 75 degrees:
-    `sum |f* - f| / sum f` over directions and bands at each incidence (and azimuth), the largest of these; negative
-    values count as 0.
+    """Difference of another BRDF within five degrees of mirror directions, at incidences of 15, 20, ... 75 degrees.
+
+    It is `sum |f* - f| / sum f` over directions and bands at each incidence (and azimuth), the largest of these;
+    negative values count as 0.
     """
     wi = incident_directions(_MIRROR_INCIDENCES_DEG, brdf.is_isotropic and other.is_isotropic)
     m = from_spherical(np.deg2rad([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])[:, None], np.deg2rad(range(0, 360, 45)))

@@ -203,9 +203,10 @@ def _add_material(located, spectra, slices, shares, cells, corners, weight, take
 
 @nb.njit(cache=True, nogil=True, fastmath=FASTMATH)
 def add_located(located, group, weights, take_root, total):
-    """Add the sum of weights f, or of weights times cube roots of f, of K pairs (K, 5), as `Pairs.located` gives them,
-    to total (K, B), double precision, from tables of `GROUP` materials, of the same types, and their weights (GROUP,),
-    single precision; a material with none is not read.
+    """Add the sum of weights f, or of weights times cube roots of f, of K pairs to total (K, B), double precision.
+
+    Pairs are as `Pairs.located` gives them, (K, 5); `group` is tables of `GROUP` materials, of the same types, and
+    weights are single precision, (GROUP,): a material with none is not read.
     """
     width = -(-total.shape[1] // _LANES) * _LANES
     slices, shares = np.zeros((_TILE, 4), np.int64), np.zeros((_TILE, 4))

@@ -38,13 +38,9 @@ class Cells:
     def seen_from(
         cls, warp: Warp, phi_i: float, theta_i: float, shape: tuple[int, ...], *, is_isotropic: bool
     ) -> Cells:
-        """The cells of a grid (R, C) under the warp of the visible normals.
-
-        Args:
-            warp: of `vndf`.
-            phi_i, theta_i: of the incident direction in radians; on the horizon its limit is taken.
-            shape: R and C.
-            is_isotropic: whether azimuths of half vectors count from that of the incident direction.
+        """The cells of a grid (R, C) under the warp of the visible normals, at an incident direction in radians; on the
+        horizon its limit is taken. Azimuths of half vectors of an isotropic file count from that of the incident
+        direction.
         """
         rows, columns = (np.linspace(0.0, 1.0, n) for n in shape)
         points, _ = warp.sample(np.stack(np.meshgrid(columns, rows), axis=-1), phi_i, theta_i)
@@ -67,7 +63,7 @@ def cells_of(
         yield p, t, Cells.seen_from(warp, phi_i, theta_i, shape[3:], is_isotropic=file.is_isotropic)
 
 
-# Of outgoing directions: cells nearer to the horizon may well be dark.
+# Least cosine of outgoing directions: cells nearer to the horizon may well be dark.
 _LEAST_COSINE = np.sin(np.deg2rad(2.0))
 _STEEPEST = np.deg2rad(85.0)  # incident elevations beyond it are extrapolated, not measured
 _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
@@ -106,15 +102,11 @@ def blank_unmeasured(file: BsdfFile) -> BsdfFile:
 
 
 def fill_unmeasured(file: BsdfFile, cells: Mask | None = None, *, copy: bool = True) -> BsdfFile:
-    """The same file with its unmeasured cells filled from their rims inwards; the file itself where it has none.
+    """The same file with its unmeasured cells, if they are known already, filled from their rims inwards; the file
+    itself where it has none. Without a copy, its spectra, which must be writeable, are filled.
 
-    Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice
-    without any known cell stays as it is.
-
-    Args:
-        file: any file.
-        cells: its `unmeasured_cells`, if they are known already.
-        copy: leave the file as it is; otherwise its spectra, which must be writeable, are filled.
+    Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice without any
+    known cell stays as it is.
     """
     cells = unmeasured_cells(file) if cells is None else cells
     if not np.any(cells):

@@ -70,8 +70,8 @@ class Picture(Pairs):
         return np.asarray(self.sums.sum(axis=0))
 
     def xyz(self, f: Array, bands: Bands) -> Array:
-        """CIE XYZ under D65 of each pixel, as a display shows it, shape (K, 3), of BRDF values (P, B) in 1/sr; what
-        lies outside the range of linear sRGB is clipped to it, as in a picture without tone mapping.
+        """CIE XYZ (K, 3) under D65 of each pixel, as a display shows it, of BRDF values (P, B) in 1/sr. What lies
+        outside the range of linear sRGB is clipped to it, as in a picture without tone mapping.
         """
         linear = xyz_to_srgb(self.of(to_xyz(f, bands)), to_xyz(np.ones(bands.count), bands))
         return srgb_to_xyz(np.clip(linear, 0.0, 1.0))

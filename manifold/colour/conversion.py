@@ -113,8 +113,9 @@ def xyz_weights(bands: Bands, illuminant: str = "D65", observer_deg: int = 2) ->
 
 
 def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Array, Array]:
-    """Wavelengths in nm, (K,), every 1 nm, and the light times the matching functions of CIE's 2 (1931) or 10 degree
-    observer (1964), (K, 3), whose sums over wavelengths are the XYZ of the perfect diffuser, with Y = 1.
+    """Wavelengths in nm, (K,), every 1 nm, and the light times the matching functions of an observer, (K, 3). The
+    observer is CIE's of 2 degrees (1931) or 10 (1964); sums over wavelengths are the XYZ of the perfect diffuser, with
+    Y = 1.
     """
     if observer_deg not in (2, 10):
         raise UsageError(f"an observer of {observer_deg} degrees, expected 2 (CIE 1931) or 10 (CIE 1964)")

@@ -101,8 +101,8 @@ def learn_correction(
     forms: Sequence[str] = FORMS,
     groups: Indices | None = None,
 ) -> ColourCorrection:
-    """The correction from x (n, 3), at least 0, to y (n, B) that is best on values left out, or on samples where
-    `groups` (n,) tells of which each value is; only forms with fewer terms than values are tried.
+    """The correction from x (n, 3), at least 0, to y (n, B) that is best on values left out. With `groups` (n,) whole
+    samples are left out; only forms with fewer terms than values are tried.
 
     Of forms some do not make more than a quarter of the samples worse than no correction does: the best of these, or
     where there are none, of those that make the fewest worse.

@@ -105,9 +105,8 @@ _LAMP, _DARK = (
 
 
 def environment(name: str, height: int = 128) -> Array:
-    """One of `ENVIRONMENTS`, with the light of its floor from below: linear sRGB radiance, float32, laid out as
-    `studio.studio` does, shape (height, 2 height, 3), in which a white diffuser that lies on the floor has the mean
-    radiance 1.
+    """One of `ENVIRONMENTS`, with the light of its floor from below: linear sRGB radiance, float32, shape (height, 2
+    height, 3), laid out as `studio` does. A white diffuser that lies on the floor has the mean radiance 1.
     """
     make, floor = ENVIRONMENTS[name]
     image = exposed(make(height))

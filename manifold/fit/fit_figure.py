@@ -24,7 +24,7 @@ def fit_picture(
     sources: Sequence[Source],
 ) -> Figure:
     """The check of a fit: display pictures (H, W, 3) and slices of the material and of the fit, and CIEDE2000 and FLIP
-    maps (H, W), whose means in the titles are over the pixels inside the ball, (H, W).
+    maps (H, W). The means in the titles are over the pixels `inside` the ball, (H, W).
     """
     figure = new_figure(11, 9.6)
     figure.suptitle(in_lines(title, 100), fontsize=12)

@@ -99,8 +99,8 @@ def read_family(path: Path) -> BsdfFamily:
 
 
 def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | None = None) -> Outcome[Any]:
-    """Fit a file or another material and write the JSON; of what was measured not where an earlier run has. The
-    outcome's source is the prediction where this is a place; there may be no fit of what was measured.
+    """Fit a file or another material and write the JSON; a fit of the same file by an earlier run is kept. Where there
+    is no fit of what was measured, the outcome says why; its source is the prediction where this is a place.
     """
     backend.imported()
     disk.require_writable(target)

@@ -100,8 +100,8 @@ def identify_parameters(
     alternatives: list[Array],
     kept: Mask,
 ) -> tuple[ParameterIdentifiability, ...]:
-    """The identifiability of all K fitted values, by derivatives (n, K) of the residuals, the variance of one of these,
-    other values (K,) that fit as well within the noise, and which values were left at their defaults, (K,).
+    """The identifiability of all K fitted values, by derivatives (n, K) of the residuals and the variance of one of
+    these. `alternatives` (K,) fit as well within the noise; `kept` (K,) were left at their defaults.
 
     The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range: it keeps
     directions that the samples do not see finite.

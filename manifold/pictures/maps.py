@@ -43,8 +43,8 @@ def latent_map(
     marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
 ) -> tuple[DiagnosedPrediction | None, tuple[str, ...]]:
-    """Draw the map of latents with a rendered ball per material, or points where Mitsuba is missing, and with one of a
-    prediction, at a place or where a material is located; the prediction, and what is left out.
+    """Draw the map of latents with a ball per material, or points where Mitsuba is missing, and with that of a
+    prediction. It returns the prediction that is marked, and what was left out.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)

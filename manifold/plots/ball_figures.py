@@ -110,8 +110,8 @@ def walk_strip(
     rows: Sequence[tuple[str, Sequence[Array]]],
     doubtful: Sequence[bool] = (),
 ) -> Figure:
-    """Balls, RGBA (H, W, 4), side by side, a row per method, on the way from one material (t = 0) to another (t = 1);
-    steps of the first row that the data do not support are marked, and explained below.
+    """Balls, RGBA (H, W, 4), side by side, a row per method, from one material (t = 0) to another (t = 1). Steps of the
+    first row that the data do not support are marked, and explained below.
     """
     figure = new_figure(1.25 * len(steps) + 1.1, 1.35 * len(rows) + 0.9)
     figure.suptitle(title, fontsize=12)

@@ -49,8 +49,9 @@ def new_figure(width: float, height: float) -> Figure:
 def place_names(
     figure: Figure, axes: Axes, names: Sequence[Annotation], dot: float, points: Array, zorder: float
 ) -> None:
-    """Move names, centred, with offsets in pixels, to where they cover least of points (K, 2) in pixels and of names
-    before them, nearest to their own point; a line leads to a point, `dot` half as wide, whose name is far.
+    """Move names to where they cover least of points (K, 2) and of names before them, nearest to their own point. Names
+    are centred, with offsets in pixels, as all lengths are; a line leads to a point whose name is far. Half of a
+    point's width is `dot`.
     """
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents

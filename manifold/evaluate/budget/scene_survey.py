@@ -109,9 +109,9 @@ class Survey:
         return images.tone_map(xyz_to_srgb(radiance / self.white[1], self.white / self.white[1]))
 
     def film(self) -> dict[str, Any]:
-        """The film for renders whose first three channels `display` takes; spectral ones are X, Y, Z, and a channel
-        that only steers wavelengths to where the light has power, so that lines of fluorescent lamps are sampled as
-        often as they matter.
+        """The film for renders whose first three channels `display` takes: linear sRGB, or X, Y, Z. A fourth channel of
+        spectral ones only steers wavelengths to where the light has power, so that lines of fluorescent lamps are
+        sampled as often as they matter.
         """
         width, height = self.size
         common = {"width": width, "height": height, "rfilter": {"type": "box"}}

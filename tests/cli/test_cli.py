@@ -70,21 +70,6 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
     assert not re.search(r"<(path|str|int|float|list|int range)\b", out)
 
 
-def test_the_version_is_printed(run, tmp_path):
-    status, out, _ = run("--version", cwd=tmp_path)
-    assert status == 0
-    assert re.fullmatch(r"manifold \d+\.\d+\.\d+\n", out)
-
-
-def test_help_loads_nothing_heavy(tmp_path):
-    code = "import sys; from manifold.cli.main import run\ntry: run(['--help'])\nexcept SystemExit: pass\n"
-    code += "print([m for m in ('numpy', 'zarr', 'numba', 'matplotlib', 'colour') if m in sys.modules])"
-    out = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
-    )
-    assert out.stdout.splitlines()[-1] == "[]"
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -183,13 +168,7 @@ def test_json_on_stdout_stands_alone(run, folder, arguments):
     assert isinstance(json.loads(out), dict)
 
 
-@pytest.mark.parametrize(
-    ("latent", "words"),
-    [
-        ("1", "expected 2"), ("1,2,3", "expected 2"), ("nan,0", "finite"), ("-inf,0", "finite"), ("1e999,0", "finite"),
-        ("a,b", "numbers"), ("0.1 0.2", "numbers"), ("1,2,", "numbers"), ("1e200,0", "at most 1e+09"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("latent", "words"), [("1,2,3", "expected 2"), ("1e200,0", "at most 1e+09")])
 def test_latents_that_are_none_are_usage_errors(run, folder, latent, words):
     status, out, err = run("predict", "--latent", latent, "-o", "none_rgb.bsdf", cwd=folder)
     assert (status, out) == (2, "")
@@ -233,13 +212,6 @@ def test_a_library_that_has_moved_can_be_named(run, moved):
     assert "its library is not at" in one_line(err)
     status, _, err = run(*arguments, "--library", "elsewhere.zarr", cwd=moved)
     assert (status, err) == (0, "")
-
-
-def test_a_library_that_lost_a_material_is_one_error(run, moved):
-    shutil.rmtree(moved / "elsewhere.zarr" / "materials" / NAMES[0])
-    status, _, err = run("report", "-L", "elsewhere.zarr", cwd=moved)
-    assert status == 1
-    assert f"lacks 1 of the {len(NAMES)} materials" in one_line(err)
 
 
 def test_a_library_that_gained_a_material_is_one_warning(run, moved):
@@ -321,28 +293,13 @@ def test_a_structure_is_predicted_in_the_colour_asked_for(run, folder, arguments
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [
-        (["--like", "syn_felt_gren"], "syn_felt_green"),
-        (["--srgb", "blue"], "#rrggbb"),
-        (["--like", "syn_felt_green", "--srgb", "#ffffff"], "one of them"),
-        (["--reflectance", "absent.txt"], "absent.txt"),
-    ],
+    [(["--srgb", "blue"], "#rrggbb"), (["--like", "syn_felt_green", "--srgb", "#ffffff"], "one of them")],
 )
 def test_colours_that_are_none_are_usage_errors(run, folder, arguments, words):
     code, out, err = run("predict", "--latent", "0,0", *arguments, cwd=folder)
     assert (code, out) == (2, "")
     assert words in err
     assert len(err.splitlines()) == 1
-
-
-def test_a_file_of_the_library_is_located_at_its_material(run, folder):
-    file = folder / "files" / "syn_satin_gold_rgb.bsdf"
-    code, out, _ = run("locate", file, "--json", "-", cwd=folder)
-    found = json.loads(out)
-    assert code == 0
-    assert found["nearest"][0][0] == "syn_satin_gold"
-    assert found["errors"]["linear"] < 0.2
-    assert np.shape(found["colours"]) == (2, 3)  # path coordinates, and gains
 
 
 def test_a_located_file_is_written_as_the_map_reconstructs_it(run, folder, tmp_path):
@@ -353,6 +310,8 @@ def test_a_located_file_is_written_as_the_map_reconstructs_it(run, folder, tmp_p
     predicted = model.predict(found["latent"], np.array(found["colours"]))
     wi, wo = _some_pairs()
     assert code == 0
+    assert found["nearest"][0][0] == "syn_satin_gold"
+    assert np.shape(found["colours"]) == (2, 3)  # path coordinates, and gains
     assert found["output"] == str(output)
     assert MeasuredBRDF(read_bsdf(output)).eval(wi, wo) == pytest.approx(predicted.eval(wi, wo), rel=0.05)
     assert f"latent ({','.join(found['coordinates'])})".replace(",", ", ") in read_bsdf(output).description

@@ -79,6 +79,9 @@ def test_several_latents_have_the_errors_and_support_of_each(model):
     assert np.all(together.ball[: len(NAMES)] == 0.0)
     assert np.all(together.ball[len(NAMES) :] > 0.0)
     np.testing.assert_array_equal(model.is_extrapolation(X), [model.is_extrapolation(x) for x in X])
+    wi, wo = from_spherical(0.3, 0.0), from_spherical(0.5, 2.0)
+    predicted = [brdf.eval(wi, wo) for brdf in model.predict(X.tolist())]
+    np.testing.assert_array_equal(predicted, [model.predict(x).eval(wi, wo) for x in X])
 
 
 class Gloss:

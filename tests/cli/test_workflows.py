@@ -158,15 +158,6 @@ def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
     )
 
 
-def test_a_prediction_at_a_material_is_that_material(tmp_path):
-    model = Manifold.load(small_model(tmp_path))
-    made = predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
-    assert made.expected.ball == 0.0
-    assert made.weights == [("syn_satin_gold", 1.0)]
-    assert made.nearest[0] == ("syn_satin_gold", 0.0)
-    assert not made.is_extrapolation
-
-
 def test_a_place_on_the_path_between_two_materials_is_written(tmp_path):
     model, wi = Manifold.load(small_model(tmp_path)), from_spherical(0.5, 0.0)
     place = "syn_satin_gold:syn_gloss_red:0.3"

@@ -253,9 +253,3 @@ def test_bad_requests_are_one_clear_error_each(folder, monkeypatch, words, expec
 def test_an_empty_folder_is_one_clear_error(tmp_path):
     with pytest.raises(UsageError, match="neither a library nor a folder"):
         exported(tmp_path, tmp_path / "out")
-
-
-def test_a_folder_with_another_index_is_refused(folder, tmp_path):
-    (tmp_path / "exports.jsonl").write_text("[]")
-    with pytest.raises(ManifoldError, match="not an index of exports"):
-        exported(folder, tmp_path)

@@ -28,7 +28,6 @@ from manifold.fit.fit_samples import FitSamples, from_brdf
 from manifold.fit.fits import FitSettings
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
-from manifold.library.importing import find_files
 from manifold.records import Bands
 from manifold.render import backend, fit_json
 from manifold.render.bsdf_evaluation import evaluator
@@ -180,14 +179,6 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
     assert sorted(p.name for p in (tmp_path / "fits").glob("*.fit.json")) == [
         "syn_felt_green.fit.json", "syn_satin_gold.fit.json",
     ]  # fmt: skip
-
-
-def test_folders_are_searched_at_every_depth_and_only_for_files(satin, tmp_path):
-    (tmp_path / "a" / "deep").mkdir(parents=True)
-    shutil.copy(satin, tmp_path / "a" / "deep" / "satin_rgb.bsdf")
-    (tmp_path / "folder_rgb.bsdf").mkdir()
-    (tmp_path / "dangling_rgb.bsdf").symlink_to(tmp_path / "nowhere")
-    assert find_files([tmp_path]) == [tmp_path / "a" / "deep" / "satin_rgb.bsdf"]
 
 
 def test_a_black_file_an_unusable_name_and_a_name_taken_fail_alone(satin, tmp_path):

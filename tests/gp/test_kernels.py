@@ -81,11 +81,6 @@ def test_impossible_parameters_are_refused(mu, length_scale):
         SquaredExponential(mu, length_scale)
 
 
-def test_an_unknown_kernel_is_refused_with_those_that_there_are():
-    with pytest.raises(UsageError, match=r"'cubic'; expected one of se, matern32, matern52"):
-        kernel_named("cubic")
-
-
 class Own(Kernel):
     """The squared exponential again, as somebody's own class."""
 

@@ -15,7 +15,6 @@ from manifold.analytic.base import Lambert
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.batch import batch
 from manifold.convert.targets import Options
-from manifold.errors import ManifoldError
 from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
 from manifold.evaluate import embed, make_report
@@ -59,13 +58,6 @@ def test_an_import_makes_the_same_library(tmp_path, workers, tolerance):
     assert found["here"] == found["there"]
 
 
-def test_a_bad_file_is_left_out_and_the_rest_imported(tmp_path, workers):
-    write_samples(tmp_path / "files", 3)
-    (tmp_path / "files" / "broken.bsdf").write_bytes(b"no tensor file")
-    made = import_files(tmp_path / "library.zarr", tmp_path / "files", workers=workers)
-    assert (made.imported, len(made.failed)) == (("m00", "m01", "m02"), 1)
-
-
 def test_a_material_that_is_stored_again_is_the_same(tmp_path, monkeypatch):
     write_samples(tmp_path / "files", 2)
     store = importing._stored
@@ -94,12 +86,6 @@ def test_an_embedding_is_the_same(tmp_path, workers):
     assert here.left_out.arrays.keys() == there.left_out.arrays.keys()
     for name, values in here.left_out.arrays.items():
         np.testing.assert_allclose(values, there.left_out.arrays[name], atol=1e-7, err_msg=name)
-
-
-def test_an_embedding_that_fails_there_says_why(tmp_path, workers):
-    library = small_library(tmp_path)
-    with pytest.raises(ManifoldError, match="no material 'missing'"):
-        embed(library, tmp_path / "m.h5", Settings(), without=["missing"], workers=workers)
 
 
 def numbers_of(made):

@@ -9,7 +9,6 @@ import pytest
 from helpers.small_library import NAMES, small_library
 
 from manifold.colour import ball_colours
-from manifold.directions import from_spherical
 from manifold.errors import LatentError, UsageError
 from manifold.estimate.predictions import locate, predict
 from manifold.info import inspect
@@ -94,19 +93,6 @@ def test_names_are_places_for_weights_and_errors_too(model):
     assert loaded.expected_error(name).ball == loaded.expected_error(loaded.latent(name)).ball
     halfway = f"{NAMES[0]}:{NAMES[1]}:0.5"
     np.testing.assert_array_equal(loaded.weights(halfway), loaded.weights(loaded.between(*NAMES[:2], 0.5)))
-
-
-def test_many_latents_give_as_many_predictions_and_expected_errors(model):
-    loaded = Manifold.load(model)
-    X = loaded.X[:2] + 0.1
-    wi, wo = from_spherical(0.3, 0.0), from_spherical(0.5, 2.0)
-    predicted = loaded.predict(X)
-    assert [p.eval(wi, wo).tolist() for p in predicted] == [
-        loaded.predict(x).eval(wi, wo).tolist() for x in X
-    ]
-    assert len(loaded.predict(X.tolist())) == 2
-    each = [float(loaded.expected_error(x).ball) for x in X]
-    np.testing.assert_allclose(loaded.expected_error(X).ball, each, rtol=1e-9)
 
 
 def test_latents_of_a_model_cannot_be_written_to(model):

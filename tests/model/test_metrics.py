@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manifold.directions import from_rusinkiewicz, from_spherical, half_vector, to_rusinkiewicz
-from manifold.errors import ShapeError, UsageError
+from manifold.errors import ShapeError
 from manifold.metrics import RunningErrors, cube_root_error, relative_error, rmse, spectral_angle
 from manifold.pairs import RusinkiewiczGrid, cosine_weight
 
@@ -145,8 +145,3 @@ def test_a_turned_grid_has_half_vectors_of_all_azimuths_at_every_elevation():
         assert gaps.max() < np.deg2rad(30.0)  # even gaps are 9 degrees
     parts = [np.concatenate(part) for part in zip(*turned.blocks(777), strict=True)]
     assert np.array_equal(parts[0], turned_wi)
-
-
-def test_unknown_grids_name_the_known_ones():
-    with pytest.raises(UsageError, match="default, hikichi"):
-        RusinkiewiczGrid.named("merl")

@@ -444,6 +444,7 @@ def test_an_interruption_that_compiled_code_wraps_is_an_interruption(run, monkey
     assert "interrupted" in one_line(err)
 
 
+@pytest.mark.slow
 def test_an_interruption_leaves_nothing_half_written(tmp_path):
     process = start("corpus", "out", cwd=tmp_path)
     deadline = time.monotonic() + 150

@@ -165,13 +165,14 @@ def test_a_prediction_names_its_model_and_latent(tmp_path):
     assert made.content["residuals"]["cube-root"] < made.content["diffuse_residual"]
 
 
-def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path):
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path, count):
     folder = tmp_path / "files"
     folder.mkdir()
     for name in ("syn_satin_gold", "syn_felt_green"):
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
     (folder / "broken.bsdf").write_bytes(b"not a tensor file")
-    with work.processes(2) as workers:
+    with work.processes(count) as workers:
         command, inputs = fits.fits(SETTINGS), find_inputs([FileSource(folder)])
         outcomes = batch(command, inputs, tmp_path / "fits", workers).outcomes
     assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]

@@ -9,7 +9,6 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.paths import REPOSITORY
 from helpers.small_library import measured
 
 from manifold.errors import RendererError
@@ -20,11 +19,12 @@ from manifold.render.render import RenderSettings
 
 FORK = """
 import os, signal, sys
-sys.path.insert(0, {tests!r})
 import numpy as np
-from helpers.small_library import measured
+from manifold.analytic.base import Lambert
+from manifold.brdf.goniometer import measure
 from manifold.brdf.measured import MeasuredBRDF
-material = MeasuredBRDF(measured("syn_felt_green"))
+from manifold.records import Bands
+material = MeasuredBRDF(measure(Lambert(np.full(3, 0.5), Bands(None)), "grey", resolution=8, n_theta_i=4))
 w = np.tile([0.0, 0.6, 0.8], (1000, 1))
 before = material.eval(w, w)
 pid = os.fork()
@@ -37,8 +37,7 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
 
 
 def test_a_fork_evaluates_what_its_parent_did():
-    code = FORK.format(tests=str(REPOSITORY / "tests"))
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    ended = subprocess.run([sys.executable, "-c", FORK], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
 
 
@@ -65,7 +64,7 @@ def test_rendering_leaves_the_users_variant(monkeypatch):
         assert mi.variant() == variant
 
 
-@pytest.mark.parametrize("name", ["$x_$", "a$b", "$", r"\$", "$x_1$", "100 $ paint_$"])
+@pytest.mark.parametrize("name", ["$x_1$", r"\$", "100 $ paint_$"])
 def test_names_with_dollars_are_drawn(tmp_path, name):
     figure = figures.new_figure(2, 2)
     axes = figure.add_subplot()

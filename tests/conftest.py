@@ -15,9 +15,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what 
 
 SLOW_LEFT = pytest.StashKey[int]()
 LONGEST = (
-    "stability_catalogue", "explore_visitor", "workflows", "cli", "explore_page", "bsdf_plugin", "budget", "chart",
-    "principled", "report", "brdf", "convert", "fit_json", "model", "without_mitsuba", "gplvm", "microfacet", "startup",
-    "selection", "fit_picture", "plot_balls", "many_points", "stages", "store", "heldout", "blending", "seen_fits",
+    "stability_catalogue", "bsdf_plugin", "explore_visitor", "sources", "explore_page", "workflows", "photographs",
+    "cli", "convert", "surface_files", "chart", "attributes", "lamps", "principled", "store", "export_command",
+    "derivatives", "material", "budget", "tutorials", "readme", "without_mitsuba", "reports", "explore_server",
+    "surface", "export_direct", "microfacet", "render", "report", "completion", "compact", "nonnegative_methods",
+    "turned_samples", "simulator_formats", "brdf", "model", "fit_json", "corpus", "gloss", "workers", "notebook",
 )  # fmt: skip
 """Test files that take longest: first, or one process is left with them when the others are done."""
 

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf

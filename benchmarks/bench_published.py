@@ -22,8 +22,8 @@ from manifold.encoding import Encoder
 from manifold.evaluate.cross_validation import Encode
 from manifold.evaluate.errors import PredictionErrors
 from manifold.evaluate.latent_models import LatentProcess, fit_settings
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import STANDARD
-from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.likelihood import pca_start

@@ -28,7 +28,7 @@ import numpy as np
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab

@@ -25,8 +25,8 @@ from manifold.brdf import goniometer
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.evaluate.cross_validation import Encode, Method
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.seen_fits import FittedPrediction
-from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands, Indices
 

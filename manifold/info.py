@@ -235,7 +235,7 @@ def inspect_renderer() -> Inspection:
 
 
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
-    from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
+    from manifold.brdf.unmeasured_cells import unmeasured_cells, unmeasured_share
 
     P, T, B, H, W = file.spectra.shape
     mask = file.measured_mask

@@ -16,7 +16,7 @@ from manifold.analytic.layers import Immersed, Layered, MixedBRDF, Retroreflecti
 from manifold.analytic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.unmeasured import find_rim
+from manifold.brdf.unmeasured_cells import find_rim
 from manifold.colour.conversion import file_to_srgb, luminance
 from manifold.colour.reflectances import diffuse_reflectance, metal_ior
 from manifold.directions import from_spherical

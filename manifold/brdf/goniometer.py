@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.brdf.measured import BRDF, require_brdf
-from manifold.brdf.unmeasured import Cells
+from manifold.brdf.unmeasured_cells import Cells
 from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import luminance as luminance_of
 from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta

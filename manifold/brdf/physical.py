@@ -19,7 +19,7 @@ from manifold.brdf.plausibility import (
     mirrored_quadrature,
     plausibility,
 )
-from manifold.brdf.wrapped import WrappedBRDF
+from manifold.brdf.wrapper import WrappedBRDF
 from manifold.directions import HORIZON
 from manifold.records import Array, BsdfFile, Mask
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.unmeasured import cells_of, fill_unmeasured
-from manifold.brdf.wrapped import WrappedBRDF
+from manifold.brdf.unmeasured_cells import cells_of, fill_unmeasured
+from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
 from manifold.colour.correction import ColourCorrection
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow, with_spectra

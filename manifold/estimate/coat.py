@@ -22,7 +22,7 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import BRDF, MeasuredBRDF, values_at
 from manifold.brdf.plausibility import Plausibility
-from manifold.brdf.wrapped import WrappedBRDF
+from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.difference import delta_e_2000_lab

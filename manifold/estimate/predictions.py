@@ -13,7 +13,7 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.estimate.sources import FileSource, MaterialSource, place_of, read_source
 from manifold.library.store import Library
 from manifold.model import diagnostics, location

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from manifold.evaluate.cross_validation import Encode, Fit
-from manifold.evaluate.tabulated import Data
+from manifold.evaluate.method_data import Data
 from manifold.mapping import MAPPINGS, Identity, ValueMapping
 from manifold.model.combination import Combination
 from manifold.model.reconstruction import DICTIONARY, MAX_BANDS, ComparedValues

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import ShapeError
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.storage_forms import WHOLE, Storage
-from manifold.evaluate.tabulated import Data
 from manifold.model.combination import Combination
 from manifold.records import Indices
 from manifold.threads import one_blas_thread

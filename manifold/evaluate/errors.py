@@ -15,7 +15,7 @@ from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility, plausibilities
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
-from manifold.evaluate.tabulated import Data
+from manifold.evaluate.method_data import Data
 from manifold.library.store import Library
 from manifold.metrics import Errors, RunningErrors
 from manifold.model.combination import Combination, Values, evaluate

@@ -14,13 +14,13 @@ import numpy as np
 
 from manifold import metrics
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import Result
+from manifold.evaluate.method_data import MAX_BANDS, Data
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
-from manifold.evaluate.tabulated import MAX_BANDS, Data
 from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.materials import MaterialTable

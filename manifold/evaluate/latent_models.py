@@ -10,7 +10,7 @@ import numpy as np
 from manifold.brdf.measured import all_isotropic
 from manifold.encoding import Decoder, Encoder
 from manifold.evaluate.cross_validation import Encode, Fit
-from manifold.evaluate.tabulated import Data
+from manifold.evaluate.method_data import Data
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.mapping import MAPPINGS, CubeRoot, ValueMapping

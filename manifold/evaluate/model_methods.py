@@ -7,8 +7,8 @@ import numpy as np
 from manifold.evaluate.baselines import fit_pca
 from manifold.evaluate.cross_validation import Encode, Fit, Method
 from manifold.evaluate.latent_models import LatentProcess, fit_settings
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import STANDARD
-from manifold.evaluate.tabulated import Data
 from manifold.gpr import GaussianProcess
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold

@@ -33,10 +33,10 @@ from manifold.evaluate.errors import (
     standardised_error,
 )
 from manifold.evaluate.latent_models import SAMPLE_BANDS
+from manifold.evaluate.method_data import MAX_BANDS, Data, block_pairs
 from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.seen_fits import seen_principled
-from manifold.evaluate.tabulated import MAX_BANDS, Data, block_pairs
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
 from manifold.metrics import Errors

@@ -11,8 +11,8 @@ import numpy as np
 from manifold.brdf.measured import EvaluableBRDF
 from manifold.evaluate.cross_validation import Encode, Method
 from manifold.evaluate.held_out import ChartRow, HeldOut
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.stopwatch import RelativeTime
-from manifold.evaluate.tabulated import Data
 from manifold.fit import principled
 from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.mapping import Identity

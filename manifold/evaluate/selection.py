@@ -17,12 +17,12 @@ import numpy as np
 
 from manifold import disk, progress, work
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
 from manifold.evaluate.errors import Result, measure_errors
 from manifold.evaluate.latent_models import fit_settings
-from manifold.evaluate.tabulated import Data
+from manifold.evaluate.method_data import Data
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
 from manifold.model.manifold import Manifold

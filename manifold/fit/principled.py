@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.brdf.orientation import rotation_of, rotation_of_brdf
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
 from manifold.errors import UsageError
 from manifold.fit import adam_and_swarm, fit_metrics, fit_samples, gauss_newton, identifiability

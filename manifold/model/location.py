@@ -11,7 +11,7 @@ import numpy as np
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.plausibility import Plausibility
-from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
+from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
 from manifold.library.store import Library
 from manifold.metrics import Errors

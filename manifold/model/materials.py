@@ -14,7 +14,7 @@ import numpy as np
 from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.orientation import rotation_of
-from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
+from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.colour import panel
 from manifold.encoding import encoding_pairs
 from manifold.errors import UnknownNameError

@@ -18,7 +18,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic, values_at
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.sums import WeightedSum
-from manifold.brdf.wrapped import WrappedBRDF
+from manifold.brdf.wrapper import WrappedBRDF
 from manifold.directions import half_vector, require_directions
 from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity, ValueMapping

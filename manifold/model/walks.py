@@ -15,7 +15,7 @@ import scipy
 
 from manifold.analytic.free_lobes import cos_theta_d, microfacet_lobe
 from manifold.brdf.measured import BRDF
-from manifold.brdf.wrapped import WrappedBRDF
+from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.ball_colours import ball
 from manifold.colour.conversion import srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000_lab, to_lab

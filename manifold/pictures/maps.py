@@ -11,7 +11,7 @@ import numpy as np
 
 from manifold import progress
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.unmeasured import blank_unmeasured, fill_unmeasured
+from manifold.brdf.unmeasured_cells import blank_unmeasured, fill_unmeasured
 from manifold.errors import UsageError
 from manifold.estimate.sources import (
     FileSource,

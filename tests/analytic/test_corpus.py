@@ -10,7 +10,7 @@ from manifold import progress
 from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import quadrature_albedo
-from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
+from manifold.brdf.unmeasured_cells import unmeasured_cells, unmeasured_share
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf

@@ -7,7 +7,7 @@ import pytest
 from bench_goniometer import ALPHAS, mean_relative_error
 
 from manifold.analytic import GGX, Lambert, Plastic, RoughConductor
-from manifold.brdf import goniometer, unmeasured
+from manifold.brdf import goniometer, unmeasured_cells
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility, plausibility_of_file
 from manifold.brdf.warp import Warp
@@ -50,7 +50,7 @@ def test_uncompensated_files_are_exact_at_their_nodes():
     for theta in file.theta_i_rad[1:-1].astype(float):
         wi = from_spherical(theta, 0.0)
         points, _ = warp.sample(nodes, 0.0, theta)
-        m = from_spherical(unmeasured.u_to_theta(points[:, 0]), unmeasured.u_to_phi(points[:, 1]))
+        m = from_spherical(unmeasured_cells.u_to_theta(points[:, 0]), unmeasured_cells.u_to_phi(points[:, 1]))
         wo = 2.0 * (m @ wi)[:, None] * m - wi
         wo = wo[(wo[:, 2] > 0.05) & (m @ wi > 0)]
         # Single precision of the tables; nodes far out in the warp are ill-conditioned.
@@ -62,7 +62,7 @@ def test_the_ndf_of_a_rough_metal_is_its_ndf():
     ggx = GGX.isotropic(0.3)
     file = goniometer.measure(RoughConductor(ggx, np.full(3, 0.2), np.full(3, 3.0), RGB, False), "metal")
     u = np.linspace(0.0, 1.0, goniometer.WARP_NODES)
-    theta = unmeasured.u_to_theta(u)
+    theta = unmeasured_cells.u_to_theta(u)
     near = theta < np.deg2rad(60)
     expected = ggx.D(from_spherical(theta, 0.0))
     # Retro-reflection carries height-correlated shadowing, which the power iteration takes as uncorrelated.
@@ -72,7 +72,7 @@ def test_the_ndf_of_a_rough_metal_is_its_ndf():
 def test_ndf_and_sigma_are_normalised():
     file = goniometer.measure(Plastic(GGX.isotropic(0.1), 1.5, 0.3, RGB), "plastic")
     u = np.linspace(0.0, 1.0, 4001)
-    theta = unmeasured.u_to_theta(u)
+    theta = unmeasured_cells.u_to_theta(u)
     D = np.interp(u, np.linspace(0.0, 1.0, goniometer.WARP_NODES), file.ndf[0])
     integral = np.trapezoid(2.0 * np.pi * D * np.cos(theta) * np.sin(theta) * np.pi * u, u)
     assert integral == pytest.approx(1.0, abs=2e-3)  # trapezoid rule

@@ -14,7 +14,7 @@ from manifold.brdf import goniometer, physical
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.physical import AlbedoScaledBRDF, ReciprocalBRDF, physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file, quadrature_albedo
-from manifold.brdf.unmeasured import Cells
+from manifold.brdf.unmeasured_cells import Cells
 from manifold.brdf.warp import Warp
 from manifold.directions import HORIZON, from_spherical
 from manifold.errors import UsageError

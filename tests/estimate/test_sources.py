@@ -15,7 +15,7 @@ from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.brdf import physical
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.errors import MissingFileError, UnknownNameError
 from manifold.estimate import completions, predictions
 from manifold.estimate.attributes import readings_of_colour

@@ -19,9 +19,9 @@ from manifold.errors import UsageError
 from manifold.evaluate import chart_figure, held_out, methods, seen_fits, storage_forms
 from manifold.evaluate.chart import COSTS, ERRORS, Chart, conclusion, cost_of, fronts, make_chart
 from manifold.evaluate.held_out import ChartRow, HeldOut, without_small_weights
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import AS_PUBLISHED, PUBLISHED, chart_methods, fit_nearest
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
-from manifold.evaluate.tabulated import Data
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
 from manifold.metrics import Errors

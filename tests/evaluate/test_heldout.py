@@ -14,8 +14,8 @@ from manifold.evaluate.baselines import fit_pca
 from manifold.evaluate.cross_validation import cross_validate, encode_all, leave_out
 from manifold.evaluate.errors import measure_errors, standardised_error
 from manifold.evaluate.latent_models import fit_settings
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import STANDARD, standard_methods
-from manifold.evaluate.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import MAPPINGS

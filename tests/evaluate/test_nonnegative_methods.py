@@ -11,8 +11,8 @@ from helpers.small_library import NAMES, measured, spectral_materials
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.errors import measure_errors
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
-from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF

@@ -15,12 +15,12 @@ from manifold import pairs
 from manifold.brdf.plausibility import plausibility
 from manifold.colour.difference import colour_differences, multi_angle_pairs
 from manifold.encoding import encoding_pairs
-from manifold.evaluate import report, tabulated
+from manifold.evaluate import method_data, report
 from manifold.evaluate.cross_validation import encode_all
+from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.report_text import format_report, lead
-from manifold.evaluate.tabulated import Data
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
@@ -198,7 +198,7 @@ def test_other_grids_are_walked_in_blocks(models, monkeypatch):
     """The published grid, made coarser for the test: the same weights, other pairs, errors as if evaluated at once."""
     grid = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
     monkeypatch.setitem(pairs.NAMED_GRIDS, "hikichi", grid)
-    monkeypatch.setattr(tabulated, "_BLOCK_VALUES", 2000)
+    monkeypatch.setattr(method_data, "_BLOCK_VALUES", 2000)
     model = models["material"]
     made = report.make_report(model, "hikichi")
     wi, wo, above = grid.directions()

@@ -10,7 +10,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.evaluate import seen_fits
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.errors import measure_errors
-from manifold.evaluate.tabulated import Data
+from manifold.evaluate.method_data import Data
 from manifold.pairs import RusinkiewiczGrid
 
 

@@ -13,7 +13,7 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import RoughConductor
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical

@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.plausibility import profile_pairs, squared_valleys, valley_depth
-from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError

@@ -17,7 +17,7 @@ from helpers.small_library import measured, small_library, small_model, spectral
 from manifold.analytic import corpus
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import unmeasured_cells
+from manifold.brdf.unmeasured_cells import unmeasured_cells
 from manifold.errors import LibraryError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library import staging, visible_normals

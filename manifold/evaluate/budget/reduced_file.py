@@ -8,7 +8,7 @@ import numpy as np
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import Cells
+from manifold.brdf.unmeasured_cells import Cells
 from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import interpolation_matrix, sensor_responses
 from manifold.colour.illuminants import Illuminant

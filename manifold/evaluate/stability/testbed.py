@@ -24,7 +24,7 @@ from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.evaluate.tabulated import Data
+from manifold.evaluate.method_data import Data
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library

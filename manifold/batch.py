@@ -62,9 +62,7 @@ class Outcome(Generic[T]):
     """One of the outputs of a run.
 
     Attributes:
-        name: of the material.
         path: of the file, which is there where nothing failed.
-        source: what it is made of.
         content: what is known of it; None where it failed, unless its file alone was refused.
         was_there: whether an earlier run had made it.
         failure: why there is none, else None.

@@ -166,14 +166,7 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found.
-
-    Attributes:
-        title: one line.
-        rows: labels and values.
-        document: the same for JSON.
-        problems: what verification found, possibly nothing.
-    """
+    """What was found: rows of labels and values, the same for JSON, and problems that verification found."""
 
     title: str
     rows: dict[str, object]

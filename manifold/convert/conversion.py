@@ -47,13 +47,9 @@ class Conversion:
 
     Attributes:
         files: that were read; or the place.
-        source: what was read, in words.
-        target: format, in words.
-        bands: of the result.
-        nodes: how many of the file's own were compared with the result, read back.
-        errors: there.
+        source, target: what was read and the format, in words.
+        nodes: how many of the file's own were compared with the result, read back; errors are there.
         median, percentile_95: of `|f* - f| / |f|` over nodes and bands.
-        notes: of reading and writing.
     """
 
     name: str

@@ -44,7 +44,6 @@ class Source:
         interpolated: what interpolates them, or the error that says why readings do not make a BRDF.
         theta_i_rad: the file's own incidences, increasing; none where it has no such nodes.
         is_readings: whether the nodes are all that the file holds.
-        file: the RGL file, where it is one.
     """
 
     nodes: Readings

@@ -194,7 +194,7 @@ def complete(
     picture: Path | None = None,
     options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Coated:
-    """Write a coat over a Lambertian of a colour and gloss as an RGL file named by its material.
+    """Write a coat over a Lambertian of a colour and gloss as an RGL file, whose name becomes the material's.
 
     The library has the bands of the file, and the materials on which the expected error is measured; `picture` is of
     the ball.

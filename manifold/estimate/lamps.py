@@ -161,7 +161,7 @@ def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tu
 
 
 def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
-    """A ball under lamps as its camera sees it, black beside it, and the lamps without colour: (size, size, B).
+    """A ball under lamps, whose colours are left out, as its camera sees it, black beside it: (size, size, B).
 
     The margin around the ball is in radii.
     """

@@ -64,7 +64,6 @@ class PhotoMaterial:
     Attributes:
         weights: of atoms in the channels of the camera, shape (3, n).
         to_bands: from channels to the bands of the library, shape (B, 3).
-        bands: of the library.
         exposure: by which the photographs are brighter than light and material say.
         channels: what was seen in each, under that exposure.
         residual: relative error of cube roots of pixels.

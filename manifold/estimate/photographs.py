@@ -62,7 +62,6 @@ class FromPhotographs:
     Attributes:
         located: its place on a map, where it was asked for.
         output: the file that was written, if any.
-        plausibility: of that file.
         picture: of photographs, predictions and differences, if it was asked for.
         diagnostics: what a user should know before trusting it, in sentences.
         plan: where to hold the lamp next, where that was asked for.

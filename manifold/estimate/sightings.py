@@ -56,7 +56,6 @@ class PhotoRequest:
     """Photographs of one material, and how they were taken. What there is one of holds for every photograph.
 
     Attributes:
-        photographs: files.
         lights: environments, files or names of `environments.ENVIRONMENTS`; none where there are lamps.
         circles: of the balls, or of upright cylinders, as `Circle.parse` reads them; none where they are to be found.
         turns_deg: azimuths of what lies straight ahead in the environments.

@@ -49,7 +49,6 @@ class Format(NamedTuple):
     """One format.
 
     Attributes:
-        name: in words.
         sniff: whether a file's first bytes are of it.
         read: all samples of a file.
         repeatability: of the instruments that write it, see `Readings`; None where a file says it.

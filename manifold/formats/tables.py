@@ -82,7 +82,6 @@ class Columns:
     """A header's columns.
 
     Attributes:
-        row: where it stands.
         heads: all its cells.
         angles: columns by what `angle_name` calls them, in a table of directions.
         geometry: the column of geometries' names, or None in a table of directions.

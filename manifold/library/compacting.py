@@ -42,13 +42,7 @@ _VNDF_BITS, _BASIS_BITS = 10, 8  # last bits that are not kept
 
 @dataclass(frozen=True)
 class CompactResult:
-    """What became of each material.
-
-    Attributes:
-        compacted: their names and errors.
-        skipped: names of materials that were compact already.
-        failed: why a material stays as it is, by name.
-    """
+    """What became of each material: errors, names of those that were compact before, or why it stays as it is."""
 
     compacted: dict[str, Accuracy]
     skipped: tuple[str, ...]

@@ -23,11 +23,7 @@ from manifold.names import first_few, names_like
 
 @dataclass(frozen=True)
 class Entry:
-    """A file's entry in the table of the database.
-
-    Attributes:
-        is_isotropic: whether one incident azimuth was measured.
-    """
+    """A file's entry in the table of the database; isotropic materials were measured at one incident azimuth."""
 
     name: str
     size_bytes: int | None
@@ -68,7 +64,7 @@ class FetchResult:
 
     Attributes:
         present: paths of files that were there already.
-        without_checksum: names among both that were checked for structure only: no checksum is known.
+        without_checksum: names among all that were checked for structure only: no checksum is known.
     """
 
     downloaded: tuple[Path, ...]
@@ -77,12 +73,7 @@ class FetchResult:
 
 
 class IncompleteFetchError(FetchError):
-    """Some files could not be fetched.
-
-    Attributes:
-        result: what worked.
-        failed: why not, by material name.
-    """
+    """Some files could not be fetched: why not, by material name, and what worked."""
 
     def __init__(self, message: str, result: FetchResult, failed: dict[str, str]) -> None:
         super().__init__(message)

@@ -61,7 +61,6 @@ class MaterialInfo:
         sha256: of the imported file.
         content_sha256: of the fields as stored; `Library.verify` computes it again.
         pipeline_version: version of the pipeline that wrote the file; RGB files say (1, 0).
-        description: the file's own text.
         is_synthetic: whether the description marks the file as synthetic.
         shape: of the spectra: (P, T, B, H, W) as in `BsdfFile`.
         bytes: of all arrays together, before any compression.

@@ -62,7 +62,6 @@ class StoredArray:
         values: in the axis order of the store.
         chunks: shape of a chunk, the whole array by default.
         shards: shape of what one file holds; None for one chunk per file.
-        dims: names of the axes.
         is_compressed: by zstd, losslessly.
     """
 

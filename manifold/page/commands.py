@@ -41,13 +41,7 @@ _NUMBER = {"type": "number", "minimum": -sys.float_info.max, "maximum": sys.floa
 
 @dataclass(frozen=True)
 class Context:
-    """What requests are about.
-
-    Attributes:
-        folder: where files are written.
-        latent_dim: Q.
-        is_rgb: whether the library is linear sRGB.
-    """
+    """What requests are about, and the folder where files are written; `latent_dim` is Q."""
 
     folder: Path
     model: Path
@@ -104,7 +98,6 @@ class Call:
     """A command with its arguments.
 
     Attributes:
-        command: its name in `COMMANDS`.
         subject: what it reads or writes, for people.
         arguments: of its function; can be pickled.
         picture: the picture among what it writes, if any.

@@ -30,10 +30,7 @@ class Job:
 
     Attributes:
         state: `waiting`, `running`, `done`, `failed` or `cancelled`.
-        message: why it failed.
-        result: what is known of what it made.
         share: of the work that is done, where the command reports it.
-        stage: what it is at.
         started, ended: on the monotonic clock, in seconds.
     """
 
@@ -68,12 +65,7 @@ class Job:
 
 
 class Queue:
-    """Runs calls one after the other.
-
-    Attributes:
-        jobs: all of them, oldest first.
-        inputs: temporary folder of the files that commands read.
-    """
+    """Runs calls one after the other; `inputs` is the temporary folder of the files that they read."""
 
     def __init__(self, command: tuple[str, ...] = WORKER) -> None:
         """A queue without calls, whose worker, `worker.serve`, starts: it takes seconds to import what it needs."""

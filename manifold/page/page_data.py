@@ -214,7 +214,6 @@ class Tables:
     """Materials on the pairs of a page.
 
     Attributes:
-        grid, pairs: which direction pairs.
         nodes: bands that colours and spectra are made of, indices, shape (J,).
         basis: the spectral basis at the nodes, shape (J, R).
         sample_basis: and at the bands that colour paths are made of, shape (B_s, R).

@@ -102,9 +102,7 @@ class Material:
         self, balls: Sequence[Sighting | Readings], exposure: float | None, each: bool
     ) -> PhotoMaterial:
         """What is found without the file."""
-        return find_material(
-            self.atoms, balls, self.library.bands, self.to_bands, exposure=exposure, each=each
-        )
+        return find_material(self.atoms, balls, self.to_bands, exposure=exposure, each=each)
 
     def ball(self, material: PhotoMaterial) -> float:
         """Its error in the judged lights."""

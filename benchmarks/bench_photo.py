@@ -119,7 +119,7 @@ def found(atoms: LibraryAtoms, m: int, seen: Sighting, shot: Shot) -> PhotoMater
     """Material m, found by all others."""
     without = atoms.without(m)
     exposure = 1.0 if shot.is_exposure_known else None
-    return find_material(without, [seen], atoms.bands, np.eye(3), exposure=exposure)
+    return find_material(without, [seen], np.eye(3), exposure=exposure)
 
 
 def three(found: Errors[float]) -> tuple[float, float, float]:
@@ -166,10 +166,7 @@ def together(
     readings = Readings("sample", "MA-T12", wi, wo, None, values)
     made = [
         Completion.of(replace(without, is_linear=False), readings).brdf,
-        *(
-            find_material(without, observed, atoms.bands, np.eye(3)).brdf
-            for observed in ([seen], [seen, readings])
-        ),
+        *(find_material(without, observed, np.eye(3)).brdf for observed in ([seen], [seen, readings])),
     ]
     found = [brdf_errors(truth, brdf) for brdf in made]
     first, second, third = map(three, found)

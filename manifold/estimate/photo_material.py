@@ -77,7 +77,6 @@ class PhotoMaterial:
     atoms: LibraryAtoms
     weights: Array
     to_bands: Array
-    bands: Bands
     exposure: float
     channels: Sequence[Observation]
     residual: float
@@ -94,7 +93,7 @@ class PhotoMaterial:
     @cached_property
     def brdf(self) -> PredictedBRDF:
         """The BRDF in the bands of the library; of spectral ones slightly negative where colours are saturated."""
-        return self.atoms.predicted(self.to_bands @ self.weights, self.bands)
+        return self.atoms.predicted(self.to_bands @ self.weights, self.atoms.bands)
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -157,7 +156,6 @@ Seen = Sighting | Readings | Mapping[float, float]
 def find_material(
     atoms: LibraryAtoms,
     seen: Sequence[Seen],
-    bands: Bands,
     to_bands: Array,
     *,
     exposure: float | None = 1.0,
@@ -201,7 +199,6 @@ def find_material(
         atoms,
         weights,
         to_bands,
-        bands,
         t,
         channels,
         residual,

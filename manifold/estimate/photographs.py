@@ -265,7 +265,7 @@ def _found(
     if gloss:
         seen.append(gloss)
     material = find_material(
-        atoms, seen, library.bands, band_matrix(library, atoms.names, responses),
+        atoms, seen, band_matrix(library, atoms.names, responses),
         exposure=request.exposure, each=request.each, library=library,
     )  # fmt: skip
     notes = [note for ball in balls for note in ball.notes] + list(material.notes)
@@ -320,7 +320,7 @@ def draw_residuals(
             made = lit if brdf.bands.is_rgb else to_srgb(lit, brdf.bands)
         else:
             made = render_floating_ball(
-                file, material.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
+                file, material.atoms.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
                 turn_deg=camera.turn_deg, elevation_deg=camera.elevation_deg, distance=camera.distance,
             )  # fmt: skip
         made = made * (material.exposure / known)

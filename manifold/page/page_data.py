@@ -39,48 +39,27 @@ _GLOSS_NODES = (19, 12)  # nodes in the plane of incidence, and across it on one
 _SPHERE_NODES = 20  # nodes in elevation and in azimuth
 
 
-@dataclass(frozen=True)
-class AngleGrid:
-    """Nodes over theta_h, theta_d and phi_d in [0, 180] degrees, both ends included; phi_d runs fastest.
+GRID_SHAPE = (45, 23, 12)
+"""Nodes over theta_h, theta_d and phi_d in [0, 180] degrees, both ends included; phi_d runs fastest."""
 
-    theta_d is given as a share of the largest at which both directions are above the horizon, so that the whole grid
-    can be looked up: `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)` there.
+THETA_H_MAX_RAD = float(np.deg2rad(89.0))
+THETA_H_POWER = 2.5
+"""theta_h goes with this power of its index, dense around the mirror direction."""
 
-    Attributes:
-        theta_h_max_rad: last theta_h.
-        theta_h_power: theta_h goes with this power of its index, dense around the mirror direction.
-        theta_d_share: last share of theta_d.
+THETA_D_SHARE = 0.995
+"""The last theta_d, as a share of the largest."""
+
+
+def grid_directions() -> tuple[Array, Array]:
+    """wi and wo of all nodes of the grid, shape (P, 3) each.
+
+    theta_d is a share of the largest at which both directions are above the horizon, so that the whole grid can be
+    looked up: `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)` there.
     """
-
-    n_theta_h: int = 45
-    n_theta_d: int = 23
-    n_phi_d: int = 12
-    theta_h_max_rad: float = float(np.deg2rad(89.0))
-    theta_h_power: float = 2.5
-    theta_d_share: float = 0.995
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Nodes per angle."""
-        return self.n_theta_h, self.n_theta_d, self.n_phi_d
-
-    def directions(self) -> tuple[Array, Array]:
-        """wi and wo of all nodes, shape (P, 3) each."""
-        h, d, p = (np.arange(n) / (n - 1) for n in self.shape)
-        theta_h, share, phi_d = (
-            a.ravel()
-            for a in np.meshgrid(
-                h**self.theta_h_power * self.theta_h_max_rad, d * self.theta_d_share, p * np.pi, indexing="ij"
-            )
-        )
-        return from_rusinkiewicz(theta_h, share * largest_theta_d(theta_h, phi_d), phi_d)
-
-    def coordinates(self, theta_h: Array, theta_d: Array, phi_d: Array) -> tuple[Array, Array, Array]:
-        """Positions of pairs on the grid, in nodes along each axis: the inverse of `directions`, angles in radians."""
-        phi_d = np.abs(phi_d)
-        h = np.clip(theta_h / self.theta_h_max_rad, 0.0, 1.0) ** (1.0 / self.theta_h_power)
-        d = np.clip(theta_d / largest_theta_d(theta_h, phi_d) / self.theta_d_share, 0.0, 1.0)
-        return h * (self.n_theta_h - 1), d * (self.n_theta_d - 1), phi_d / np.pi * (self.n_phi_d - 1)
+    h, d, p = (np.arange(n) / (n - 1) for n in GRID_SHAPE)
+    angles = np.meshgrid(h**THETA_H_POWER * THETA_H_MAX_RAD, d * THETA_D_SHARE, p * np.pi, indexing="ij")
+    theta_h, share, phi_d = (a.ravel() for a in angles)
+    return from_rusinkiewicz(theta_h, share * largest_theta_d(theta_h, phi_d), phi_d)
 
 
 def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
@@ -113,12 +92,12 @@ class TabulatedPairs:
         return np.cbrt(self.wi[:, 2] * self.wo[:, 2])
 
 
-def tabulated_pairs(grid: AngleGrid) -> TabulatedPairs:
+def tabulated_pairs() -> TabulatedPairs:
     """The pairs of a page, mirror images left out: materials are tabulated as the mean of both sides."""
     wi, wo = [], []
     *gloss, gloss_weights = _gloss_meter()
     spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
-    for directions in (grid.directions(), *map(_slice, SLICE_INCIDENCES_DEG), gloss, spot):
+    for directions in (grid_directions(), *map(_slice, SLICE_INCIDENCES_DEG), gloss, spot):
         wi.append(directions[0])
         wo.append(directions[1])
     sphere_wi = from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0)
@@ -223,7 +202,6 @@ class Tables:
         thumbnails: balls of the materials in the studio, sRGB, in squares that their edges fill, (N, S, S, 3).
     """
 
-    grid: AngleGrid
     pairs: TabulatedPairs
     nodes: Indices
     basis: Array
@@ -237,8 +215,7 @@ class Tables:
 def tabulate(model: Manifold) -> Tables:
     """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page."""
     space = require_blends(model.space).of_landmarks
-    grid = AngleGrid()
-    pairs = tabulated_pairs(grid)
+    pairs = tabulated_pairs()
     nodes = _node_bands(model.bands)
     bands = np.union1d(nodes, space.bands)
     materials = model.materials.in_bands(bands.tolist(), _landmark_names(model))
@@ -248,9 +225,7 @@ def tabulate(model: Manifold) -> Tables:
     components = np.ascontiguousarray(np.moveaxis(roots @ inverse, 2, 1), dtype=np.float32)
     walked = [Walked.of(material) for material in materials]
     thumbnails = np.stack([_thumbnail(material, at_nodes) for material in materials])
-    return Tables(
-        grid, pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes, thumbnails
-    )
+    return Tables(pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes, thumbnails)
 
 
 def _thumbnail(material: MeasuredBRDF, at_nodes: Indices) -> NDArray[np.uint8]:
@@ -288,7 +263,7 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
     space, names = require_blends(model.space).of_landmarks, _landmark_names(model)
     bands, nodes = model.bands, tables.nodes
     node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
-    grid, pairs = tables.grid, tables.pairs
+    pairs = tables.pairs
     return {
         "library": model.library.path.name,
         "names": names,
@@ -299,8 +274,8 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
         "anisotropic": [not model.library.attributes(name).is_isotropic for name in names],
         "unmeasured": [model.materials.unmeasured_share(name) for name in names],
         "grid": {
-            "shape": list(grid.shape), "thetaHMax": grid.theta_h_max_rad, "thetaHPower": grid.theta_h_power,
-            "thetaDShare": grid.theta_d_share,
+            "shape": list(GRID_SHAPE), "thetaHMax": THETA_H_MAX_RAD, "thetaHPower": THETA_H_POWER,
+            "thetaDShare": THETA_D_SHARE,
         },
         "pairs": {
             "amplitude": _rounded(pairs.amplitude[pairs.n_grid :]), "grid": pairs.n_grid,

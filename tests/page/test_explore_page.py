@@ -21,7 +21,7 @@ from manifold.model.blending import blend_weights
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.page.page import make_page
-from manifold.page.page_data import AngleGrid, tabulate, tabulated_pairs, to_document
+from manifold.page.page_data import tabulate, tabulated_pairs, to_document
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -73,7 +73,7 @@ def table_of_page(page, x, *, refine=True):
 
 
 def test_the_shader_sums_the_prediction_of_python(visited, model, document, rng):
-    pairs = tabulated_pairs(AngleGrid())
+    pairs = tabulated_pairs()
     wi, wo = pairs.wi[: pairs.n_grid], pairs.wo[: pairs.n_grid]
     is_beside_the_plane = np.abs(wo[:, 1]) < 1e-9  # elsewhere the page has the mean of both sides
     for shares in rng.dirichlet(np.ones(len(NAMES)), 3):

@@ -18,7 +18,15 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.page import explore, page_data
 from manifold.page.page import make_page, page_script, widget_module
-from manifold.page.page_data import AngleGrid, error_field, tabulated_pairs
+from manifold.page.page_data import (
+    GRID_SHAPE,
+    THETA_D_SHARE,
+    THETA_H_MAX_RAD,
+    THETA_H_POWER,
+    error_field,
+    largest_theta_d,
+    tabulated_pairs,
+)
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +34,20 @@ def tabulated(model):
     return page_data.tabulate(model)
 
 
-def interpolated(grid, values, wi, wo):
-    """Values (P, C) on the grid at other pairs, trilinear: what the page's texture does, slow and obvious."""
+def grid_coordinates(wi, wo):
+    """Positions of pairs on the page's grid, in nodes along each axis: the inverse of `grid_directions`."""
     theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
-    at = grid.coordinates(theta_h, theta_d, phi_d)
-    table, total = values.reshape(*grid.shape, -1), 0.0
-    low = [np.minimum(a.astype(int), n - 2) for a, n in zip(at, grid.shape, strict=True)]
+    phi_d = np.abs(phi_d)
+    h = np.clip(theta_h / THETA_H_MAX_RAD, 0.0, 1.0) ** (1.0 / THETA_H_POWER)
+    d = np.clip(theta_d / largest_theta_d(theta_h, phi_d) / THETA_D_SHARE, 0.0, 1.0)
+    return [a * (n - 1) for a, n in zip((h, d, phi_d / np.pi), GRID_SHAPE, strict=True)]
+
+
+def interpolated(values, wi, wo):
+    """Values (P, C) on the grid at other pairs, trilinear: what the page's texture does, slow and obvious."""
+    at = grid_coordinates(wi, wo)
+    table, total = values.reshape(*GRID_SHAPE, -1), 0.0
+    low = [np.minimum(a.astype(int), n - 2) for a, n in zip(at, GRID_SHAPE, strict=True)]
     for corner in np.ndindex(2, 2, 2):
         share = np.prod([np.abs(1 - c - (a - k)) for a, k, c in zip(at, low, corner, strict=True)], axis=0)
         total = total + share[:, None] * table[tuple(k + c for k, c in zip(low, corner, strict=True))]
@@ -39,19 +55,15 @@ def interpolated(grid, values, wi, wo):
 
 
 def test_no_pair_of_the_page_is_below_the_horizon():
-    pairs = tabulated_pairs(AngleGrid())
+    pairs = tabulated_pairs()
     assert np.all(pairs.wi[:, 2] > 0)
     assert np.all(pairs.wo[:, 2] > 0)
     assert np.all(np.isfinite(pairs.amplitude))
 
 
 def test_the_grid_finds_its_own_nodes_again():
-    grid = AngleGrid()
-    pairs = tabulated_pairs(grid)
-    wi, wo = pairs.wi[: pairs.n_grid], pairs.wo[: pairs.n_grid]
-    theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
-    found = np.stack(grid.coordinates(theta_h, theta_d, phi_d), axis=1)
-    expected = np.stack([a.ravel() for a in np.indices(grid.shape)], axis=1)
+    found = np.stack(grid_coordinates(*page_data.grid_directions()), axis=1)
+    expected = np.stack([a.ravel() for a in np.indices(GRID_SHAPE)], axis=1)
     has_azimuth = expected[:, 1] > 0
     inner = expected[:, 0] > 2  # nearer to the normal, angles of vectors in double precision lose digits
     assert np.allclose(found[inner, :2], expected[inner, :2], atol=1e-3)
@@ -59,7 +71,7 @@ def test_the_grid_finds_its_own_nodes_again():
 
 
 def test_an_integrating_sphere_of_the_page_measures_a_white_diffuser():
-    pairs = tabulated_pairs(AngleGrid())
+    pairs = tabulated_pairs()
     assert np.sum(pairs.sphere_measure) / np.pi == pytest.approx(1.0, abs=0.01)  # 20 x 20 nodes
 
 
@@ -82,7 +94,7 @@ def test_a_ball_from_packed_tables_is_the_ball_of_the_prediction(model, tabulate
     for shares in rng.dirichlet(np.ones(len(NAMES)), 10):
         x = shares @ model.X
         roots = np.tensordot(model.weights(x), components, axes=1).T @ tabulated.basis.T
-        f = (interpolated(tabulated.grid, roots, ball.wi, ball.wo) / cosines) ** 3
+        f = (interpolated(roots, ball.wi, ball.wo) / cosines) ** 3
         expected = model.predict(x).eval(ball.wi, ball.wo)
         errors.append(ball_colours.delta_e(ball.xyz(f, model.bands), ball.xyz(expected, model.bands)))
     assert np.mean(errors) < 0.5  # measured 0.1 on real files; the target of the page is 1.0

@@ -4,30 +4,26 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
-from manifold.errors import UsageError
+from manifold.encoding import Decoder
+from manifold.errors import ShapeError, UsageError
 from manifold.library.identity import file_sha256
-from manifold.model.latent_space import fixed_colours
-from manifold.model.places import PlaceLike
+from manifold.model.blend_space import BlendSpace
+from manifold.model.decoding import decoder_at, integrating_sphere
+from manifold.model.latent_space import LatentSpace, fixed_colours
+from manifold.model.materials import MaterialCache
+from manifold.model.places import PlaceLike, require_latent
+from manifold.model.settings import Settings
 from manifold.records import Array
 
 if TYPE_CHECKING:
     from manifold.model.manifold import Manifold
-from functools import cached_property
-
-from manifold.encoding import Decoder
-from manifold.errors import ShapeError
-from manifold.model.blend_space import BlendSpace
-from manifold.model.decoding import decoder_at, integrating_sphere
-from manifold.model.latent_space import LatentSpace
-from manifold.model.materials import MaterialCache
-from manifold.model.places import require_latent
-from manifold.model.settings import Settings
 
 
 @dataclass(frozen=True)

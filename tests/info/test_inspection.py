@@ -18,6 +18,9 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.render import fit_json
+from manifold.render.bsdf_parameters import principled
+
+FAMILY = principled(["base_color", "roughness"])
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +71,7 @@ def test_a_model_lists_its_latents(folder):
 
 @pytest.mark.parametrize("kind", ["blend", "material"])
 def test_a_model_without_its_library_tells_what_it_knows(copy, kind):
-    Manifold.fit(copy / "library.zarr", Settings(kind=kind)).save(copy / "m.h5")
+    Manifold.fit(copy / "library.zarr", Settings(kind=kind), calibrate=False).save(copy / "m.h5")
     whole = inspect(copy / "m.h5")
     (copy / "library.zarr").rename(copy / "elsewhere.zarr")
     found = inspect(copy / "m.h5")
@@ -117,7 +120,9 @@ def test_verification_names_what_is_damaged(copy):
 
 
 def test_a_fit_shows_its_material_and_parameters(tmp_path):
-    content = fit_json.document(fit_bsdf(measured(NAMES[0])), fit_json.Source("felt", file="felt_rgb.bsdf"))
+    content = fit_json.document(
+        fit_bsdf(measured(NAMES[0]), FAMILY), fit_json.Source("felt", file="felt_rgb.bsdf")
+    )
     fit_json.write_document(tmp_path / "felt.fit.json", content)
     found = inspect(tmp_path / "felt.fit.json")
     assert found.rows["material"] == "felt"

@@ -16,7 +16,6 @@ from manifold.brdf.plausibility import plausibility
 from manifold.directions import from_spherical, half_vector
 from manifold.errors import BandMismatchError, UsageError
 from manifold.io_rgl import read_bsdf
-from manifold.library.store import Library
 from manifold.metrics import cube_root_error, relative_error
 from manifold.model import reconstruction
 from manifold.model.comparison import brdf_errors
@@ -33,7 +32,7 @@ GRID = RusinkiewiczGrid(20, 11, 7, offset=0.3)  # not the pairs that weights are
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     names = [name for name in NAMES if name != LEFT_OUT]
-    return Manifold.fit(Library.open(small_library(tmp_path_factory.mktemp("reconstruct"), names=names)))
+    return Manifold.fit(small_library(tmp_path_factory.mktemp("reconstruct"), names=names), calibrate=False)
 
 
 @pytest.fixture(scope="module")

@@ -216,10 +216,9 @@ def test_reciprocity(name, wi, wo):
 
 @every_model
 def test_no_model_reflects_more_than_arrives(name):
-    for degrees in (0.0, 40.0, 70.0, 85.0, 89.0):
-        for phi in (0.0, 1.0, 2.5):
-            energy = sampled_albedo(MODELS[name], from_spherical(np.radians(degrees), phi), n=10_000)
-            assert np.all(energy <= 1.0 + 5e-3), (degrees, phi)  # 10,000 samples
+    for degrees, phi in ((0.0, 0.0), (40.0, 1.0), (70.0, 2.5), (85.0, 0.0), (85.0, 2.5), (89.0, 1.0)):
+        energy = sampled_albedo(MODELS[name], from_spherical(np.radians(degrees), phi), n=10_000)
+        assert np.all(energy <= 1.0 + 5e-3), (degrees, phi)  # 10,000 samples
 
 
 @every_model
@@ -230,8 +229,8 @@ def test_albedo_is_the_integral_of_f_cos(name):
 
 
 @every_model
-@pytest.mark.parametrize("wi", WI[1:3])
-def test_density_integrates_to_at_most_one_and_misses_the_invalid_samples(name, wi):
+def test_density_integrates_to_at_most_one_and_misses_the_invalid_samples(name):
+    wi = WI[2]
     nodes, weights = hemisphere_quadrature(200, 256)
     total = weights @ MODELS[name].pdf(wi, nodes)
     invalid = np.mean(MODELS[name].sample(wi, even_numbers(30_000))[1] == 0)
@@ -254,9 +253,9 @@ CHI_SQUARE = [
 
 @pytest.mark.parametrize("name", CHI_SQUARE)
 def test_samples_follow_the_density(name, rng):
-    p_values = [chi_square_p_value(MODELS[name], wi, rng, n_samples=100_000) for wi in WI]
-    # 36 tests in all: a right sampler fails here once in ten thousand seeds, and the seed is fixed
-    assert min(p_values) > 1e-4 / len(CHI_SQUARE) / len(WI), p_values
+    p_values = [chi_square_p_value(MODELS[name], wi, rng, n_samples=100_000) for wi in WI[1:3]]
+    # 18 tests in all: a right sampler fails here once in ten thousand seeds, and the seed is fixed
+    assert min(p_values) > 1e-4 / len(CHI_SQUARE) / 2, p_values
 
 
 def test_chi_square_notices_a_density_that_is_slightly_off(rng):

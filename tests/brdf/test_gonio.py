@@ -28,8 +28,10 @@ LIMITS = {
 }
 
 
-@pytest.mark.parametrize(("resolution", "n_theta_i"), LIMITS)
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize(
+    ("resolution", "n_theta_i", "index"),
+    [*((32, 8, index) for index in range(4)), (32, 16, 0), (64, 32, 0)],  # the sharpest of fine files
+)
 def test_written_files_are_close_to_the_truth_in_mitsuba(resolution, n_theta_i, index):
     error = mean_relative_error(ALPHAS[index], resolution=resolution, n_theta_i=n_theta_i)
     assert error <= LIMITS[resolution, n_theta_i][index]

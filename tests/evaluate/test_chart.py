@@ -316,7 +316,7 @@ def test_no_two_names_of_a_panel_cover_each_other_and_none_is_cut(figure):
         _require_names_apart(axes, figure.canvas.get_renderer())
 
 
-@pytest.mark.parametrize("seed", [*range(20), 451, 2539, 96042])  # names of one crowd in 6,000 still meet
+@pytest.mark.parametrize("seed", [*range(5), 451, 2539, 96042])  # names of one crowd in 6,000 still meet
 def test_names_of_points_anywhere_do_not_cover_each_other(seed):
     points = np.random.default_rng(seed).uniform(0.05, 0.95, (12, 2)) ** 2  # crowded in a corner
     drawn = figures.new_figure(5.0, 4.0)

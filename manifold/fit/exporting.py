@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -136,15 +136,14 @@ def subject_in_library(library: Library, name: str) -> Subject:
 def export(
     subject: Subject | MaterialSource, target: Target | str | None, path: Path, *, against: Path | None = None,
     is_mapped: bool = False, picture: Path | None = None, balls: Path | None = None,
-    textures: Callable[[Sequence[float]], TextureFiles] | None = None,
+    textures: Callable[[Mapping[str, Any]], TextureFiles] | None = None,
 ) -> Outcome[Subject]:  # fmt: skip
     """Write a material for a target, or for that of the file's suffix; of a source, and `against`, see
     `subject_of_source`.
 
     With `is_mapped`, the target's parameters are computed from those of `principled`, instead of fitting its own model
     to the material from there on. The material beside the target's model is drawn to `picture`, balls of both in two
-    lights to `balls`. `textures` writes textures for the base colour that was found, linear sRGB; None is one material
-    everywhere.
+    lights to `balls`. `textures` writes textures for the parameters that were found; None is one material everywhere.
     """
     target = target if isinstance(target, Target) else target_of(target, path)
     disk.require_writable(path)
@@ -174,7 +173,7 @@ def export(
         errors=ball_errors(model, material),
         principled_errors=None if subject.material is None else ball_errors(fitted, material),
         against=subject.against,
-        textures=None if textures is None else textures(parameters[target.base_colour]),
+        textures=None if textures is None else textures(parameters),
     )
     disk.write_bytes(path, target.content(made, principled))
     if picture is not None:

@@ -21,6 +21,7 @@ from manifold.colour.reflectances import spectral_changes
 from manifold.errors import UsageError
 from manifold.estimate.completions import Completed, complete, file_name
 from manifold.fit.exports.document import TextureFiles
+from manifold.fit.exports.principled_values import ior_to_f0
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.progress import Stages
@@ -37,6 +38,10 @@ TEXTURED = ("gltf", "openpbr", "standard-surface", "usd", "blender")
 TARGETS = ("gltf", "openpbr", "usd", "blender")
 """Those that are written by default."""
 
+FLAKED = ("gltf", "openpbr", "standard-surface", "blender")
+"""Those whose coats have normals of their own, which flakes are shown by."""
+
+_COAT_IORS = ("coat_ior", "coat ior")
 _VISIBLE_SPARKLE = 1.0  # glints per 10,000 pixels and lamp that a note mentions
 
 
@@ -145,8 +150,10 @@ def make_surface(
         flakes = sparkle.flakes.drawn(size, np.random.default_rng(1))
     paths |= _write_textures(folder, stem, surface, textures, brdf, flakes)
     stages.begin("exports")
-    exports = {} if completed is None else _exports(paths, folder, stem, textures, targets)
+    exports = {} if completed is None else write_exports(paths, folder, stem, textures, flakes, targets)
     notes = _notes(pictures, surface, sparkle, completed)
+    if flakes is not None and exports:
+        notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(
         folder, surface, sparkle, textures, completed, MappingProxyType(exports), MappingProxyType(paths), notes,
         time.perf_counter() - start,
@@ -177,7 +184,8 @@ def _write_textures(
             "flakes": folder / f"{stem}_flakes.png",
             "flake_weights": folder / f"{stem}_flake_weights.png",
         }
-        write_display(paths["flakes"], 0.5 + 0.5 * flakes.normal)
+        normals = np.where(flakes.mask[..., None], flakes.normal, textures.normal)
+        write_display(paths["flakes"], 0.5 + 0.5 * normals)
         write_display(paths["flake_weights"], np.repeat(flakes.share * flakes.mask[..., None], 3, axis=-1))
     changes = textures.albedo
     if brdf is not None:
@@ -224,27 +232,54 @@ def _texture(name: str, path: Path, filter_type: str = "bilinear") -> str:
     )
 
 
-def _exports(
-    paths: dict[str, Path], folder: Path, stem: str, textures: Textures, targets: Sequence[str]
-) -> dict[str, float]:
-    """Fit engines' models to the mean and write them with textures; their differences on the ball."""
+def write_exports(
+    paths: dict[str, Path], folder: Path, stem: str, textures: Textures, flakes: DrawnFlakes | None,
+    targets: Sequence[str],
+) -> dict[str, float]:  # fmt: skip
+    """Fit engines' models to the mean and write them with textures; their differences on the ball.
+
+    Flakes are coats with normals of their own, in place of what coat there is around them.
+    """
     from manifold.fit import exporting
     from manifold.fit.exports.targets import TARGETS as ALL
+    from manifold.fit.exports.targets import Target
 
     subject = exporting.subject_of(paths["mean"])
     found = {}
     for name in targets:
         target = ALL[name]
 
-        def written(base: Sequence[float], name: str = name) -> TextureFiles:
-            path = folder / f"{stem}_{name}_base.png"
-            write_display(path, encode_srgb(np.clip(np.asarray(base) * textures.albedo, 0.0, 1.0)))
-            return TextureFiles(path, paths["normal"])
+        def written(values: Mapping[str, Any], target: Target = target) -> TextureFiles:
+            path = folder / f"{stem}_{target.name}_base.png"
+            base = np.asarray(values[target.base_colour])
+            write_display(path, encode_srgb(np.clip(base * textures.albedo, 0.0, 1.0)))
+            if flakes is None or target.name not in FLAKED:
+                return TextureFiles(path, paths["normal"])
+            coat = folder / f"{stem}_{target.name}_coat.png"
+            ior = next((value for key, value in values.items() if key.lower() in _COAT_IORS), 1.5)
+            flake = (
+                min(flakes.flakes.reflectance / ior_to_f0(ior), 1.0),
+                np.sqrt(flakes.flakes.roughness),
+                0.0,
+            )
+            around = *(values[key] for key in target.coat[:2]), 0.0
+            write_display(coat, np.where(flakes.mask[..., None], flake, around))
+            return TextureFiles(path, paths["normal"], coat, paths["flakes"])
 
         paths[name] = folder / f"{stem}_{name}{target.suffix}"
         outcome = exporting.export(subject, target, paths[name], textures=written)
         found[name] = float((outcome.content or {})["errors"]["ball"])
     return found
+
+
+def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, ...]:
+    """What the materials of engines do not show of them."""
+    notes = tuple(
+        f"{name}: no flakes, its coat has the normals of its base" for name in targets if name not in FLAKED
+    )
+    if (reflectance := flakes.flakes.reflectance) > (most := ior_to_f0(1.5)):
+        notes += (f"flakes reflect {reflectance:.2f} straight on, those of engines' materials {most:.2f}",)
+    return notes
 
 
 def _notes(

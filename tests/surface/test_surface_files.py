@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import surface_twins
+from helpers.browser import chromium
 from helpers.exported_files import read_glb
+from helpers.three_js import ThreeJs, node_modules
 from surface_twins import CAPTIONS, workbook
 from typer.testing import CliRunner
 
@@ -25,7 +29,7 @@ from manifold.metrics import Errors
 from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.images import read_display, write_display
-from manifold.surface import preview
+from manifold.surface import files, preview
 from manifold.surface.files import mitsuba_document
 from manifold.surface.lamp_pictures import in_plane
 from manifold.surface.sparkle import Flakes
@@ -67,11 +71,12 @@ def mean(printed, tmp_path_factory):
 @pytest.fixture
 def textured(tmp_path):
     """A material of given textures, for any target."""
-    textures = TextureFiles(tmp_path / "base.png", tmp_path / "normal.png")
-    for path in vars(textures).values():
+    plain = TextureFiles(tmp_path / "base.png", tmp_path / "normal.png")
+    flaked = replace(plain, coat=tmp_path / "coat.png", coat_normal=tmp_path / "flakes.png")
+    for path in flaked.named.values():
         write_display(path, np.full((4, 4, 3), 0.5))
 
-    def of(target):
+    def of(target, *, with_flakes=False):
         ball = Errors(1.0)
         return Export(
             "twin",
@@ -82,7 +87,7 @@ def textured(tmp_path):
             ball,
             ball,
             "measured file",
-            textures,
+            flaked if with_flakes else plain,
         )
 
     return of
@@ -128,17 +133,63 @@ def test_the_glb_holds_both_textures_and_places_on_them(printed):
     assert all("TEXCOORD_0" in mesh["primitives"][0]["attributes"] for mesh in document["meshes"])
 
 
+def test_flakes_are_the_coat_of_gltf_with_normals_of_its_own(textured, tmp_path):
+    (tmp_path / "twin.glb").write_bytes(
+        TARGETS["gltf"].content(textured(TARGETS["gltf"], with_flakes=True), None)
+    )
+    document, _ = read_glb(tmp_path / "twin.glb")
+    (material,) = document["materials"]
+    coat = material["extensions"]["KHR_materials_clearcoat"]
+    assert document["extensionsUsed"] == ["KHR_materials_clearcoat"]
+    assert (coat["clearcoatFactor"], coat["clearcoatRoughnessFactor"]) == (1.0, 1.0)
+    names = [document["images"][texture["source"]]["name"] for texture in document["textures"]]
+    used = ("clearcoatTexture", "clearcoatRoughnessTexture", "clearcoatNormalTexture")
+    assert [names[coat[key]["index"]] for key in used] == ["coat", "coat", "flakes"]
+    assert names[material["normalTexture"]["index"]] == "normal"
+
+
 @pytest.mark.parametrize("name", ["openpbr", "standard-surface"])
-def test_materialx_documents_are_valid_and_name_their_textures(name, textured, tmp_path):
+def test_flakes_are_the_coat_of_materialx_with_normals_of_its_own(name, textured, tmp_path):
+    document = _read_materialx(
+        TARGETS[name].content(textured(TARGETS[name], with_flakes=True), None), tmp_path
+    )
+    (shader,) = (node for node in document.getNodes() if node.getType() == "surfaceshader")
+    fed = {}
+    for key in shader.getInputs():
+        if (node := key.getConnectedNode()) is not None:
+            index = node.getInputValue("index")
+            fed[key.getName()] = (
+                (node.getInput("in") or node.getInput("file")).getParent().getCategory(),
+                index,
+            )
+    weight, roughness = TARGETS[name].coat[:2]
+    assert (fed[weight], fed[roughness]) == (("extract", 0), ("extract", 1))
+    mapped = {key for key, (kind, _) in fed.items() if kind == "normalmap"}
+    assert mapped == {"openpbr": {"geometry_normal", "geometry_coat_normal"}}.get(
+        name, {"normal", "coat_normal"}
+    )
+    colours = [image.getColorSpace() for image in document.getNodes("image") if image.getType() == "vector3"]
+    assert len(colours) == 3  # numbers, which no colour management changes
+    if name == "openpbr":
+        assert shader.getInputValue("coat_darkening") == 0.0
+
+
+def _read_materialx(content, folder):
+    """A document, valid, with MaterialX's libraries."""
     mx = pytest.importorskip("MaterialX")
-    path = tmp_path / "twin.mtlx"
-    path.write_bytes(TARGETS[name].content(textured(TARGETS[name]), None))
+    (folder / "twin.mtlx").write_bytes(content)
     document, libraries = mx.createDocument(), mx.createDocument()
-    mx.readFromXmlFile(document, str(path))
+    mx.readFromXmlFile(document, str(folder / "twin.mtlx"))
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), libraries)
     document.setDataLibrary(libraries)
     valid, message = document.validate()
     assert valid, message
+    return document
+
+
+@pytest.mark.parametrize("name", ["openpbr", "standard-surface"])
+def test_materialx_documents_are_valid_and_name_their_textures(name, textured, tmp_path):
+    document = _read_materialx(TARGETS[name].content(textured(TARGETS[name]), None), tmp_path)
     assert {node.getInputValue("file") for node in document.getNodes("image")} == {"base.png", "normal.png"}
 
 
@@ -162,7 +213,12 @@ def test_scripts_of_blender_load_their_textures(textured):
     script = TARGETS["blender"].content(textured(TARGETS["blender"]), None).decode()
     compile(script, "twin.py", "exec")
     assert "picture('base.png', \"sRGB\")" in script
-    assert "picture('normal.png', \"Non-Color\")" in script
+    assert "bump('normal.png', \"Normal\")" in script
+    assert "coat.png" not in script
+    flaked = TARGETS["blender"].content(textured(TARGETS["blender"], with_flakes=True), None).decode()
+    compile(flaked, "twin.py", "exec")
+    assert "bump('flakes.png', \"Coat Normal\")" in flaked
+    assert "picture('coat.png', \"Non-Color\")" in flaked
 
 
 def test_the_command_prints_and_writes_numbers(printed):
@@ -284,3 +340,48 @@ def test_the_picture_of_a_surface_is_mitsuba_s(mean, rng):
     np.testing.assert_allclose(own.mean(axis=(0, 1)), drawn.mean(axis=(0, 1)), rtol=0.02)
     blocks = [each[..., 1].reshape(80, 4, 80, 4).mean(axis=(1, 3)).ravel() for each in (own, drawn)]
     assert np.corrcoef(*blocks)[0, 1] > 0.97
+
+
+def test_a_sparkling_surface_has_flakes_in_engines_whose_coats_have_normals_of_their_own(printed, tmp_path):
+    folder = tmp_path / "made"
+    shutil.copytree(printed[1], folder)
+    flakes = Flakes(100.0, 4.0, 0.3, 0.09, 0.02).drawn(192, np.random.default_rng(0))
+    flat = Textures(np.ones((192, 192, 3)), np.zeros((192, 192, 2)), np.zeros((192, 192)))
+    paths = {
+        "mean": folder / "twin.bsdf",
+        "normal": folder / "twin_normal.png",
+        "flakes": folder / "twin_flakes.png",
+    }
+    write_display(paths["flakes"], 0.5 + 0.5 * flakes.normal)
+    files.write_exports(paths, folder, "twin", flat, flakes, ("gltf", "usd"))
+    document, _ = read_glb(folder / "twin_gltf.glb")
+    assert document["materials"][0]["extras"]["textures"]["coat_normal"] == "twin_flakes.png"
+    coat = read_display(folder / "twin_gltf_coat.png")[flakes.mask]
+    np.testing.assert_allclose(coat, np.broadcast_to([0.5, 0.3, 0.0], coat.shape), atol=0.003)
+    assert "flakes" not in (folder / "twin_usd.usda").read_text()
+    (note,) = files.notes_of_flakes(flakes, ("gltf", "usd"))
+    assert note.startswith("usd: no flakes")
+
+
+def test_three_js_lights_a_flake_under_the_lamp_that_it_faces(textured, tmp_path):
+    normal, coat = (np.zeros((64, 64, 3)) for _ in range(2))
+    normal[..., 2] = 1.0
+    flake = (slice(16, 48), slice(16, 48))
+    normal[flake] = np.array([0.0, -np.sin(np.deg2rad(20.0)), np.cos(np.deg2rad(20.0))])
+    coat[flake] = 1.0, 0.3, 0.0
+    content = textured(TARGETS["gltf"], with_flakes=True)
+    write_display(content.textures.normal, np.full((64, 64, 3), [0.5, 0.5, 1.0]))
+    write_display(content.textures.coat_normal, 0.5 + 0.5 * normal)
+    write_display(content.textures.coat, coat)
+    dull = dict(content.parameters) | {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+    (tmp_path / "twin.glb").write_bytes(TARGETS["gltf"].content(replace(content, parameters=dull), None))
+    modules, above = node_modules(), [0.0, 1.0, 0.0]
+    with chromium() as browser:
+        page = ThreeJs(browser, modules)
+        lit = {}
+        for angle in (40.0, -40.0):  # positive angles towards larger rows
+            lamp = [0.0, np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))]
+            lit[angle] = page.ball(tmp_path / "twin.glb", above, lamp, 64, 1.0, "plane", finer=1)[..., 1]
+    assert page.errors == []
+    assert lit[40.0][flake].mean() > 1.5 * lit[40.0][:8].mean()
+    assert lit[-40.0][flake].mean() < 1.1 * lit[-40.0][:8].mean()

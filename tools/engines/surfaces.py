@@ -5,8 +5,9 @@ A surface is a measured file with colours and slopes at random: `textured`. A pi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from surface import surface_twins
@@ -78,9 +79,10 @@ def write(subject: exporting.Subject, target: Target, path: Path) -> dict[str, o
     normals = path.with_suffix(".normal.png")
     images.write_display(normals, 0.5 + 0.5 * normal)
 
-    def textures(base: Sequence[float]) -> TextureFiles:
+    def textures(values: Mapping[str, Any]) -> TextureFiles:
         colours = path.with_suffix(".base.png")
-        images.write_display(colours, encode_srgb(np.clip(np.asarray(base) * albedo, 0.0, 1.0)))
+        base = np.asarray(values[target.base_colour])
+        images.write_display(colours, encode_srgb(np.clip(base * albedo, 0.0, 1.0)))
         return TextureFiles(colours, normals)
 
     return dict(exporting.export(subject, target, path, textures=textures).content or {})

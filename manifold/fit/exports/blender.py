@@ -90,11 +90,23 @@ def picture(name, space):
     return node
 
 
-bump = next((n for n in nodes if n.type == "NORMAL_MAP"), None) or nodes.new("ShaderNodeNormalMap")
+def bump(name, socket):
+    node = next((n for n in nodes if n.type == "NORMAL_MAP" and n.label == socket), None)
+    node = node or nodes.new("ShaderNodeNormalMap")
+    node.label = socket
+    links.new(picture(name, "Non-Color").outputs["Color"], node.inputs["Color"])
+    links.new(node.outputs["Normal"], shader.inputs[socket])
+
+
 links = material.node_tree.links
 links.new(picture({base_colour}, "sRGB").outputs["Color"], shader.inputs["Base Color"])
-links.new(picture({normal}, "Non-Color").outputs["Color"], bump.inputs["Color"])
-links.new(bump.outputs["Normal"], shader.inputs["Normal"])
+bump({normal}, "Normal")
+"""
+_COATED = """bump({coat_normal}, "Coat Normal")
+parts = next((n for n in nodes if n.type == "SEPARATE_COLOR"), None) or nodes.new("ShaderNodeSeparateColor")
+links.new(picture({coat}, "Non-Color").outputs["Color"], parts.inputs["Color"])
+links.new(parts.outputs["Red"], shader.inputs["Coat Weight"])
+links.new(parts.outputs["Green"], shader.inputs["Coat Roughness"])
 """
 _NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would not find its material again
 
@@ -123,7 +135,8 @@ def script(export: Export) -> str:
     name = export.label.encode()[:_NAME_BYTES].decode(errors="ignore")
     made = _SCRIPT.format(sentence=sentence, name=repr(name), values=values)
     if export.textures is not None:
-        made += _TEXTURED.format(**{key: repr(path.name) for key, path in vars(export.textures).items()})
+        names = {key: repr(path.name) for key, path in export.textures.named.items()}
+        made += (_TEXTURED + _COATED * (export.textures.coat is not None)).format(**names)
     return made
 
 

@@ -48,10 +48,20 @@ class TextureFiles:
     Attributes:
         base_colour: PNG in sRGB; stands in place of the base colour.
         normal: PNG of normals in tangent space, y up, as OpenGL and glTF have them.
+        coat: PNG of linear values, the weight of the coat in red and its roughness in green; stands in place of both.
+            None for the same coat everywhere.
+        coat_normal: normals of the coat, as `normal`; None with `coat`.
     """
 
     base_colour: Path
     normal: Path
+    coat: Path | None = None
+    coat_normal: Path | None = None
+
+    @property
+    def named(self) -> dict[str, Path]:
+        """Those that there are, by their attributes."""
+        return {name: path for name, path in vars(self).items() if path is not None}
 
 
 @dataclass(frozen=True)
@@ -99,7 +109,7 @@ class Export:
             **(
                 {}
                 if self.textures is None
-                else {"textures": {k: path.name for k, path in vars(self.textures).items()}}
+                else {"textures": {k: path.name for k, path in self.textures.named.items()}}
             ),
         }
 

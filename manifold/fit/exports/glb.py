@@ -89,7 +89,7 @@ _FLOAT, _UINT16, _VERTICES, _INDICES, _REPEAT = 5126, 5123, 34962, 34963, 10497
 
 def glb(export: Export) -> bytes:
     """The file: nodes `ball` and `plane`, one material, loss and source among its extras."""
-    material = gltf.to_json(export.parameters, export.label) | {"extras": export.about()}
+    material: dict[str, Any] = gltf.to_json(export.parameters, export.label) | {"extras": export.about()}
     is_anisotropic = "KHR_materials_anisotropy" in material.get("extensions", {})
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"Exported by manifold {__version__}"},
@@ -102,17 +102,25 @@ def glb(export: Export) -> bytes:
         "materials": [material],
         "meshes": [], "accessors": [], "bufferViews": [], "buffers": [],
     }  # fmt: skip
-    if used := sorted(material.get("extensions", {})):
-        document["extensionsUsed"] = used
     content = bytearray()
     textures = export.textures
     if textures is not None:
-        _add_textures(document, content, [textures.base_colour, textures.normal])
+        _add_textures(document, content, list(textures.named.values()))
         material["pbrMetallicRoughness"] |= {
             "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
             "baseColorTexture": {"index": 0},
         }
         material["normalTexture"] = {"index": 1}
+        if textures.coat is not None:
+            material.setdefault("extensions", {})["KHR_materials_clearcoat"] = {
+                "clearcoatFactor": 1.0,
+                "clearcoatTexture": {"index": 2},
+                "clearcoatRoughnessFactor": 1.0,
+                "clearcoatRoughnessTexture": {"index": 2},
+                "clearcoatNormalTexture": {"index": 3},
+            }
+    if used := sorted(material.get("extensions", {})):
+        document["extensionsUsed"] = used
     for mesh in (ball(), plane()):
         document["meshes"].append(
             _add_mesh(

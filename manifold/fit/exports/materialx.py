@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from manifold.fit.exports import openpbr, standard_surface
@@ -15,6 +16,9 @@ NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
     "standard-surface": ("standard_surface", standard_surface.DEFAULTS),
 }
 """Category and defaults of the shader node of each target."""
+
+NODES_OF_COAT = {"open_pbr_surface": openpbr.COAT[:2], "standard_surface": standard_surface.COAT}
+"""Weight and roughness of the coat of each category."""
 
 TURN = ("tangent", "normal", "rotate3d")
 """Nodes that turn the tangent of OpenPBR, which has no parameter for its anisotropy's direction: `in` and `axis` of
@@ -35,7 +39,10 @@ def mtlx(export: Export) -> bytes:
     root = ET.Element("materialx", version="1.39", colorspace="lin_rec709", doc=export.sentence())
     shader = ET.SubElement(root, category, name=f"{name}_shader", type="surfaceshader")
     placed = {} if export.textures is None else _textured(root, name, export.textures, category)
-    for key, value in export.parameters.items():
+    values = dict(export.parameters)
+    if "coat_weight" in placed and not values["coat_weight"]:
+        values["coat_darkening"] = 0.0  # or a coat of flakes alone would darken the base below them
+    for key, value in values.items():
         if key in placed:
             continue
         if value != defaults[key] and key == "geometry_tangent":
@@ -72,12 +79,31 @@ def _textured(
         value=textures.base_colour.name,
         colorspace="srgb_texture",
     )
-    normal = ET.SubElement(root, "image", name=f"{name}_normals", type="vector3")
-    ET.SubElement(normal, "input", name="file", type="filename", value=textures.normal.name)
-    mapped = ET.SubElement(root, "normalmap", name=f"{name}_normal", type="vector3")
-    ET.SubElement(mapped, "input", name="in", type="vector3", nodename=f"{name}_normals")
-    key = "geometry_normal" if category == "open_pbr_surface" else "normal"
-    return {"base_color": ("color3", f"{name}_base_colour"), key: ("vector3", f"{name}_normal")}
+
+    def read(path: Path, node: str) -> None:
+        image = ET.SubElement(root, "image", name=node, type="vector3")
+        ET.SubElement(image, "input", name="file", type="filename", value=path.name)
+
+    def mapped(path: Path, node: str) -> tuple[str, str]:
+        read(path, f"{node}s")
+        mapping = ET.SubElement(root, "normalmap", name=node, type="vector3")
+        ET.SubElement(mapping, "input", name="in", type="vector3", nodename=f"{node}s")
+        return "vector3", node
+
+    prefix = "geometry_" if category == "open_pbr_surface" else ""
+    placed = {
+        "base_color": ("color3", f"{name}_base_colour"),
+        f"{prefix}normal": mapped(textures.normal, f"{name}_normal"),
+    }
+    if textures.coat is not None and textures.coat_normal is not None:
+        read(textures.coat, f"{name}_coats")
+        for channel, key in enumerate(NODES_OF_COAT[category]):
+            node = ET.SubElement(root, "extract", name=f"{name}_{key}", type="float")
+            ET.SubElement(node, "input", name="in", type="vector3", nodename=f"{name}_coats")
+            ET.SubElement(node, "input", name="index", type="integer", value=str(channel))
+            placed[key] = ("float", f"{name}_{key}")
+        placed[f"{prefix}coat_normal"] = mapped(textures.coat_normal, f"{name}_coat_normal")
+    return placed
 
 
 def _number(value: float) -> str:

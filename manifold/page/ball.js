@@ -17,7 +17,7 @@ const WIDE = { azimuths: 48, elevations: 24, rings: 18, spokes: 16, span: [1 / 3
 const MIDDLE = { azimuths: 128, elevations: 64, rings: 5, spokes: 20, span: [1 / 6, 1 / 3] };
 const NEAR = { azimuths: 72, elevations: 36, rings: 6, spokes: 12, span: [0, 1 / 3] }; // while something moves
 const TURNING = { // the same while the light turns, whose tables are then made in every frame
-  wide: { azimuths: 32, elevations: 16, rings: 12, spokes: 12, span: WIDE.span },
+  wide: { azimuths: 24, elevations: 12, rings: 12, spokes: 12, span: WIDE.span },
   narrow: { azimuths: 48, elevations: 28, rings: 6, spokes: 9, span: NEAR.span },
 };
 const FINE = { elevations: 48, rings: 5, spokes: 9, span: [0, 1 / 6] }; // at rest, for every pixel

@@ -171,7 +171,7 @@ STEPS = {
 def step_ms(page: Any, change: str, steps: int = 100) -> dict[str, dict[str, float]]:
     """Time of a step in ms, of the main thread and until WebGL has drawn too."""
     script = """(steps) => {
-      const { explorer } = window, times = [];
+      const { explorer } = window, times = [], before = { ...explorer.state };
       const gl = explorer.balls.gl, pixel = new Uint8Array(4);
       for (let k = 0; k < steps; k++) {
         const t = k / steps;
@@ -183,6 +183,8 @@ def step_ms(page: Any, change: str, steps: int = 100) -> dict[str, dict[str, flo
         gl.readPixels(1, 1, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
         times.push([done - began, performance.now() - began]);
       }
+      Object.assign(explorer.state, before);
+      explorer.refresh();
       return times;
     }""".replace("CHANGE", change)
     page.evaluate("Object.assign(document.getElementById('ball').style, { width: '256px', height: '256px' })")

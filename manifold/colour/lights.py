@@ -98,10 +98,8 @@ def _plateau(angle_deg: Array, half_width: float) -> Array:
 
 _SUN = (-128.0, 46.0)  # azimuth from straight ahead to the right, elevation, in degrees
 _SUN_RADIUS_DEG, _SUN_EDGE_DEG, _SUN_RADIANCE = 4.5, 3.0, 50.0  # behind thin haze
-_LAMP, _DARK = (
-    (-140.0, 45.0),
-    0.0015,
-)  # azimuth and elevation; radiance of the dark room, relative to the lamp's
+# Azimuth and elevation; radiance of the dark room, relative to the lamp's.
+_LAMP, _DARK = (-140.0, 45.0), 0.0015
 
 
 def environment(name: str, height: int = 128) -> Array:

@@ -41,10 +41,8 @@ from manifold.render.fitted_brdf import FittedBRDF
 
 _PACK_PAGE, _PACK_BALLS = "index.html", "balls"  # page of a pack, and the folder of its pictures
 _PACK_PIXELS, _PACK_SUN_DEG = 64, 45.0
-_PACK_RINGS, _PACK_SPOKES = (
-    32,
-    32,
-)  # rings and spokes of a ball in the studio: fewer leave streaks on matt materials
+# Rings and spokes of a ball in the studio: fewer leave streaks on matt materials.
+_PACK_RINGS, _PACK_SPOKES = 32, 32
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,10 +81,8 @@ def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]
 
 _NEAR_DEG = 25.0  # angle from the mirror direction within which is the highlight
 _HIGHLIGHT_SUN_DEG = 45.0  # angle between view and the sun under which it is looked at
-_MISSED, _MISSED_SHARE = (
-    5.0,
-    2.0,
-)  # CIEDE2000 of a highlight that is missed, and its ratio to that of the rest
+# CIEDE2000 of a highlight that is missed, and its ratio to that of the rest.
+_MISSED, _MISSED_SHARE = 5.0, 2.0
 
 
 def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | None:

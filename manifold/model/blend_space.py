@@ -26,10 +26,8 @@ from manifold.model.settings import Settings
 from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices
 
-_TRIED_PLACES, _REFINED_PLACES = (
-    150,
-    3,
-)  # places that the search for a new material's place tries, and refines
+# Places that the search for a new material's place tries, and refines.
+_TRIED_PLACES, _REFINED_PLACES = 150, 3
 _EVALUATIONS = 150  # evaluations of each refinement
 _COORDINATES = 33  # coordinates of a path that the search tries
 _FIRST_COORDINATE = 0.05

@@ -27,14 +27,10 @@ _FALLBACK_FONTS = (
     "Noto Sans CJK JP", "Noto Sans CJK SC", "WenQuanYi Zen Hei", "Hiragino Sans", "PingFang SC", "Yu Gothic",
     "Microsoft YaHei", "Malgun Gothic", "Noto Emoji", "Segoe UI Symbol", "Arial Unicode MS", "Unifont",
 )  # fmt: skip
-_GAPS, _ANGLES = (
-    np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0, 17.0, 24.0, 34.0]),
-    36,
-)  # rings of places around a point, in dots
-_COVERED_POINT, _COVERED_NAME = (
-    4.0,
-    100.0,
-)  # costs of a covered square pixel, where a dot's gap costs a text's height
+# Rings of places around a point, in dots.
+_GAPS, _ANGLES = np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0, 17.0, 24.0, 34.0]), 36
+# Costs of a covered square pixel, where a dot's gap costs a text's height.
+_COVERED_POINT, _COVERED_NAME = 4.0, 100.0
 _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
 rcParams["font.family"] += [name for name in _FALLBACK_FONTS if name in fontManager.get_font_names()]
 

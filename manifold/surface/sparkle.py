@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import label, maximum_filter, uniform_filter
 from scipy.optimize import brentq
 
+from manifold.analytic.base import AnalyticBRDF
 from manifold.analytic.ggx import GGX
 from manifold.records import Array, Bands, Indices, Mask
 from manifold.surface.estimate import SPARKLE, Surface
@@ -62,21 +63,15 @@ class Flakes:
 
 
 @dataclass(frozen=True, eq=False)
-class Facet:
-    """A rough mirror without colour, as a BRDF in linear sRGB."""
+class Facet(AnalyticBRDF):
+    """A rough mirror without colour, in linear sRGB."""
 
     ggx: GGX
     reflectance: float
     bands: Bands = Bands(None)  # noqa: RUF009
-    is_isotropic: bool = True
 
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., 3); 0 below the horizon."""
-        wi, wo = np.broadcast_arrays(wi, wo)
-        above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
-        f = np.zeros(wi.shape)
-        f[above] = self.reflectance * self.ggx.reflection_factor(wi[above], wo[above])[:, None]
-        return f
+    def _eval(self, wi: Array, wo: Array) -> Array:
+        return self.reflectance * self.ggx.reflection_factor(wi, wo)[:, None]
 
 
 @dataclass(frozen=True, eq=False)

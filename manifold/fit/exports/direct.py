@@ -30,10 +30,8 @@ _GAIN = 0.8  # a film, curve or colour of a sheen that is kept lowers squared re
 _FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
 _FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
 _FILM_STARTS = 3  # that are refined
-_PROMISING = (
-    (4, 1.0),
-    (8, 0.92),
-)  # evaluations, and below which share of the squared residual a film is by then
+# Evaluations, and below which share of the squared residual a film is by then.
+_PROMISING = ((4, 1.0), (8, 0.92))
 
 
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:

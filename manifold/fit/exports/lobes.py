@@ -19,10 +19,8 @@ from manifold.directions import normalize, rotate_z
 from manifold.fit.exports.principled_values import ior_to_f0
 from manifold.records import Array, Indices
 
-_NODES, _SAMPLES = (
-    33,
-    24,
-)  # of albedo tables: cosines, and samples per axis of the distribution of visible normals
+# Of albedo tables: cosines, and samples per axis of the distribution of visible normals.
+_NODES, _SAMPLES = 33, 24
 _ROUGHNESSES = 32  # steps of these tables by the root of alpha
 _COSINES = np.maximum(np.linspace(0.0, 1.0, _NODES) ** 2, 1e-3)  # with the normal: dense at grazing
 _LEAST_ALPHA = 1e-4

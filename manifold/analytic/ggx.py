@@ -27,7 +27,7 @@ from manifold.records import Array, Indices
 from manifold.threads import serialised
 
 # Sizes of the table of directional albedo; with these it is within 5e-4 of the exact integral for
-# roughness 0.02 to 1 (tests/test_microfacet.py).
+# roughness 0.02 to 1 (tests/analytic/test_microfacet.py).
 _N_ELEVATIONS = 96
 _N_AZIMUTHS = 25
 _N_COSINES = 257

@@ -214,6 +214,13 @@ def test_a_library_that_has_moved_can_be_named(run, moved):
     assert (status, err) == (0, "")
 
 
+def test_a_library_that_lost_a_material_is_one_error(run, moved):
+    shutil.rmtree(moved / "elsewhere.zarr" / "materials" / NAMES[0])
+    status, _, err = run("predict", "--latent", "0,0", "-o", "p_rgb.bsdf", "-L", "elsewhere.zarr", cwd=moved)
+    assert status == 1
+    assert f"lacks 1 of the {len(NAMES)} materials" in one_line(err)
+
+
 def test_a_library_that_gained_a_material_is_one_warning(run, moved):
     small_library(moved / "more", names=("syn_satin_blue",), library=moved / "elsewhere.zarr")
     status, _, err = run("info", "model.h5", "-L", "elsewhere.zarr", cwd=moved)
@@ -444,7 +451,6 @@ def test_an_interruption_that_compiled_code_wraps_is_an_interruption(run, monkey
     assert "interrupted" in one_line(err)
 
 
-@pytest.mark.slow
 def test_an_interruption_leaves_nothing_half_written(tmp_path):
     process = start("corpus", "out", cwd=tmp_path)
     deadline = time.monotonic() + 150

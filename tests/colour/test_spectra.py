@@ -49,6 +49,11 @@ def test_every_shipped_metal_gives_finite_non_negative_indices_on_all_bands():
         assert np.all(np.isfinite(eta) & np.isfinite(k) & (eta > 0) & (k >= 0)), name
 
 
+def test_unknown_metal_lists_the_known_ones():
+    with pytest.raises(UsageError, match=r"'gold'.*Ag, Al.*Au"):
+        metal_ior("gold", WAVELENGTHS)
+
+
 def test_diffuse_reflectances_are_physical_on_all_bands():
     names = diffuse_reflectance_names()
     assert len(names) > 100

@@ -334,6 +334,7 @@ def test_values_at_pairs_that_were_used_before_are_those_at_new_ones(target, rng
     for name in target.film:
         entry = target.entries[name]
         values[name] = 0.5 * (entry.low + entry.high)
+    target.brdf(values, used)
     for name, entry in target.entries.items():
         if np.ndim(values[name]) == 0 and (entry.is_free or name in target.film):
             changed = values | {name: entry.low + 0.37 * (entry.high - entry.low)}

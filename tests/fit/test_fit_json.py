@@ -165,8 +165,8 @@ def test_a_prediction_names_its_model_and_latent(tmp_path):
     assert made.content["residuals"]["cube-root"] < made.content["diffuse_residual"]
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path, count):
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)], ids=["here", "in processes"])
+def test_one_bad_file_among_several_stops_nothing(tmp_path, count):
     folder = tmp_path / "files"
     folder.mkdir()
     for name in ("syn_satin_gold", "syn_felt_green"):

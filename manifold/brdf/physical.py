@@ -27,9 +27,8 @@ RECIPROCITY_ERROR = 0.05
 """The most that a physical file has, and the most by which possible values of exchanged directions differ."""
 
 _AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are scaled by different factors afterwards
-_ALBEDO = (
-    0.99  # albedo to which those above 1 are scaled: quadratures of sharp highlights at 85 degrees err by 1 %
-)
+# Albedo to which those above 1 are scaled: quadratures of sharp highlights at 85 degrees err by 1 %.
+_ALBEDO = 0.99
 _BALANCES = 30  # rounds, after which no albedo of a test is above 0.991
 _DIMMINGS = 4  # rounds of scaling, before what is left above 1 between incidences is taken from these alone
 _AVERAGES = 6  # most averages of a file with its exchanged self, before its grids are refined

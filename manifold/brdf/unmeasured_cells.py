@@ -102,7 +102,7 @@ def blank_unmeasured(file: BsdfFile) -> BsdfFile:
 
 
 def fill_unmeasured(file: BsdfFile, cells: Mask | None = None, *, copy: bool = True) -> BsdfFile:
-    """The same file with its unmeasured cells, if they are known already, filled from their rims inwards; the file
+    """The same file with its unmeasured cells, found unless they are given, filled from their rims inwards; the file
     itself where it has none. Without a copy, its spectra, which must be writeable, are filled.
 
     Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice without any

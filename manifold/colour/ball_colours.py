@@ -30,7 +30,7 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 def environment() -> Array:
     """The studio's light in coarse cells, which soften its edges, and that of its floor from below: radiance, float32,
-    laid out as `studio.studio` does, shape (20, 40, 3).
+    laid out as `lights.studio` does, shape (20, 40, 3).
     """
     fine = lights.studio(_ENVIRONMENT_ROWS * _BLUR)
     image: Array = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))

@@ -32,7 +32,7 @@ _SUN_PIXELS = 32  # across the ball
 
 
 class Panel(Picture):
-    """A ball in L lights: the pixels of one after those of the other, (L,) of them."""
+    """A ball in L lights: by their names: the pixels of one after those of the other."""
 
     def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[scipy.sparse.csr_array]) -> None:
         """Pixels of each light as sums over the same pairs."""

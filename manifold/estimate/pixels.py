@@ -48,7 +48,7 @@ class Environment:
     """Distant light in fine pixels of equal angles, grouped into cells.
 
     Attributes:
-        radiance: in the channels of a camera, laid out as `studio.studio` does, shape (512, 1024, C).
+        radiance: in the channels of a camera, laid out as `lights.studio` does, shape (512, 1024, C).
     """
 
     radiance: Array

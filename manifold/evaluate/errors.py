@@ -1,4 +1,4 @@
-"""Errors of predictions, of every kind and calibrated, and the results of methods made of them."""
+"""Errors of predictions, of every kind and calibrated, results of methods, and what an interrupted run keeps."""
 
 from __future__ import annotations
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.library.layout import FIELDS
 from manifold.records import AnyArray, Array, BsdfFile, origin_of
 
 
@@ -125,6 +124,8 @@ def describe(
 
 def present_arrays(file: BsdfFile) -> dict[str, Array]:
     """The array fields that a file has: an RGB file has no `wavelengths_nm`."""
+    from manifold.library.layout import FIELDS  # which imports zarr
+
     return {name: getattr(file, name) for name in FIELDS if getattr(file, name) is not None}
 
 

@@ -13,10 +13,10 @@ import scipy
 from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
-from manifold.kernels import Kernel, first_equal_row, squared_distances
+from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, ValueMapping
 from manifold.metrics import relative_error
-from manifold.model.blending import NEIGHBOURS, blend_weights, widest_gap
+from manifold.model.blending import NEIGHBOURS, blend_weights, nearest_distance, widest_gap
 from manifold.model.colour_paths import ColourPaths, between, interpolate, sample_rows
 from manifold.model.combination import Combination
 from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
@@ -319,9 +319,9 @@ class PlaceSearch:
 
 
 class _BestPlace:
-    """The search over places X (N, Q), from inner products alone.
+    """The search for a place on the map of N materials at X (N, Q), from inner products alone.
 
-    They are those of the materials' paths at K coordinates with the target, (N, K, B), and of the paths with each
+    Products are those of the materials' paths at K coordinates with the target, (N, K, B), and of the paths with each
     other, (K, N, N).
     """
 
@@ -359,7 +359,7 @@ class _BestPlace:
         def residuals(x: Array) -> Array:
             inner, squared = self._products(x, cross)
             residual = norm - np.sum(np.max(inner**2 / squared, axis=1), axis=1)
-            return np.where(np.sqrt(squared_distances(x, X).min(axis=1)) <= reach, residual, np.inf)
+            return np.where(nearest_distance(x, X) <= reach, residual, np.inf)
 
         return residuals
 

@@ -86,31 +86,28 @@ class ExpectedError:
         off = np.empty(len(X))
         for i in range(len(X)):
             others = np.delete(np.arange(len(X)), i)
-            residual = None if residuals is None else residuals[i]
-            off[i] = (
-                logs[i]
-                - cls(X[others], logs[others], length_scale, 0.0)._log_at(places[i : i + 1], residual)[0]
-            )
+            residual, place = None if residuals is None else residuals[i], places[i : i + 1]
+            of_others = cls(X[others], logs[others], length_scale, 0.0)
+            off[i] = logs[i] - of_others._log_at(place, nearest_distance(place, X[others]), residual)[0]
         factor = max(float(np.median(off)), float(np.quantile(off, BELOW_TWICE)) - np.log(2.0))
         return cls(X, logs, length_scale, factor)
 
     def at(self, x: Array, residual: float | None = None) -> Array:
         """Expected errors at places x (M, Q), of materials of a residual if that is known, shape (M,)."""
-        expected = np.exp(self._log_at(x, residual))
-        return expected if residual is not None else np.maximum(expected, self._floor(x))
-
-    def _floor(self, x: Array) -> Array:
-        """What is expected at least at places x (M, Q) that are far from all materials, shape (M,)."""
         nearest = nearest_distance(x, self.X)
+        expected = np.exp(self._log_at(x, nearest, residual))
+        return expected if residual is not None else np.maximum(expected, self._floor(nearest))
+
+    def _floor(self, nearest: Array) -> Array:
+        """What is expected at least at places as far from all materials (M,), shape (M,)."""
         mean, most = np.exp(self.log_errors.mean()), np.exp(self.log_errors.max())
         return np.asarray(np.minimum(mean * (nearest / widest_gap(self.X)) ** 2, max(most, mean)))
 
-    def _log_at(self, x: Array, residual: float | None) -> Array:
+    def _log_at(self, x: Array, nearest: Array, residual: float | None) -> Array:
         u = blend_weights(x, self.X, self.length_scale)
-        nearest = nearest_distance(x, self.X) / self.length_scale
         mean, power = self.log_errors.mean(), len(self.X) / (len(self.X) + _LIKE)
         around = mean + power * (u @ self.log_errors - mean)
-        log = around + _FAR * np.log(np.hypot(1.0, nearest))
+        log = around + _FAR * np.log(np.hypot(1.0, nearest / self.length_scale))
         if residual is not None:
             log = (1.0 - _RESIDUAL) * log + _RESIDUAL * np.log(max(residual, _LEAST_RESIDUAL))
         return self.log_factor + log
@@ -153,39 +150,6 @@ class Reliability:
             true_both, expected_both, float(spearmanr(expected, true)[0]), float(np.mean(true < 2.0 * expected)),
             float(np.sort(true / expected)[k - 1]) if k <= n else None, n / (n + 1.0),
         )  # fmt: skip
-
-
-def landmark_left_out(
-    space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
-) -> tuple[LeftOutSearch, Callable[[int, Combination], Errors[float]]]:
-    """A search for a material among the others, and what tells the errors of its prediction in some bands (B',), those
-    of `MaterialTable.errors`; only materials that are left out are read.
-    """
-    at, lights = np.searchsorted(bands, space.bands), panel.judged()
-    search = LandmarkSearch(space, samples.roots, bands)
-    pairs, grid = appearance_pairs(materials.is_isotropic), encoding_pairs(materials.is_isotropic)
-
-    def find(i: int) -> tuple[Array, Combination, float]:
-        (brdf,) = materials.filled([materials.names[i]])
-        target = roots_at([brdf.select_bands(bands.tolist())], pairs)
-        x, colours, residual = search.find(target, at, without=i)
-        others = np.delete(np.arange(len(space.X)), i)
-        u = np.zeros(len(space.X))
-        u[others] = blend_weights(x[None], space.X[others], space.kernel.length_scale)[0]
-        weights = space.paths.weights(u, colours[0]) * colours[1][:, None]
-        return x, Combination(CubeRoot(), weights, at), residual
-
-    def measure(i: int, combination: Combination) -> Errors[float]:
-        (brdf,) = materials.with_negative_values(names=[materials.names[i]])
-        truth = brdf.select_bands(bands.tolist())
-        on_ball, in_grid = (
-            np.maximum(combined(combination.weights, table), 0.0).T ** 3
-            for table in (samples.on_ball, samples.roots[:, : len(grid)])
-        )
-        look = lights.errors(values_at(truth, lights), on_ball, truth.bands)
-        return look | Errors.of_values(values_at(truth, grid), in_grid, grid.cosines)
-
-    return find, measure
 
 
 _BANDS = 12  # bands in which errors are measured, evenly spaced, beside those of the samples
@@ -304,7 +268,7 @@ def leave_out(
     chosen = np.arange(len(space.X))
     if isinstance(space, BlendSpace) and samples is not None:
         chosen = np.sort(farthest_samples(_SAMPLE, lambda i: np.linalg.norm(space.X - space.X[i], axis=1)))
-        find, measure = landmark_left_out(space, materials, bands, samples)
+        find, measure = _landmark_left_out(space, materials, bands, samples)
     else:
         table = MaterialTable(materials.with_negative_values(), bands)
         find, measure = space.left_out_search(table, materials, settings), table.errors
@@ -314,3 +278,36 @@ def leave_out(
         errors.append(measure(i, combination))
     found = Errors.of_several(errors)
     return LeftOut(space, places, Errors(found.ball, found.cube_root), residual, chosen)
+
+
+def _landmark_left_out(
+    space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
+) -> tuple[LeftOutSearch, Callable[[int, Combination], Errors[float]]]:
+    """A search for a material among the others, and what tells the errors of its prediction in some bands (B',), those
+    of `MaterialTable.errors`; only materials that are left out are read.
+    """
+    at, lights = np.searchsorted(bands, space.bands), panel.judged()
+    search = LandmarkSearch(space, samples.roots, bands)
+    pairs, grid = appearance_pairs(materials.is_isotropic), encoding_pairs(materials.is_isotropic)
+
+    def find(i: int) -> tuple[Array, Combination, float]:
+        (brdf,) = materials.filled([materials.names[i]])
+        target = roots_at([brdf.select_bands(bands.tolist())], pairs)
+        x, colours, residual = search.find(target, at, without=i)
+        others = np.delete(np.arange(len(space.X)), i)
+        u = np.zeros(len(space.X))
+        u[others] = blend_weights(x[None], space.X[others], space.kernel.length_scale)[0]
+        weights = space.paths.weights(u, colours[0]) * colours[1][:, None]
+        return x, Combination(CubeRoot(), weights, at), residual
+
+    def measure(i: int, combination: Combination) -> Errors[float]:
+        (brdf,) = materials.with_negative_values(names=[materials.names[i]])
+        truth = brdf.select_bands(bands.tolist())
+        on_ball, in_grid = (
+            np.maximum(combined(combination.weights, table), 0.0).T ** 3
+            for table in (samples.on_ball, samples.roots[:, : len(grid)])
+        )
+        look = lights.errors(values_at(truth, lights), on_ball, truth.bands)
+        return look | Errors.of_values(values_at(truth, grid), in_grid, grid.cosines)
+
+    return find, measure

@@ -160,7 +160,7 @@ class PredictedBRDF(NotebookPicture):
         return turned
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast; negative where weights may be."""
+        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast, perhaps negative if weights are."""
         if self._measured is not None:
             return self._measured.eval(wi, wo)
         pairs = Pairs(wi, wo)

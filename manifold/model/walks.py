@@ -88,9 +88,8 @@ def fit_highlight(brdf: BRDF) -> Highlight:
         columns = np.stack([np.full_like(lobe, 1.0 / np.pi), lobe * (1.0 - schlick), lobe * schlick], axis=1)
         found, error = [], 0.0
         for band in bands:
-            slope = weight * (f[:, band] + _LEAST_VALUE) ** (
-                -2.0 / 3.0
-            )  # slope of cube roots, up to a factor
+            # Slope of cube roots, up to a factor.
+            slope = weight * (f[:, band] + _LEAST_VALUE) ** (-2.0 / 3.0)
             q, r = np.linalg.qr(columns * slope[:, None])
             found.append(
                 scipy.optimize.lsq_linear(r, q.T @ (f[:, band] * slope), (0.0, 1.0), method="bvls").x

@@ -44,7 +44,7 @@ GRID_SHAPE = (45, 23, 12)
 
 THETA_H_MAX_RAD = float(np.deg2rad(89.0))
 THETA_H_POWER = 2.5
-"""theta_h goes with this power of its index, dense around the mirror direction."""
+"""The last theta_h, and the power of its index with which theta_h goes, dense around the mirror direction."""
 
 THETA_D_SHARE = 0.995
 """The last theta_d, as a share of the largest."""
@@ -185,7 +185,9 @@ _MAP_NODES = 32  # visible bands that colours are made of, at most
 _LEAST_WEIGHT = 0.3  # weight of invisible bands, which paths include, relative to the largest
 _THUMBNAIL = 24  # pixels across
 _DARK = 0.05  # share of a material's median below which ratios of components are not resolved
-_FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # spectra dropped on an RGB map
+_FILE_NODES_NM = tuple(
+    np.arange(380.0, 781.0, 10.0).tolist()
+)  # wavelengths of spectra that are dropped on an RGB map
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,15 +117,18 @@ class Summary:
 
 def ciede2000_map(display: Array, other: Array) -> Array:
     """CIEDE2000 between display values in [0, 1], shapes (H, W, 3), relative to the display's white; shape (H, W)."""
-    require_pictures(display, other)
-    xyz, xyz_other = (srgb_to_xyz(decode_srgb(np.clip(p, 0.0, 1.0))) for p in (display, other))
-    return delta_e_2000(xyz, xyz_other, srgb_to_xyz(_WHITE))
+    return delta_e_2000(*_xyz(display, other), srgb_to_xyz(_WHITE))
 
 
 def itp_map(display: Array, other: Array) -> Array:
     """Delta E_ITP between display values in [0, 1], shapes (H, W, 3); shape (H, W)."""
+    return delta_e_itp(*_xyz(display, other))
+
+
+def _xyz(display: Array, other: Array) -> tuple[Array, Array]:
     require_pictures(display, other)
-    return delta_e_itp(*(srgb_to_xyz(decode_srgb(np.clip(p, 0.0, 1.0))) for p in (display, other)))
+    xyz, xyz_other = (srgb_to_xyz(decode_srgb(np.clip(p, 0.0, 1.0))) for p in (display, other))
+    return xyz, xyz_other
 
 
 def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PER_DEGREE) -> Array:

@@ -14,9 +14,8 @@ from typing import Any
 from manifold.errors import FileFormatError
 from manifold.render import backend
 
-_KEYWORDS = frozenset(
-    {"scene", "rgb", "spectrum", "ref", "manifold"}
-)  # types of dictionaries; and our own plugin
+# Types of dictionaries; and our own plugin.
+_KEYWORDS = frozenset({"scene", "rgb", "spectrum", "ref", "manifold"})
 
 
 def require_plugins(types: Iterable[object], origin: str) -> None:

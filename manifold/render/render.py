@@ -37,7 +37,7 @@ class RenderSettings:
         size: pixels per side.
         samples: light paths per pixel.
         seed: of the noise; equal seeds give equal pictures.
-        environment: linear RGB radiance as `studio.studio` lays it out, (H, W, 3); that by default.
+        environment: linear RGB radiance as `lights.studio` lays it out, (H, W, 3); that by default.
     """
 
     size: int = 256
@@ -85,7 +85,7 @@ def render_floating_ball(
     samples: int,
     **view: float,
 ) -> Array:
-    """A measured file, spectral or in linear sRGB, on a ball alone in an environment (H, W, 3), as `studio.studio` lays
+    """A measured file, spectral or in linear sRGB, on a ball alone in an environment (H, W, 3), as `lights.studio` lays
     it out, under D65, in linear sRGB, shape (size, size, 3); `view` as in `scenes.floating_ball`.
     """
     settings, bsdf = RenderSettings(size, samples), {"type": "measured", "filename": str(path)}

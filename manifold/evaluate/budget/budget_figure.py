@@ -23,7 +23,7 @@ def budget_figure(
     whole: Array, chosen: Array, delta_e: Array, materials: Sequence[Mapping[str, Any]], tolerance: float
 ) -> Figure:
     """Renders (H, W, 3) above, with the whole files and with what was chosen, and their CIEDE2000 (H, W); one row of
-    costs per material below, from the JSON of a budget, with the tolerance in CIEDE2000.
+    costs per material below, from `Chosen.to_json`, with the tolerance in CIEDE2000.
     """
     height = 8.6 / 3.0 * delta_e.shape[0] / delta_e.shape[1]
     figure = new_figure(8.6, height + 0.5 + 2.7 * len(materials))

@@ -231,9 +231,8 @@ class Evaluation:
             return
         self._has_samples = mixture.weights.ndim == 3
         self._weights, *self._slopes = map(self._uploaded, (mixture.weights, *mixture.slopes))
-        self._offsets = [
-            v - dr.detach(v) for v in (latent, colours) if v is not None
-        ]  # zeros with derivatives
+        # Zeros with derivatives.
+        self._offsets = [v - dr.detach(v) for v in (latent, colours) if v is not None]
 
     def _uploaded(self, weights: Array) -> Any:
         """Weights of materials, or of samples padded as they are stored."""
@@ -317,7 +316,7 @@ class Evaluation:
 
     def _in_its_frame(self, symmetry: Any, rotation: Any, wi: Any) -> tuple[Any, Any]:
         """Cosine and sine of the turn into the frame in which a sample was measured, and signs for each axis after it,
-        which move incident directions into the measured azimuths; see `brdf.pairs.signs`.
+        which move incident directions into the measured azimuths; see `pairs.signs`.
         """
         mi, dr = self._mi, self._dr
         turn = mi.Vector2f(dr.cos(rotation), dr.sin(rotation))

@@ -123,7 +123,9 @@ def fit(
         outcome = fits.fit(source, target, settings)
     predictions = [outcome.source] if places else []
     if outcome.content is not None:
-        results.rows(f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _rows(outcome.content))
+        results.rows(
+            f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _fit_rows(outcome.content)
+        )
         for prediction in predictions:
             results.rows("Fitted to a prediction", prediction.rows)
         if picture:
@@ -152,7 +154,7 @@ def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSour
     results.table(["picture", "CIEDE2000", "FLIP"], [[target.name, f"{delta_e:.2f}", f"{flip:.3f}"]])
 
 
-def _rows(content: dict[str, Any]) -> dict[str, object]:
+def _fit_rows(content: dict[str, Any]) -> dict[str, object]:
     from manifold.fit.identifiability import ParameterIdentifiability
     from manifold.metrics import Errors
 
@@ -263,10 +265,10 @@ def export(
     drawn = path.with_suffix(".png") if picture else None
     with progress.shown("Exporting"):
         outcome = exporting.export(material, target, path, against=against, is_mapped=mapped, picture=drawn)
-    _show(results, outcome, drawn)
+    _show_export(results, outcome, drawn)
 
 
-def _show(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
+def _show_export(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
     from manifold.metrics import Errors
 
     content = outcome.content or {}

@@ -120,7 +120,7 @@ def walk(
 @app.command(
     "slices",
     short_help="Draw BRDF values over angles or wavelengths.",
-    epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o maps.png",
+    epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o slices.png",
 )
 def slices(
     names: Annotated[
@@ -327,10 +327,10 @@ def render(
         return
     with progress.shown("Rendering"):
         made = renders.render(sources[0], or_default(output, "render.png"), settings, direct=direct)
-    _show(results, made)
+    _show_render(results, made)
 
 
-def _show(results: terminal.Results, made: Rendered) -> None:
+def _show_render(results: terminal.Results, made: Rendered) -> None:
     content = made.to_json()
     rows = {
         "material": f"{content['material']} ({content['route']})",

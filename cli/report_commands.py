@@ -186,7 +186,7 @@ def _write_chart(made: Chart, results: terminal.Results, output: Path | None) ->
     if said := conclusion(made):
         results.sentence(said)
     columns = "setting,CIEDE2000,front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
-    results.table(columns.split(","), _rows(made))
+    results.table(columns.split(","), _chart_rows(made))
     results.text(
         "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
         f"predict, fit: in times of a reference, here {1e3 * made.reference_seconds:.3g} ms of a core; "
@@ -204,7 +204,7 @@ def _write_chart(made: Chart, results: terminal.Results, output: Path | None) ->
         figures.save(chart_figure.chart(made), output)
 
 
-def _rows(made: Chart) -> list[list[str]]:
+def _chart_rows(made: Chart) -> list[list[str]]:
     def letters(error: str, key: str) -> str:
         return "".join(_LETTERS[cost] for cost, keys in made.fronts[error].items() if key in keys)
 
@@ -306,7 +306,7 @@ _NAME = 16  # columns of a material's name in the table; below it stands in full
 @app.command(
     "budget",
     short_help="The cheapest representation of a scene's materials that keeps its picture.",
-    epilog="Example: manifold budget --example felt, or manifold budget scene.xml --max-delta-e 0.5 -o lean",
+    epilog="Example: manifold budget scene.xml --max-delta-e 0.5 -o lean",
 )
 def budget(
     scene: Annotated[
@@ -368,10 +368,10 @@ def budget(
             made = budgets.budget_scene(scene, tolerance, settings, output, picture)
         else:
             made = budgets.example(str(example), tolerance, settings, output, picture)
-    _show(results, made)
+    _show_budget(results, made)
 
 
-def _show(results: terminal.Results, made: Budget) -> None:
+def _show_budget(results: terminal.Results, made: Budget) -> None:
     columns = ["material", "representation", "bytes", "ms", "pred.", "verified", "FLIP"]
     rows = [
         [

@@ -157,8 +157,8 @@ _LOG_DET, _TRACE, _SQUARED_NORM, _VALUE, _MOVES = range(5)
 class IncrementalObjective:
     """F as a `MoveObjective` that starts from a copy of X (N, Q): a move of one coordinate of one latent costs O(N^2).
 
-    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with `d_i = 0`. With `P = K^-1`, `p = P
-    e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q` and `t = (1 + b)^2 - a c`,
+    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with `d_i = 0`. With `P = K^-1`,
+    `p = P e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q` and `t = (1 + b)^2 - a c`,
 
         |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
 

@@ -174,7 +174,7 @@ def import_outputs(made: Batch[Any], library: Path) -> None:
 def predictions_of(
     model: Path, *, library: Path | None = None, options: OutputOptions = DEFAULT_OPTIONS
 ) -> Command[Input]:
-    """Predict at the places of a model that `point_table.read_points` reads; see `estimate.predict`."""
+    """Predict at the places of a model that `inputs.read_points` reads; see `predictions.predict`."""
     loaded = load_model(model, library)
     suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
     columns: Columns = {

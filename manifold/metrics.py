@@ -129,10 +129,10 @@ class Errors(Generic[Number]):
     def from_json(cls, content: Mapping[str, Any]) -> Errors[Array]:
         """Those of several, of what `to_json` has made."""
 
-        def array(value: Any) -> Any:
-            return (
-                {k: np.array(v) for k, v in value.items()} if isinstance(value, Mapping) else np.array(value)
-            )
+        def array(value: Any) -> Any:  # None is NaN
+            if isinstance(value, Mapping):
+                return {k: np.array(v, np.float64) for k, v in value.items()}
+            return np.array(value, np.float64)
 
         return Errors(**{name: array(value) for name, value in content.items()})
 

@@ -191,7 +191,7 @@ class BsdfFile:
 
 
 def plain(value: Any) -> Any:
-    """What JSON holds of a value: records by their `to_json` or fields, paths as text, None for NaN and infinity."""
+    """What JSON holds of a value: records by their `to_json` or fields, None for NaN; else its text."""
     match value:
         case None | bool() | int() | str():
             return value

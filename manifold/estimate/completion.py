@@ -321,9 +321,9 @@ class Completion:
 def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: Mask | None = None) -> Array:
     """Weights v >= 0 of atoms in every band that fit the readings, and differ little from prior weights: (B, n + 1).
 
-    They minimise `sum_p w (v g - t)^2 / |t|^2 + keep (v - s) G (v - s)`: cube roots g of atoms and t of the material,
-    prior s (B, n + 1), and G (n + 1, n + 1), inner products of atoms averaged over all directions; only of atoms that
-    are usable (n + 1,).
+    They minimise `sum_p w (v g - t)^2 / |t|^2 + keep (v - s) G (v - s)`: cube roots g of atoms and t of the material at
+    readings of weights w, prior s (B, n + 1), and G (n + 1, n + 1), inner products of atoms averaged over all
+    directions; only of atoms that are usable (n + 1,).
     """
     is_read = np.isfinite(read.material)
     known = np.where(is_read, read.material, 0.0)

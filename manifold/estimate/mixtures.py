@@ -349,6 +349,9 @@ def band_mixtures(
 ) -> Hypotheses:
     """Posterior probabilities of mixtures of two materials, given readings in B bands.
 
+    The highlight of a coat is white and that of a metal coloured: single bands say more than their mean about which
+    materials the readings resemble.
+
     Weights >= 0 of the atoms of both materials and of the Lambertian are fitted to every band, with shares of materials
     near those in the mean of all bands, to which the mixtures of atoms were fitted. The likelihood, `gram`,
     `material_of` and `n_library` are those of `posterior`.

@@ -307,7 +307,7 @@ def probable_exposure(
     beside: Sequence[Observation | None],
     usable: Mask | None = None,
 ) -> float:
-    """The exposure at which the library's usable materials (n,) explain photographs best, and others beside them.
+    """The exposure at which the library's usable materials (n,) best explain photographs and what else was observed.
 
     It is the posterior mean of its logarithm. The prior is that of how bright they are in these pixels, none brighter
     than white. The ratio of highlights to what is beside them says the rest, and counts little: many mixtures have it.

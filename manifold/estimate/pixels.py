@@ -369,7 +369,7 @@ def frames(normal: Array) -> Array:
 def block_sums(
     values: Callable[[Array, Array], Array], wi: Array, wo: Array, light: Array, at_once: int = 16384
 ) -> Array:
-    """Pixels of BRDFs of some values (n, P): sums over the direction pairs of every block, shape (n, C, K)."""
+    """Pixels of n BRDFs: sums of their values (n, P) over the P direction pairs of every block, shape (n, C, K)."""
     K, S = light.shape[:2]
     per = max(1, at_once // S)
     parts = []

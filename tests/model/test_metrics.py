@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from manifold.directions import from_rusinkiewicz, from_spherical, half_vector, to_rusinkiewicz
 from manifold.errors import ShapeError
-from manifold.metrics import RunningErrors, cube_root_error, relative_error, rmse, spectral_angle
+from manifold.metrics import Errors, RunningErrors, cube_root_error, relative_error, rmse, spectral_angle
 from manifold.pairs import RusinkiewiczGrid, cosine_weight
 
 
@@ -145,3 +145,11 @@ def test_a_turned_grid_has_half_vectors_of_all_azimuths_at_every_elevation():
         assert gaps.max() < np.deg2rad(30.0)  # even gaps are 9 degrees
     parts = [np.concatenate(part) for part in zip(*turned.blocks(777), strict=True)]
     assert np.array_equal(parts[0], turned_wi)
+
+
+def test_errors_of_several_come_back_from_json_where_one_is_not_known():
+    errors = Errors(linear=np.array([1.0, np.nan, 3.0]), lights={"sun 45": np.array([0.5, np.nan, 1.5])})
+    back = Errors.from_json(errors.to_json())
+    np.testing.assert_array_equal(back.linear, errors.linear)
+    assert back.median.linear == 2.0
+    assert back.median.lights == {"sun 45": 1.0}

@@ -148,6 +148,17 @@ class Pairs:
         """cos(theta_i) cos(theta_o), shape (K,)."""
         return cosine_weight(self.wi, self.wo)
 
+    def results(self, count: int, out: Array | None) -> Array:
+        """What receives `count` values a pair, (..., count): `out`, which must fit, or new memory."""
+        shape = (*self.shape, count)
+        if out is None:
+            return np.empty(shape)
+        if out.shape != shape or out.dtype not in (np.float32, np.float64) or not out.flags.carray:
+            raise ShapeError(
+                f"out is {out.dtype} {out.shape}, expected contiguous float32 or float64 {shape}, which can be written"
+            )
+        return out
+
     def turned(self, angle_rad: float) -> tuple[Array, Array]:
         """Both directions turned about the normal, (K, 3) each."""
         if angle_rad == 0.0:

@@ -13,7 +13,7 @@ from manifold.brdf import lookup
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.warp import Warp
 from manifold.directions import require_directions, rotate_z
-from manifold.errors import ShapeError, UsageError
+from manifold.errors import UsageError
 from manifold.pairs import Pairs, Symmetry, flat_samples
 from manifold.records import Array, Bands, BsdfFile
 
@@ -153,15 +153,9 @@ class MeasuredBRDF(NotebookPicture):
 
     def _evaluate(self, wi: Array, wo: Array, divide: bool, out: Array | None) -> Array:
         pairs = Pairs(wi, wo)
-        shape = (*pairs.shape, self.bands.count)
-        if out is None:
-            out = np.empty(shape)
-        elif out.shape != shape or out.dtype not in (np.float32, np.float64) or not out.flags.carray:
-            raise ShapeError(
-                f"out is {out.dtype} {out.shape}, expected contiguous float32 or float64 {shape}, which can be written"
-            )
+        out = pairs.results(self.bands.count, out)
         isotropic, repeats, rotation = self.symmetry
-        rows = out.reshape(len(pairs), shape[-1])
+        rows = out.reshape(len(pairs), self.bands.count)
         if len(pairs) <= _FEW:
             lookup.eval_located(pairs.located(*self.symmetry), divide, self.tables, rows)
         else:

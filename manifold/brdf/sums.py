@@ -203,7 +203,7 @@ def _add_material(located, spectra, slices, shares, cells, corners, weight, take
 
 @nb.njit(cache=True, nogil=True, fastmath=FASTMATH)
 def add_located(located, group, weights, take_root, total):
-    """Add the sum of weights f, or of weights times cube roots of f, of K pairs to total (K, B), double precision.
+    """Add the sum of weights f, or of weights times cube roots of f, of K pairs to total (K, B).
 
     Pairs are as `Pairs.located` gives them, (K, 5); `group` is tables of `GROUP` materials, of the same types, and
     weights are single precision, (GROUP,): a material with none is not read.
@@ -235,6 +235,8 @@ def add_located(located, group, weights, take_root, total):
 class WeightedSum:
     """The sum of weight * f of measured materials, or of weight times the signed cube root of f."""
 
+    dtype = np.float32
+
     def __init__(
         self, materials: Sequence[MeasuredBRDF], weights: Sequence[float] | Array, *, cube_root: bool
     ):
@@ -255,7 +257,7 @@ class WeightedSum:
                 self._groups.append((symmetry, tables, np.array(shares, dtype=np.float32)))
 
     def add_to(self, total: Array, pairs: Pairs) -> None:
-        """Add the sum at K direction pairs to a total (K, B), float64, C-contiguous, on one core and outside the
+        """Add the sum at K direction pairs to a total (K, B), of `dtype`, C-contiguous, on one core and outside the
         interpreter's lock; pairs below the horizon add nothing.
         """
         for symmetry, tables, weights in self._groups:

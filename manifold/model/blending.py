@@ -21,8 +21,10 @@ from manifold.records import Array, Indices
 NEIGHBOURS = 128
 """Number of nearest samples among which a blend finds its weights."""
 
-NEGLIGIBLE = 1e-6
-"""Weights up to this share of the largest are 0: they are invisible, and cost a look-up each."""
+NEGLIGIBLE = 3e-4
+"""Weights up to this share of the largest are 0, and cost no look-up: at random places of maps of 20 and 51 materials,
+all of them together changed a ball by at most 0.07 CIEDE2000, in whichever light.
+"""
 
 _FLATTENING = 10.0 ** np.arange(
     -2.0, 2.0, 0.25

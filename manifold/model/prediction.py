@@ -23,7 +23,7 @@ from manifold.directions import half_vector, require_directions
 from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity, ValueMapping
 from manifold.model.combination import Combination
-from manifold.pairs import Pairs, cosine_weight
+from manifold.pairs import Pairs
 from manifold.records import Array, Bands
 from manifold.threads import one_blas_thread
 
@@ -69,8 +69,7 @@ class LobeSampling:
         return wo, self.pdf(wi, wo)
 
 
-# Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.
-BLOCK_PAIRS = 2048
+BLOCK_PAIRS = 512  # direction pairs summed at once: of 195 bands 0.4 MB, which stay in a core's own cache
 _BLOCKS = 8  # least number of blocks, where there are enough pairs: threads share them
 _SHOWN_PARTS = 3
 
@@ -159,24 +158,31 @@ class PredictedBRDF(NotebookPicture):
         turned._samplers = [*turned._materials, *self._samplers[len(self._materials) :]]
         return turned
 
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast, perhaps negative if weights are."""
-        if self._measured is not None:
+    def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
+        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast, perhaps negative if weights are.
+
+        `out` as in `MeasuredBRDF.eval`.
+        """
+        if self._measured is not None and out is None:
             return self._measured.eval(wi, wo)
         pairs = Pairs(wi, wo)
-        out = np.empty((len(pairs), self.bands.count))
+        out = pairs.results(self.bands.count, out)
+        if self._measured is not None:
+            out[...] = self._measured.eval(wi, wo)
+            return out
+        values = out.reshape(len(pairs), self.bands.count)
         # Few pairs are shared out too, but not so finely that calls take longer than values. Sums of matrices depend on
         # the size of blocks, which therefore does not depend on the number of threads.
         size = int(np.clip(-(-len(pairs) // _BLOCKS), 64, BLOCK_PAIRS))
-        blocks = [(block, out[rows]) for rows, block in pairs.blocks(size)]
+        blocks = [(block, values[rows]) for rows, block in pairs.blocks(size)]
         if len(blocks) > 1 and all(isinstance(material, MeasuredBRDF) for material in self._materials):
             # Every thread multiplies matrices of its own: a second level of threads costs more than it does.
             with one_blas_thread, ThreadPoolExecutor(nb.get_num_threads()) as pool:
                 list(pool.map(self._combine, *zip(*blocks, strict=True)))
         else:  # other materials may have parallel loops of their own
-            for block, values in blocks:
-                self._combine(block, values)
-        return out.reshape(*pairs.shape, out.shape[1])
+            for block, of_block in blocks:
+                self._combine(block, of_block)
+        return out
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
@@ -219,22 +225,24 @@ class PredictedBRDF(NotebookPicture):
 
     def _combine(self, pairs: Pairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""
-        cosines = cosine_weight(pairs.wi, pairs.wo)
+        cosines, dtype = pairs.cosines, self._sums[0].dtype
+        mapped: Array
         if self._is_per_band:
-            mapped = np.zeros((len(self._materials), len(pairs), self._materials[0].bands.count))
+            each = np.zeros((len(self._materials), len(pairs), self._materials[0].bands.count), dtype)
             for k, share in enumerate(self._sampling_weights[: len(self._materials)]):
                 if share > 0.0:
-                    self._sums[k].add_to(mapped[k], pairs)
-            samples = np.moveaxis(mapped, 1, 2).reshape(-1, len(pairs))  # [N B_s, K]
+                    self._sums[k].add_to(each[k], pairs)
+            by_sample = np.array(np.moveaxis(each, 1, 2), np.float64, order="C")  # [N, B_s, K]
+            samples = by_sample.reshape(-1, len(pairs))
             if self._dictionary is None:
-                np.matmul(samples.T, self._weights.T, out=out)
+                mapped = samples.T @ self._weights.T
             else:
                 lobes = self._mapping.forward(self._dictionary.lobes.values(pairs.wi, pairs.wo, self._lobes))
-                out[...] = self._dictionary.combine(self._weights, samples, lobes).T
+                mapped = self._dictionary.combine(self._weights, samples, lobes).T
         else:
-            out[...] = 0.0
-            self._sums[0].add_to(out, pairs)
-        out[...] = self._mapping.inverse(out, cosines)
+            mapped = np.zeros(out.shape, dtype)
+            self._sums[0].add_to(mapped, pairs)
+        out[...] = self._mapping.inverse(mapped, cosines)
         out[cosines <= 0] = 0.0
 
     @cached_property
@@ -255,6 +263,8 @@ class PredictedBRDF(NotebookPicture):
 
 class _MappedSum:
     """The sum of weights * T(f) of any BRDFs and any mapping, one BRDF after the other."""
+
+    dtype = np.float64
 
     def __init__(self, brdfs: Sequence[BRDF], weights: Array, mapping: ValueMapping):
         self._terms, self._mapping = list(zip(brdfs, weights, strict=True)), mapping

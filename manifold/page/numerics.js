@@ -3,7 +3,7 @@
 
 import { luminance, tinted } from "./colour.js";
 
-const NEGLIGIBLE = 1e-6, NEIGHBOURS = 128; // as in manifold/model/blending.py
+const NEGLIGIBLE = 3e-4, NEIGHBOURS = 128; // as in manifold/model/blending.py
 const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/model/colour_paths.py
 const LEAST_COMPONENT = 2e-5; // of a chosen colour: a weight that no picture shows
 const SHAPE_KEPT = 4, MOST_EXCESS = 3; // as in manifold/model/walks.py

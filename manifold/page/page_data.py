@@ -378,8 +378,8 @@ def _node_bands(bands: Bands) -> Indices:
 def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
     """Cube roots of f cos(theta_i) cos(theta_o), the mean of both sides of the plane of the normal, (P, B')."""
     mirror = np.array([1.0, -1.0, 1.0])
-    total = np.zeros((len(pairs.wi), material.bands.count))
     half = WeightedSum([material], [0.5], cube_root=True)
+    total = np.zeros((len(pairs.wi), material.bands.count), half.dtype)
     for side in (np.ones(3), mirror):
         half.add_to(total, Pairs(pairs.wi * side, pairs.wo * side))
     return (np.maximum(total, 0.0) * pairs.amplitude[:, None]).astype(np.float32)

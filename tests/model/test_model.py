@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from manifold import progress
 from manifold.analytic.base import Lambert
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import panel
 from manifold.directions import from_spherical
 from manifold.errors import (
     BandMismatchError,
@@ -30,7 +31,7 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
 from manifold.metrics import rmse
-from manifold.model import fitting, model_file
+from manifold.model import blending, fitting, model_file
 from manifold.model.fitting import BrightMaterialWarning
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
@@ -71,6 +72,20 @@ def test_weights_sum_to_one_and_are_unit_at_the_materials(model):
     np.testing.assert_array_equal(model.weights(model.X), np.eye(len(NAMES)))
     x = np.array([[0.1, 0.2], [5.0, -5.0]])
     np.testing.assert_allclose(model.weights(x).sum(axis=1), 1.0, rtol=1e-12)
+
+
+def test_weights_that_are_cut_are_invisible(library, monkeypatch, rng):
+    model = Manifold.fit(library, Settings(), calibrate=False)
+    places, lights, n_cut = blending.inside_hull(model.X, 12, rng) @ model.X, panel.judged(), 0
+    for x in places:
+        cut = model.predict(x).eval(lights.wi, lights.wo)
+        n_used = np.count_nonzero(model.weights(x))
+        with monkeypatch.context() as patch:
+            patch.setattr(blending, "NEGLIGIBLE", 0.0)
+            n_cut += np.count_nonzero(model.weights(x)) - n_used
+            whole = model.predict(x).eval(lights.wi, lights.wo)
+        assert lights.errors(whole, cut, model.bands).worst < 0.1  # a tenth of what is visible
+    assert n_cut > 0
 
 
 def test_uncertainty_is_zero_at_materials_and_full_far_away(model):

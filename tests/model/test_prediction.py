@@ -100,6 +100,18 @@ def test_measured_materials_are_combined_in_one_pass_as_one_by_one(measured_mate
     assert not np.any(fused[::7])
 
 
+@pytest.mark.parametrize("weights", [[0.6, -0.3, 0.5, 0.2], [0.0, 1.0, 0.0, 0.0]])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_predictions_are_written_to_the_memory_that_is_given(measured_materials, dtype, weights, rng):
+    predicted = PredictedBRDF(measured_materials, Combination(MAPPINGS["cube-root"], np.array(weights)))
+    wi, wo = directions(rng, 1200)
+    wi, wo, out = wi.reshape(3, 400, 3), wo.reshape(3, 400, 3), np.full((3, 400, 3), np.nan, dtype)
+    assert predicted.eval(wi, wo, out=out) is out
+    np.testing.assert_array_equal(out, predicted.eval(wi, wo).astype(dtype))
+    with pytest.raises(ShapeError, match="out is"):
+        predicted.eval(wi, wo, out=out[..., :2])
+
+
 @pytest.mark.parametrize("cube_root", [False, True])
 @pytest.mark.parametrize("count", [1, 4, 5, 9])
 def test_a_weighted_sum_is_that_of_its_materials(measured_materials, count, cube_root, rng):
@@ -111,8 +123,9 @@ def test_a_weighted_sum_is_that_of_its_materials(measured_materials, count, cube
     wo[::7] *= [1.0, 1.0, -1.0]
     materials = [measured_materials[k % len(measured_materials)] for k in range(count)]
     weights = rng.normal(size=count)
-    found = np.zeros((1000, 3))
-    WeightedSum(materials, weights, cube_root=cube_root).add_to(found, Pairs(wi, wo))
+    summed = WeightedSum(materials, weights, cube_root=cube_root)
+    found = np.zeros((1000, 3), summed.dtype)
+    summed.add_to(found, Pairs(wi, wo))
     terms = np.array([material.eval(wi, wo) for material in materials])
     terms = np.cbrt(terms) if cube_root else terms
     # Values, weights and the sums of four materials are in single precision: about 6e-8 each, of the terms.

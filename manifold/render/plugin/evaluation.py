@@ -64,8 +64,8 @@ class VaryingWeights:
         mi, dr = self._mi, self._dr
         has_slopes = len(lobes.slopes) > 0
         if self._is_blend:
-            least, total = lobes.sums
-            share, *slopes = self._share(lobes.latent, j, least, has_slopes)
+            nearest, total = lobes.sums
+            share, *slopes = self._share(lobes.latent, j, nearest, has_slopes)
             v = share / total
             return mi.Float(v), [
                 mi.Float((a - v * b) / total) for a, b in zip(slopes, lobes.slopes, strict=True)
@@ -99,17 +99,27 @@ class VaryingWeights:
     def _of_blend(self, latent: list[Any], has_slopes: bool) -> Lobes:
         """For `latent.blending.blend_weights`, relative to the nearest material."""
         mi, dr = self._mi, self._dr
-        least = self._first(mi.Float64(1e300), lambda j, s: dr.minimum(s, self._cost(latent, j)[0]))
-        total, *slopes = self._sum(lambda j: self._share(latent, j, least, has_slopes), None, 0, has_slopes)
-        return Lobes(latent, (least, total), slopes, mi.Float(1.0))
 
-    def _share(self, latent: list[Any], j: Any, least: Any, has_slopes: bool) -> list[Any]:
+        def nearer(j: Any, found: tuple[Any, Any]) -> tuple[Any, Any]:
+            cost = self._cost(latent, j)[0]
+            return dr.minimum(cost, found[0]), dr.select(cost < found[0], j, found[1])
+
+        nearest = self._first((mi.Float64(1e300), mi.UInt32(0)), nearer)[1]
+        total, *slopes = self._sum(lambda j: self._share(latent, j, nearest, has_slopes), None, 0, has_slopes)
+        return Lobes(latent, (nearest, total), slopes, mi.Float(1.0))
+
+    def _share(self, latent: list[Any], j: Any, nearest: Any, has_slopes: bool) -> list[Any]:
         """Share of material j before division by their sum, and its slopes."""
         dr = self._dr
-        cost, slope = self._cost(latent, j)
+        (cost, slope), (least, slope_nearest) = self._cost(latent, j), self._cost(latent, nearest)
         share = dr.exp(least - cost)
         kept = share - NEGLIGIBLE
-        slopes = [-dr.select(kept > 0.0, share * slope * d, 0.0) for d in self._differences(latent, j)]
+        slopes = [
+            dr.select(kept > 0.0, share * (slope_nearest * from_nearest - slope * d), 0.0)
+            for d, from_nearest in zip(
+                self._differences(latent, j), self._differences(latent, nearest), strict=True
+            )
+        ]
         return [dr.maximum(kept, 0.0), *slopes[: len(slopes) * has_slopes]]
 
     def _cost(self, latent: list[Any], j: Any) -> tuple[Any, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,10 +25,12 @@ from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
+from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
@@ -61,6 +63,26 @@ class Subject:
     fit: dict[str, Any]
     material: BRDF | None
     against: str
+
+    @cached_property
+    def fitted(self) -> FittedBRDF:
+        """The fit, as a BRDF."""
+        return FittedBRDF(self.fit)
+
+    @property
+    def truth(self) -> EvaluableBRDF:
+        """What targets are fitted to: the material, or the fit where there is none."""
+        return self.fitted if self.material is None else self.material
+
+    @cached_property
+    def samples(self) -> FitSamples:
+        """Of what targets are fitted to."""
+        return fit_samples.from_brdf(self.truth)
+
+    @cached_property
+    def principled_errors(self) -> Errors[float] | None:
+        """Of the fit; None where there is no material."""
+        return None if self.material is None else ball_errors(self.fitted, self.material)
 
 
 def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
@@ -154,13 +176,12 @@ def export(
         stages.begin("evaluating the target's model")
     rotation_deg = subject.fit.get("rotation_deg", 0.0)
     principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"], rotation_deg)
-    parameters, fitted = target.parameters(principled), FittedBRDF(subject.fit)
-    material = fitted if subject.material is None else subject.material
+    parameters, material = target.parameters(principled), subject.truth
     is_flattened = principled.anisotropic > 0.0 and parameters == target.parameters(
         replace(principled, anisotropic=0.0)
     )
     if not is_mapped:
-        parameters = fit_target(target, parameters, fit_samples.from_brdf(material))
+        parameters = fit_target(target, parameters, subject.samples)
     model = TargetBRDF(target, parameters)
     made = Export(
         name=subject.name,
@@ -169,7 +190,7 @@ def export(
         source=subject.source,
         method="mapping" if is_mapped else "direct",
         errors=ball_errors(model, material),
-        principled_errors=None if subject.material is None else ball_errors(fitted, material),
+        principled_errors=subject.principled_errors,
         against=subject.against,
         textures=None if textures is None else textures(parameters),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -150,7 +151,13 @@ def make_surface(
         flakes = sparkle.flakes.drawn(size, np.random.default_rng(1))
     paths |= _write_textures(folder, stem, surface, textures, brdf, flakes)
     stages.begin("exports")
-    exports = {} if completed is None else write_exports(paths, folder, stem, textures, flakes, targets)
+    exports = {}
+    if brdf is not None:
+        paths["picture"] = folder / f"{stem}.png"
+        with ThreadPoolExecutor(1) as beside:  # drawn while models are fitted
+            drawn = beside.submit(preview.strip, brdf, textures, flakes)
+            exports = write_exports(paths, folder, stem, textures, flakes, targets)
+            write_image(paths["picture"], drawn.result())
     notes = _notes(pictures, surface, sparkle, completed)
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
@@ -193,8 +200,6 @@ def _write_textures(
         changes = spectral_changes(textures.albedo, brdf.eval(wi, wo)[0], brdf.bands)
         paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
         disk.write_text(paths["mitsuba"], mitsuba_document(paths | {"mean": mean}, flakes))
-        paths["picture"] = folder / f"{stem}.png"
-        write_image(paths["picture"], preview.strip(brdf, textures, flakes))
     write_image(paths["changes"], changes.astype(np.float16))  # steps of 1 / 2000
     return paths
 

@@ -11,6 +11,13 @@ from typing import Any
 import pytest
 
 
+# Software rendering takes seconds for the balls of the map and for a picture at rest: tests that need one ask for it.
+COARSE = """new MutationObserver(() => {
+  clearTimeout(explorer.refining);
+  Object.assign(explorer, { rest: 1e6, pendingThumbnails: [] });
+}).observe(document, { subtree: true, attributeFilter: ["data-ready"] });"""
+
+
 @dataclass
 class Visit:
     """A page, and what it has said and asked for.
@@ -34,8 +41,6 @@ class Visit:
         self.page.goto(address)
         self.page.wait_for_selector("[data-ready], #problem:not([hidden])", state="attached")
         assert self.errors == []
-        # Software rendering takes seconds for a picture at rest: tests that need one ask for it.
-        self.page.evaluate("window.explorer && (clearTimeout(explorer.refining), explorer.rest = 1e6)")
 
 
 @contextmanager
@@ -58,6 +63,7 @@ def chromium() -> Iterator[Any]:
 def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, **options: Any) -> Visit:
     """Open a page of the map in a window of its own and wait for its first picture."""
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
+    page.add_init_script(COARSE)
     made = Visit(page)
     page.on("console", lambda m: made.errors.append(m.text) if _is_error(m) else None)
     page.on("pageerror", lambda error: made.errors.append(str(error)))

@@ -24,10 +24,13 @@ from manifold.page.page import make_page
 from manifold.page.server import ExplorerServer
 
 
+ODD = "illuminant=toString&x=-1e9,0&pin=1e300,0"
+
+
 @pytest.fixture(scope="module")
 def opened(browser, address):
-    """A page that stays for many tests."""
-    return visit(browser, address)
+    """A page that stays for many tests, since to open one takes Chromium seconds; by a link that nobody copied."""
+    return visit(browser, f"{address}#{ODD}")
 
 
 @pytest.fixture
@@ -47,12 +50,6 @@ def page(opened):
     settle(page)
     yield page
     assert opened.errors == []
-
-
-@pytest.fixture(scope="module")
-def elsewhere(browser, address):
-    """A window that shows one page after the other: to open one takes Chromium seconds."""
-    return visit(browser, address)
 
 
 def answering(result):
@@ -92,14 +89,13 @@ def choose_spectrum(page, name, blue, red):
 @pytest.mark.parametrize(
     "fragment",
     [
-        "illuminant=toString&x=-1e9,0&pin=1e300,0",
+        ODD,
         f'x=1e308,1e308&lamp=5,5&path=["{NAMES[0]}","{NAMES[1]}",null]',
         f'path=["{NAMES[0]}","{NAMES[1]}","1"]',
     ],
 )
-def test_a_link_that_nobody_copied_opens_a_page_that_works(elsewhere, address, fragment):
-    elsewhere.open(f"{address}#{fragment}")
-    page = elsewhere.page
+def test_a_link_that_nobody_copied_leads_to_a_page_that_works(page, fragment):
+    follow(page, fragment)
     now = state(page)
     reach = page.evaluate("window.explorer.map.reach")
     for place in filter(None, (now["x"], (now["pin"] or {}).get("x"))):
@@ -108,7 +104,6 @@ def test_a_link_that_nobody_copied_opens_a_page_that_works(elsewhere, address, f
     assert now["illuminant"] == "D65"
     assert now["path"] is None
     assert "NaN" not in control(page, "#facts").inner_text()
-    assert elsewhere.errors == []
 
 
 def test_each_state_keeps_the_spectrum_that_it_was_shown_in(page):
@@ -142,7 +137,6 @@ def test_a_coordinate_that_is_no_number_or_out_of_reach_is_put_right(page):
 
 
 def test_balls_come_back_after_the_graphics_were_lost(page):
-    page.wait_for_selector("[data-complete]", state="attached")
     page.evaluate(
         "window.lost = window.explorer.balls.gl.getExtension('WEBGL_lose_context'); lost.loseContext()"
     )
@@ -183,14 +177,15 @@ def test_a_message_is_seen_wherever_the_page_is_and_can_be_closed(page):
     page.locator("#problem").wait_for(state="hidden")
 
 
-def test_a_map_without_a_field_of_errors_goes_to_a_material_too(elsewhere, document, tmp_path):
+def test_a_map_without_a_field_of_errors_goes_to_a_material_too(browser, document, tmp_path):
     """As maps of four dimensions are."""
     (tmp_path / "four.html").write_text(make_page(document | {"error": None}), encoding="utf-8")
-    elsewhere.open((tmp_path / "four.html").as_uri())
+    elsewhere = visit(browser, (tmp_path / "four.html").as_uri())
     assert elsewhere.page.locator("#error-value").inner_text() == "not computed above three dimensions"
     elsewhere.page.locator("#map").press("Enter")
     elsewhere.page.locator("#error-value", has_text="measured material").wait_for()
     assert elsewhere.errors == []
+    elsewhere.page.close()
 
 
 def test_curves_are_described_as_text_and_dashed_ones_named(page):
@@ -586,7 +581,6 @@ def columns_of_ball(page):
 
 
 def test_a_wipe_shows_before_on_the_left_and_after_on_the_right(page):
-    page.wait_for_selector("[data-complete]", state="attached")
     rows = []
     for k in (3, 1):  # after, then before: pinned
         page.evaluate(f"window.explorer.goTo({k})")
@@ -675,13 +669,13 @@ def test_the_map_comes_with_its_balls(page, model):
       return [...ball.getContext("2d").getImageData(ball.width / 2, ball.height / 2, 1, 1).data]; }"""
     drawn = """(k) => { const ball = window.explorer.pictureOf({ material: k }, null);
       return [...ball.getContext("2d").getImageData(ball.width / 2, ball.height / 2, 1, 1).data]; }"""
-    page.wait_for_selector("[data-complete]", state="attached")
+    page.evaluate("explorer.pendingThumbnails = explorer.data.names.map((_, k) => k); explorer.nextThumbnail()")
+    page.wait_for_function("() => explorer.pendingThumbnails.length === 0")
     for k in range(len(NAMES)):
         assert np.allclose(page.evaluate(pixel, k), page.evaluate(drawn, k), rtol=0, atol=12)  # coarser light
 
 
 def test_a_finer_ball_takes_the_place_of_that_before(page):
-    page.wait_for_selector("[data-complete]", state="attached")
     shown = page.evaluate("""() => { const { map } = explorer, before = map.images[2];
       const flat = document.createElement("canvas");
       const show = (image) => { map.showMaterial(2, image); explorer.drawMap(); };

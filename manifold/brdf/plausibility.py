@@ -195,6 +195,8 @@ class Plausibility:
             0, 5, ... 85 degrees.
         highlight_valley: depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at incidences
             of 30, 45 and 60 degrees, as a share of the lower of the highest values on its two sides; the mean of bands.
+            It counts as far as the mean of both sides of the mirror direction has it too: a rise towards grazing is no
+            valley.
         albedo_incidence_deg: elevation at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.
@@ -251,11 +253,15 @@ def albedo_at(brdf: BRDF, elevations_deg: Sequence[float]) -> Array:
 
 
 def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
-    """Depth of the deepest valley around the mirror direction, shape (M,)."""
+    """Depth of the deepest valley around the mirror direction, shape (M,): of profiles, and of geometric means of their
+    two sides, whichever is less. A rise towards grazing beside a weak highlight is no valley, nor is retroreflection.
+    """
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     wi, wo = np.broadcast_arrays(*profile_pairs(ASSESSED_INCIDENCES_DEG, azimuths))
     f = evaluate(wi.reshape(-1, 3), wo.reshape(-1, 3)).mean(axis=2)
-    return np.asarray(valley_depth(np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])).max(axis=1))
+    profiles = np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])
+    both_sides = np.sqrt(profiles * profiles[..., ::-1])
+    return np.asarray(np.minimum(valley_depth(profiles), valley_depth(both_sides)).max(axis=1))
 
 
 def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: bool) -> Array:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
-MOST_VALLEY = 0.1  # depth of a valley over the values beside it; measured materials reach 0.07
+MOST_VALLEY = 0.1  # depth of a valley over the values beside it; measured materials reach 0.04
 MOST_RESIDUAL = 0.02  # difference between reflectances
 MOST_UNMEASURED = 0.01  # share of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
@@ -187,7 +187,7 @@ def of_prediction(
     if found.highlight_valley > MOST_VALLEY:
         diagnostics.append(
             f"dark hole or ring near the mirror direction: {100.0 * found.highlight_valley:.0f} % below both "
-            "sides (measured materials: at most 7 %)"
+            "sides (measured materials: at most 4 %)"
         )
     if residual > MOST_RESIDUAL:
         diagnostics.append(

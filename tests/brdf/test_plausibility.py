@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from manifold.analytic.base import Lambert
-from manifold.brdf.plausibility import mirror_difference, plausibilities
+from manifold.brdf.plausibility import (
+    ASSESSED_INCIDENCES_DEG,
+    mirror_difference,
+    plausibilities,
+    profile_pairs,
+    valley_depth,
+)
 from manifold.records import Bands
 
 
@@ -30,6 +36,17 @@ def test_a_ring_around_the_mirror_direction_is_as_deep_as_it_is_made(hole):
 def test_a_lobe_that_falls_on_both_sides_and_a_level_one_have_no_valley():
     assert plausibilities(lambda wi, wo: _highlight(wi, wo, 0.0))[0].highlight_valley == 0.0
     assert plausibilities(lambda wi, wo: np.full((1, len(wi), 3), 0.3))[0].highlight_valley == 0.0
+
+
+def test_a_rise_towards_grazing_beside_a_weak_highlight_is_no_valley():
+    def paint(wi, wo):
+        rise = 0.1 * np.exp(0.8 * np.arccos(wo[:, 2]))
+        return rise[None, :, None] + 0.05 * _highlight(wi, wo, 0.0) ** 20
+
+    wi, wo = np.broadcast_arrays(*profile_pairs(ASSESSED_INCIDENCES_DEG))
+    profiles = paint(wi.reshape(-1, 3), wo.reshape(-1, 3)).reshape(wo.shape[:2])
+    assert valley_depth(profiles).max() > 0.1
+    assert plausibilities(paint)[0].highlight_valley < 1e-6
 
 
 def test_a_hole_at_one_azimuth_of_an_anisotropic_brdf_is_found():

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-
 # Software rendering takes seconds for the balls of the map and for a picture at rest: tests that need one ask for it.
 COARSE = """new MutationObserver(() => {
   clearTimeout(explorer.refining);

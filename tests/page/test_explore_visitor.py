@@ -23,7 +23,6 @@ from manifold.page.jobs import Queue
 from manifold.page.page import make_page
 from manifold.page.server import ExplorerServer
 
-
 ODD = "illuminant=toString&x=-1e9,0&pin=1e300,0"
 
 
@@ -669,7 +668,9 @@ def test_the_map_comes_with_its_balls(page, model):
       return [...ball.getContext("2d").getImageData(ball.width / 2, ball.height / 2, 1, 1).data]; }"""
     drawn = """(k) => { const ball = window.explorer.pictureOf({ material: k }, null);
       return [...ball.getContext("2d").getImageData(ball.width / 2, ball.height / 2, 1, 1).data]; }"""
-    page.evaluate("explorer.pendingThumbnails = explorer.data.names.map((_, k) => k); explorer.nextThumbnail()")
+    page.evaluate(
+        "explorer.pendingThumbnails = explorer.data.names.map((_, k) => k); explorer.nextThumbnail()"
+    )
     page.wait_for_function("() => explorer.pendingThumbnails.length === 0")
     for k in range(len(NAMES)):
         assert np.allclose(page.evaluate(pixel, k), page.evaluate(drawn, k), rtol=0, atol=12)  # coarser light

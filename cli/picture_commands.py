@@ -196,6 +196,13 @@ def explore(
     ] = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
+    surface: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A folder that `manifold surface` wrote, shown on the page; may be repeated.",
+            metavar="FOLDER",
+        ),
+    ] = None,
     folder: Annotated[
         Path, typer.Option(help="Folder for the files that the page writes.", metavar="FOLDER")
     ] = Path(),
@@ -216,10 +223,10 @@ def explore(
     results = terminal.Results()
     with progress.shown("Tabulating"):
         if output is not None:
-            size = explore.write_page(model, output, library=library)
+            size = explore.write_page(model, output, library=library, surfaces=surface or ())
             results.rows(f"Written {output}", {"size": terminal.megabytes(size)})
             return
-        served = explore.server(model, library=library, folder=folder, port=port)
+        served = explore.server(model, library=library, folder=folder, port=port, surfaces=surface or ())
 
     def ready(address: str) -> None:
         results.text(f"{address}\n")

@@ -2,14 +2,15 @@
 //
 // Seen from afar, what a surface shows depends on its normal alone, so it is lit on a disc of normals, where shapes look
 // theirs up. The light is summed over half vectors, on grids of normals, by tables of the arriving light; at rest, those
-// nearest to the normal, which make sharp highlights, are summed for every pixel of the disc.
+// nearest to the normal, which make sharp highlights, are summed for every pixel of the disc. Textures bend the normal from point
+// to point, change the colour, and have flakes between, whose facets are lit like another material.
 
 import { BlendRenderer } from "./blend.js";
 import { COLOUR } from "./colour.js";
 import { DIFFERENCE } from "./difference.js";
 import { floorOf, groundPicture, GROUND_REACH, SHAPES_ON_GROUND } from "./ground.js";
 import { NORMALS, SHAPES } from "./shapes.js";
-import { bindTexture, drawInto, makeCube, makeProgram, makeTarget, makeTexture } from "./webgl.js";
+import { bindTexture, drawInto, makeCube, makePattern, makeProgram, makeTarget, makeTexture } from "./webgl.js";
 
 // Grids of normals about the direction of the viewer, and the half vectors that light them, in rings of spokes, from
 // span[0] to span[1]: the square of that is their angle as a share of 90 degrees.
@@ -25,6 +26,7 @@ const MOVING = 160, RESTING = 432; // pixels across discs
 const ACROSS = 16; // grids of normals beside each other in a table of light
 const STRIPS = 16; // in which a disc at rest is drawn, one per frame
 const FACE = 128; // texels along a face of an environment
+const MOST_SAMPLES = 4; // of textures across a pixel, at rest; while something moves one, from mipmaps
 const SHARE = 0.84; // of a picture's height that a shape's square takes: the rest is ground
 
 /** Pixels along the square of a shape in a picture of some size, of which there are so many beside each other. */
@@ -37,7 +39,7 @@ uniform float thetaHMax, thetaHPower, thetaDShare;
 const float PI = 3.14159265358979;
 out vec4 result;
 
-vec3 fCosines(float thetaH, float cosD, float phiD) {
+vec3 fCosines(sampler2D table, float thetaH, float cosD, float phiD) {
   float largest = atan(1.0, tan(thetaH) * abs(cos(phiD)));
   float h = pow(clamp(thetaH / thetaHMax, 0.0, 1.0), 1.0 / thetaHPower);
   float d = clamp(acos(clamp(cosD, -1.0, 1.0)) / largest / thetaDShare, 0.0, 1.0);
@@ -143,7 +145,7 @@ void main() {
   float cosine = dot(wi, h.m), up = 2.0 * cosine * h.m.z - wi.z;
   result = vec4(0.0);
   if (cosine <= 0.0 || (isWhole && up <= 0.0)) return;
-  vec3 f = fCosines(h.theta, cosine, phiDifference(wi, h.theta, h.phi)) / wi.z;
+  vec3 f = fCosines(table, h.theta, cosine, phiDifference(wi, h.theta, h.phi)) / wi.z;
   result = vec4(clamp(isWhole ? f * 4.0 * cosine * h.area : f, 0.0, 6e4), 0.0);
 }`;
 
@@ -230,6 +232,57 @@ vec3 floorAt(vec2 place) {
   return onFloor * max(wo.z, 0.0) * seen;
 }
 
+// What a facet of a material shows whose normal is seen (right, up, towards the viewer).
+vec3 radianceOf(sampler2D table, sampler2D disc, vec3 seen) {
+  if (!isLamp) return textureLod(disc, seen.xy / 1.02 * 0.5 + 0.5, 0.0).rgb;
+  mat3 frame = frameOf(seen);
+  vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
+  vec3 wi = view * frame, wo = (lamp.x * right + lamp.y * up + lamp.z * view) * frame;
+  if (wo.z <= 0.0) return vec3(0.0);
+  vec3 h = normalize(wi + wo);
+  float thetaH = atan(length(h.xy), h.z), phiH = atan(h.y, h.x);
+  return PI * fCosines(table, thetaH, dot(wi, h), phiDifference(wi, thetaH, phiH)) / wi.z;
+}
+
+#ifdef TEXTURED
+// A normal that faces the viewer, however it was bent.
+vec3 facing(vec3 normal) { return normalize(vec3(normal.xy, max(normal.z, 0.045))); }
+
+uniform sampler2D places, colours, reliefs, flakes, flakesTable, flakesDisc;
+uniform vec3 brightest; // colour, over the mean, of the texels of value 1
+uniform float share; // of a flake's texel that its facet covers
+uniform int most; // samples across a pixel
+
+// What textures show at a place of the picture: the mean of as many samples as texels lie across a pixel.
+vec3 textured(vec3 normal, vec4 place) {
+  vec3 along = normalize(vec3(place.zw, -dot(place.zw, normal.xy) / normal.z)), up = cross(normal, along);
+  mat3 tangent = mat3(along, up, normal);
+  float pixel = 2.04 / side / PI;
+  vec2 slant = -normal.xy / normal.z;
+  vec2 dx = pixel * vec2(1.0, -1.0) * (vec3(1.0, 0.0, slant.x) * tangent).xy;
+  vec2 dy = pixel * vec2(1.0, -1.0) * (vec3(0.0, 1.0, slant.y) * tangent).xy;
+  vec2 size = vec2(textureSize(colours, 0));
+  int n = clamp(int(size.x * max(length(dx), length(dy)) + 0.5), 1, most);
+  dx /= float(n);
+  dy /= float(n);
+  vec3 sum = vec3(0.0);
+  for (int k = 0; k < n * n; k++) {
+    vec2 offset = vec2(k % n, k / n) + 0.5 - 0.5 * float(n);
+    vec2 at = fract(place.xy + 0.5 + offset.x * dx + offset.y * dy);
+    vec3 relief = textureGrad(reliefs, at, dx, dy).xyz * 2.0 - 1.0;
+    vec3 here = brightest * textureGrad(colours, at, dx, dy).rgb * radianceOf(table, disc, facing(tangent * relief));
+    vec3 flake = texelFetch(flakes, ivec2(at * size), 0).xyz; // normal (x, y), and the share of the texel
+    if (share > 0.0 && flake.z > 0.0) {
+      flake.xy = flake.xy * 2.0 - 1.0;
+      vec3 facet = vec3(flake.xy, sqrt(max(1.0 - dot(flake.xy, flake.xy), 0.0)));
+      here = mix(here, radianceOf(flakesTable, flakesDisc, facing(tangent * facet)), share * flake.z);
+    }
+    sum += here;
+  }
+  return sum / float(n * n);
+}
+#endif
+
 // Less than a step of 8 bits, so that smooth shading has no bands.
 float dither() { return (fract(sin(dot(gl_FragCoord.xy, vec2(12.9898, 78.233))) * 43758.5453) - 0.5) / 255.0; }
 
@@ -244,19 +297,11 @@ void main() {
     if (isOnGround) result = vec4(behind + dither(), 1.0);
     return;
   }
-  vec3 linear = vec3(0.0);
-  if (isLamp) {
-    mat3 frame = frameOf(normal.xyz);
-    vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
-    vec3 wi = view * frame, wo = (lamp.x * right + lamp.y * up + lamp.z * view) * frame;
-    if (wo.z > 0.0) {
-      vec3 h = normalize(wi + wo);
-      float thetaH = atan(length(h.xy), h.z), phiH = atan(h.y, h.x);
-      linear = PI * fCosines(thetaH, dot(wi, h), phiDifference(wi, thetaH, phiH)) / wi.z;
-    }
-  } else {
-    linear = textureLod(disc, normal.xy / 1.02 * 0.5 + 0.5, 0.0).rgb;
-  }
+#ifdef TEXTURED
+  vec3 linear = textured(normal.xyz, texelFetch(places, within, 0));
+#else
+  vec3 linear = radianceOf(table, disc, normal.xyz);
+#endif
   result = vec4(mix(behind, encodeSrgb(linear * exposure), normal.a) + (isOnGround ? dither() : 0.0), 1.0);
   if (!isOnGround) result = vec4(encodeSrgb(linear * exposure) * normal.a, normal.a);
 }`;
@@ -266,6 +311,12 @@ const FACE_AXES = [ // right, down, ahead of each face of a cube, as WebGL has t
   [[0, 0, -1], [0, -1, 0], [1, 0, 0]], [[0, 0, 1], [0, -1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, 1], [0, 1, 0]],
   [[1, 0, 0], [0, 0, -1], [0, -1, 0]], [[1, 0, 0], [0, -1, 0], [0, 0, 1]], [[-1, 0, 0], [0, -1, 0], [0, 0, -1]],
 ];
+/** The finest disc that a surface has. */
+const discOf = ({ isRefined, resting, moving }) => (isRefined ? resting : moving).picture;
+
+/** Where the lit facets of a surface's flakes are kept. */
+const flakesOf = (k) => `flakes of ${k}`;
+
 /** The light of the pictures of materials on the map. */
 export const PLAIN = { environment: 0, turn: 0 };
 const PLAIN_KEY = JSON.stringify([0, 0]);
@@ -291,7 +342,8 @@ export class BallRenderer {
     this.room = new Map(); // for what materials make of sets of half vectors
     this.grounds = new Map(); // by environment and shape
     this.shapes = new Map(); // pictures of normals: the last, and that of thumbnails
-    this.surfaces = [];
+    this.textures = new Map(); // of surfaces, in WebGL
+    this.surfaces = {}; // by number, and their flakes
   }
 
   /**
@@ -310,6 +362,8 @@ export class BallRenderer {
     this._sum(surface, grids.wide, sets.wide, 1);
     this._sum(surface, grids.narrow, sets.narrow, 1);
     this._drawDisc(surface, surface.moving, grids, null, 0, MOVING);
+    const flakes = prediction.textures?.flakes;
+    if (flakes) this.setSurface(flakesOf(k), flakes.facet, illuminant, light, isTurning);
   }
 
   /** Blend and light a surface again, as finely as befits a still picture. */
@@ -329,6 +383,7 @@ export class BallRenderer {
       this._drawDisc(surface, surface.resting, { wide: surface.wide, narrow: surface.middle }, contribution, row, high);
       yield;
     }
+    if (surface.prediction.textures?.flakes) yield* this.refining(flakesOf(k));
     surface.isRefined = true;
   }
 
@@ -431,23 +486,25 @@ export class BallRenderer {
     gl.disable(gl.SCISSOR_TEST);
   }
 
-  /** A picture of a shape's normals, side pixels wide. */
+  /** Pictures of a shape's normals, and of its places on textures, side pixels wide. */
   _normals(shape, turn, side, flip) {
     const use = flip > 0 ? "shown" : "thumbnail", key = `${shape} ${turn} ${side}`, { gl, programs: { normals } } = this;
     const made = this.shapes.get(use);
-    if (made?.key === key) return made.picture;
+    if (made?.key === key) return made;
     if (made) {
-      gl.deleteTexture(made.picture);
+      for (const picture of [made.picture, made.places]) gl.deleteTexture(picture);
       gl.deleteFramebuffer(made.target);
     }
-    const target = makeTarget(gl, side, side);
+    const target = makeTarget(gl, side, side), places = makeTexture(gl, side, side, null);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT1, gl.TEXTURE_2D, places, 0);
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
     gl.useProgram(normals.handle);
     gl.uniform3f(normals.at("view"), ...this.data.view);
     gl.uniform1i(normals.at("shape"), SHAPES.indexOf(shape));
     for (const [name, value] of Object.entries({ side, turn, flip })) gl.uniform1f(normals.at(name), value);
     drawInto(gl, target);
-    this.shapes.set(use, { ...target, key });
-    return target.picture;
+    this.shapes.set(use, { ...target, places, key });
+    return this.shapes.get(use);
   }
 
   /**
@@ -469,7 +526,7 @@ export class BallRenderer {
       if (surfaces.length === 1) gl.scissor(0, 0, width, height);
       else if (column === 0) gl.scissor(0, 0, at, height);
       else gl.scissor(at, 0, width - at, height);
-      this._show(this.surfaces[k], normals, corners[column], side, light, this._ground(this.surfaces[k].light, light.shape));
+      this._show(k, normals, corners[column], side, light, this._ground(this.surfaces[k].light, light.shape));
     });
     gl.disable(gl.SCISSOR_TEST);
   }
@@ -517,7 +574,7 @@ export class BallRenderer {
     surfaces.forEach((k, at) => {
       gl.bindFramebuffer(gl.FRAMEBUFFER, this.compared.targets[at].target);
       gl.viewport(0, 0, side, side);
-      this._show(this.surfaces[k], normals, [0, 0], side, light);
+      this._show(k, normals, [0, 0], side, light);
     });
   }
 
@@ -547,7 +604,7 @@ export class BallRenderer {
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.viewport(0, 0, size, size);
-    this._show(this.surfaces[k], normals, [0, 0], size, { lamp: null, exposure: 1 });
+    this._show(k, normals, [0, 0], size, { lamp: null, exposure: 1 });
     const pixels = new Uint8ClampedArray(4 * size * size);
     gl.readPixels(0, 0, size, size, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
     for (let k4 = 0; k4 < pixels.length; k4 += 4) { // ImageData is not premultiplied
@@ -571,24 +628,43 @@ export class BallRenderer {
   }
 
   /** Draw a surface by a shape's normals into a square; on the ground, if any, over all that the scissors let. */
-  _show(surface, normals, corner, side, light, ground = null) {
-    const { gl, programs: { show } } = this;
+  _show(k, normals, corner, side, light, ground = null) {
+    const { gl, surfaces: { [k]: surface } } = this, isTextured = Boolean(surface.prediction.textures);
+    const show = isTextured ? (this.programs.textured ??= makeProgram(gl, `\n#define TEXTURED${SHOW}`)) : this.programs.show;
     this._use(show, surface);
+    if (isTextured) this._bindTextures(show, k, normals.places);
     gl.uniform1i(show.at("isOnGround"), ground ? 1 : 0);
     gl.uniform1f(show.at("side"), side);
-    bindTexture(gl, show, "ground", 4, ground?.picture ?? normals);
+    bindTexture(gl, show, "ground", 4, ground?.picture ?? normals.picture);
     if (ground) {
       gl.uniform3f(show.at("onFloor"), ...ground.onFloor);
       gl.uniform2f(show.at("standing"), ...ground.standing);
       gl.uniformMatrix3fv(show.at("turned"), false, ground.turned);
     }
-    bindTexture(gl, show, "disc", 1, (surface.isRefined ? surface.resting : surface.moving).picture);
-    bindTexture(gl, show, "normals", 2, normals);
+    bindTexture(gl, show, "disc", 1, discOf(surface));
+    bindTexture(gl, show, "normals", 2, normals.picture);
     gl.uniform2f(show.at("corner"), ...corner);
     gl.uniform1f(show.at("exposure"), light.exposure);
     gl.uniform1i(show.at("isLamp"), light.lamp ? 1 : 0);
     gl.uniform3f(show.at("lamp"), ...(light.lamp ?? [0, 0, 1]));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** Let the program in use read a surface's textures, and its flakes as they are lit. */
+  _bindTextures(program, k, places) {
+    const { gl, surfaces: { [k]: surface, [flakesOf(k)]: lit } } = this, { textures } = surface.prediction;
+    if (!this.textures.has(textures)) {
+      this.textures.set(textures, {
+        colours: makePattern(gl, textures.colours, gl.SRGB8_ALPHA8), reliefs: makePattern(gl, textures.normals, gl.RGBA8),
+        flakes: textures.flakes && makePattern(gl, textures.flakes.picture, gl.RGBA8),
+      });
+    }
+    const { colours, reliefs, flakes } = this.textures.get(textures), shown = flakes ? lit : surface;
+    Object.entries({ places, colours, reliefs, flakes: flakes ?? colours, flakesTable: shown.table.picture, flakesDisc: discOf(shown) })
+      .forEach(([name, picture], unit) => bindTexture(gl, program, name, 5 + unit, picture));
+    gl.uniform3f(program.at("brightest"), ...textures.brightest);
+    gl.uniform1f(program.at("share"), textures.flakes?.share ?? 0);
+    gl.uniform1i(program.at("most"), surface.isRefined ? MOST_SAMPLES : 1);
   }
 
   _use(program, surface) {

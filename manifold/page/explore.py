@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from manifold.page.commands import Context
 from manifold.page.page import make_page
 from manifold.page.page_data import tabulate, to_document
 from manifold.page.server import ExplorerServer
+from manifold.surface.written import read_surface
 
 
 def write_page(
@@ -24,13 +25,15 @@ def write_page(
     output: Path,
     *,
     library: Path | None = None,
+    surfaces: Sequence[Path] = (),
 ) -> int:
     """Write the page of a map of blends as one HTML file that asks for nothing; its size in bytes.
 
-    The library is where it is now, if not where the model has it.
+    The library is where it is now, if not where the model has it; surfaces are folders that `manifold surface` wrote,
+    or their JSON.
     """
     disk.require_writable(output)
-    page = make_page(_document(_load(model, library)))
+    page = make_page(_document(_load(model, library), surfaces))
     disk.write_text(output, page)
     return len(page.encode())
 
@@ -41,10 +44,11 @@ def server(
     library: Path | None = None,
     folder: Path = Path(),
     port: int = 0,
+    surfaces: Sequence[Path] = (),
 ) -> ExplorerServer:
     """A server of the page that is listening on the loopback interface; `serve_until_interrupted` answers.
 
-    The page's actions write into the folder; port 0 is any that is free.
+    The page's actions write into the folder; port 0 is any that is free; surfaces are as of `write_page`.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder")
@@ -55,7 +59,7 @@ def server(
         loaded.bands.is_rgb,
     )  # fmt: skip
     targets = [[target.name, target.title] for target in TARGETS.values()]
-    page = make_page(_document(loaded) | {"served": {"targets": targets}})
+    page = make_page(_document(loaded, surfaces) | {"served": {"targets": targets}})
     return ExplorerServer(page, context, port)
 
 
@@ -81,5 +85,6 @@ def _load(model: Path, library: Path | None) -> Manifold:
     return loaded
 
 
-def _document(model: Manifold) -> dict[str, Any]:
-    return to_document(model, tabulate(model))
+def _document(model: Manifold, surfaces: Sequence[Path]) -> dict[str, Any]:
+    read = [read_surface(path) for path in surfaces]  # before what takes longer
+    return to_document(model, tabulate(model), read)

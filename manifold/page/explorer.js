@@ -38,7 +38,8 @@ export class Explorer {
     this.history = new History(this.state);
     this.map = new MapView(this.byId("map"), data);
     this.spectra = []; // dropped ones; the state has the index of the one in use
-    this.guests = []; // dropped materials, likewise
+    this.guests = data.surfaces.map(({ name, latent, expected, apart }, surface) => ( // and dropped materials, likewise
+      { name, x: latent, expected: { ball: expected }, apart, surface, diagnostics: [] }));
     this.rest = REST;
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
@@ -65,6 +66,7 @@ export class Explorer {
     this.showTab = makeTabs(this.root.querySelector("[role=tablist]"), (id) => this.byId(id), (id) => this.tabShown(id));
     this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     this.refresh();
+    if (this.guests.length) this.showGuests();
     this.nextThumbnail();
   }
 
@@ -160,7 +162,10 @@ export class Explorer {
   /** The prediction of a state or pin: a step of a walk, unless a colour is chosen. */
   predicted(state) {
     const { materials } = this, without = state.without ? materials.materialAt(state.x) : -1;
-    if (state.colour === "own") return materials.predictIn(state.x, this.guests[state.guest]);
+    if (state.colour === "own") {
+      const guest = this.guests[state.guest];
+      return guest.surface === undefined ? materials.predictIn(state.x, guest) : materials.surfaces[guest.surface];
+    }
     if (state.colour === "lch") return materials.predictTinted(state.x, fromLch(state.lch), without);
     return isBetween(state) ? materials.between(state.path) : materials.predict(state.x, this.requestedReflectance(state), without);
   }

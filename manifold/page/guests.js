@@ -1,4 +1,4 @@
-// Dropped materials: in their own colours at their place on the map, until they are removed; methods of the page.
+// Surfaces, and dropped materials: in their own colours at their place on the map, until they are removed; methods of the page.
 
 export const guests = {
   /** Take what `manifold locate` has found of a file: {name, latent, colours, expected, errors, diagnostics}. */
@@ -13,7 +13,7 @@ export const guests = {
     this.change({ x: [...this.guests[index].x], colour: "own", guest: index, path: null });
   },
 
-  /** The list of dropped materials, and their balls on the map. */
+  /** The list of surfaces and dropped materials, and their balls on the map. */
   showGuests() {
     const present = this.guests.flatMap((guest, k) => (guest.isRemoved ? [] : [k]));
     this.map.setGuests(present, present.map((k) => {
@@ -23,7 +23,7 @@ export const guests = {
     this.hover = -1;
     this.byId("guests").hidden = !present.length;
     this.byId("guests").replaceChildren(...present.map((k) => {
-      const { name, errors: { ball, cube_root: root }, diagnostics } = this.guests[k], item = document.createElement("li");
+      const { name, surface, apart, errors, diagnostics } = this.guests[k], item = document.createElement("li");
       const show = document.createElement("button"), remove = document.createElement("button");
       show.type = remove.type = "button";
       show.textContent = name;
@@ -31,8 +31,10 @@ export const guests = {
       remove.textContent = "Remove";
       remove.setAttribute("aria-label", `Remove ${name}`);
       remove.addEventListener("click", () => this.removeGuest(k));
-      const errors = `: the map shows it within ${ball.toFixed(1)} CIEDE2000 of its ball, cube root ${root.toFixed(3)}`;
-      item.append(show, [errors, ...diagnostics].join("; "), " ", remove);
+      const text = surface === undefined
+        ? `: the map shows it within ${errors.ball.toFixed(1)} CIEDE2000 of its ball, cube root ${errors.cube_root.toFixed(3)}`
+        : `: a surface; without it the map shows the ball of its mean within ${apart.toFixed(1)} CIEDE2000`;
+      item.append(show, [text, ...diagnostics].join("; "), " ", remove);
       return item;
     }));
     this.drawMap();

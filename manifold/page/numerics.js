@@ -81,11 +81,16 @@ function segment(at, t) {
   return [k, (clipped - at[k]) / (at[k + 1] - at[k])];
 }
 
+const bytesOf = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+
 async function inflate(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Response(stream).arrayBuffer();
 }
+
+/** A picture in text, its values as they are. */
+const pictureIn = (text) =>
+  createImageBitmap(new Blob([bytesOf(text)]), { premultiplyAlpha: "none", colorSpaceConversion: "none" });
 
 function halfToFloat() {
   const table = new Float32Array(65536);
@@ -106,8 +111,30 @@ export class Materials {
     const float = (half) => made.packed.float[half];
     made.environments = await Promise.all(data.environments.map(async ({ radiance, ...rest }) => (
       { ...rest, radiance: Float32Array.from(new Uint16Array(await inflate(radiance)), float) })));
+    made.surfaces = await Promise.all(data.surfaces.map((surface, k) => made._surface(surface, k)));
     made.thumbnails = { side: data.thumbnails.side, rgb: new Uint8Array(await inflate(data.thumbnails.rgb)) };
     return made;
+  }
+
+  /** The mean of a surface, with its textures: pictures, the brightest colour, and flakes, if any, with their facet. */
+  async _surface({ latent, colours, brightest, normals, flakes }, k) {
+    const rows = Array.from({ length: this.nComponents },
+      (_, r) => this._unpack(this.count + k, r, 0, this.nPairs, new Float32Array(this.nPairs), 0, 1));
+    const [colourPicture, normalPicture, flakePicture] =
+      await Promise.all([colours, normals, ...(flakes ? [flakes.texture] : [])].map(pictureIn));
+    const facets = flakes && { share: flakes.share, picture: flakePicture, facet: this._facet(flakes) };
+    const textures = { colours: colourPicture, normals: normalPicture, brightest, flakes: facets };
+    return Object.assign(this._tabulated(this.weights(latent), rows), { textures });
+  }
+
+  /** A rough mirror without colour. */
+  _facet({ roughness, reflectance }) {
+    const P = this.nPairs, roots = Float32Array.from({ length: P }, (_, p) => {
+      const [ci, co, cd] = [0, 1, 2].map((row) => this.cosines[row * P + p]);
+      return Math.cbrt(reflectance * microfacetLobe(roughness, ci, co, cd) * ci * co);
+    });
+    const flat = this.data.walks.toComponents.map((row) => row.reduce((sum, w) => sum + w, 0));
+    return this._tabulated(Array(this.count).fill(0), flat.map((share) => roots.map((root) => share * root)));
   }
 
   /** The ball of a material that the page came with, as a canvas. */
@@ -389,10 +416,14 @@ export class Materials {
   between({ from, to, t }) {
     const ends = [from, to].map((name) => this.index(name)), u = Array(this.count).fill(0);
     if (ends[0] === ends[1]) return this.predict(this.data.X[ends[0]]);
-    const share = this.walkShare(...ends, t), P = this.nPairs;
+    const share = this.walkShare(...ends, t);
     [u[ends[0]], u[ends[1]]] = [1 - share, share];
-    const walked = this._average(ends.map((i) => [i, u[i]]));
-    const values = walked.map((row) => row.subarray(this.nGrid, P));
+    return this._tabulated(u, this._average(ends.map((i) => [i, u[i]])));
+  }
+
+  /** What has components (R, P) of its own, beside the weights of a place. */
+  _tabulated(u, walked) {
+    const values = walked.map((row) => row.subarray(this.nGrid, this.nPairs));
     return new Prediction(this, u, { outputs: null, toNodes: this.data.basis, coordinates: null, residual: 0, walked, values });
   }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,8 +31,10 @@ from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
 from manifold.model.walks import ROUGHNESSES, Walked, walk_shares
+from manifold.page.page_surfaces import components_of, surface_document
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices, evenly_spaced
+from manifold.surface.written import WrittenSurface
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 GLOSS_DEG = 60
@@ -243,15 +246,15 @@ def _thumbnail(material: MeasuredBRDF, at_nodes: Indices) -> NDArray[np.uint8]:
     return np.rint(255.0 * encode_srgb(np.clip(linear, 0.0, 1.0))).astype(np.uint8)[away.argmin(axis=2)]
 
 
-def packed(tables: Tables) -> dict[str, Any]:
-    """Components as text: the first as float16, the others as bytes, relative to the first.
+def packed(components: NDArray[np.float32]) -> dict[str, Any]:
+    """Components (N, R, P) as text: the first as float16, the others as bytes, relative to the first.
 
     The first is positive, about the lightness; the others are about the chroma.
     """
-    first = tables.components[:, 0]  # [N, P]
+    first = components[:, 0]  # [N, P]
     bright = first > _DARK * np.median(first, axis=1, keepdims=True)
     ratio = np.divide(
-        tables.components[:, 1:], first[:, None], out=np.zeros_like(tables.components[:, 1:]),
+        components[:, 1:], first[:, None], out=np.zeros_like(components[:, 1:]),
         where=first[:, None] > 0.0,
     )  # fmt: skip
     scale = np.where(bright[:, None], np.abs(ratio), 0.0).max(axis=2).astype(np.float32)  # [N, R - 1]
@@ -260,12 +263,13 @@ def packed(tables: Tables) -> dict[str, Any]:
     return {"first": _text(first.astype("<f2")), "ratios": _text(steps), "scales": scale.tolist()}
 
 
-def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
-    """Everything that a page shows, as JSON."""
+def to_document(model: Manifold, tables: Tables, surfaces: Sequence[WrittenSurface] = ()) -> dict[str, Any]:
+    """Everything that a page shows, as JSON; the means of surfaces are tabulated behind the materials."""
     space, names = require_blends(model.space).of_landmarks, _landmark_names(model)
     bands, nodes = model.bands, tables.nodes
     node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
     pairs = tables.pairs
+    means = [components_of(surface, node_bands, pairs, tables.basis)[None] for surface in surfaces]
     return {
         "library": model.library.path.name,
         "names": names,
@@ -291,7 +295,7 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
         "wavelengths": None if bands.is_rgb else list(node_bands.wavelengths_nm or ()),
         "nodes": nodes.tolist(),
         "basis": tables.basis.tolist(),
-        "components": packed(tables),
+        "components": packed(np.concatenate([tables.components, *means])),
         "toSrgb": {name: to_srgb(np.eye(node_bands.count), node_bands, name).tolist() for name in ILLUMINANTS},
         "fromSrgb": (np.eye(3) if bands.is_rgb else srgb_spectra(node_bands)).tolist(),
         "fileSpectra": _file_spectra() if bands.is_rgb else None,
@@ -301,6 +305,7 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
         "environments": _environments(),
         "view": ball_colours.VIEW.tolist(),
         "error": error_field(model),
+        "surfaces": [surface_document(surface, model) for surface in surfaces],
     }  # fmt: skip
 
 

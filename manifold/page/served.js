@@ -94,7 +94,9 @@ class Actions {
         return;
       }
       if (look.colour === "own") {
-        this.explorer.problem("the colours of a dropped file are in `manifold locate FILE --output NEW`; choose others here");
+        this.explorer.problem(this.explorer.guests[look.guest].surface === undefined
+          ? "the colours of a dropped file are in `manifold locate FILE --output NEW`; choose others here"
+          : "the files of a surface are those that `manifold surface` wrote; choose a place on the map here");
       } else if (!await this.request(kind, { ...this.place(look), ...options, name: looks.length > 1 ? `${name}-${k + 1}` : name })) {
         return;
       }

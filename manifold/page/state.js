@@ -5,17 +5,21 @@ import { reachOf, within } from "./numerics.js";
 
 const VIEWS = ["wipe", "beside", "difference"]; // of what is pinned and what is shown
 
-/** The state at the start: the material nearest to the middle of the map. */
+/** The state at the start: the first surface, if any; else the middle of the map. */
 export function initialState(data) {
   const Q = data.X[0].length;
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
   return {
-    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, guest: null, lch: null, path: null,
+    x: middle, colour: "blend", guest: null, ...surfaceLook(0, data), like: data.names[0], srgb: "#c08040", spectrum: null, lch: null, path: null,
     without: false, // the material of the place, which others predict
     light: "studio", turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, view: "wipe", wipe: 0.5,
     variants: [],
   };
 }
+
+/** What shows a surface of the page, by its number; nothing if there is none. */
+const surfaceLook = (guest, data) =>
+  data.surfaces[guest] ? { x: [...data.surfaces[guest].latent], colour: "own", guest } : {};
 
 const numbers = (text, count) => {
   const values = (text ?? "").split(",").map(Number);
@@ -53,11 +57,12 @@ export function toFragment(state) {
 
 const written = (x) => x.map((v) => String(Number(v.toFixed(4)))).join(",");
 
-function lookParts({ x, at, colour, like, srgb, lch, path, without }) {
+function lookParts({ x, at, colour, like, srgb, guest, lch, path, without }) {
   const parts = new URLSearchParams({ x: at ?? written(x) });
   if (colour === "like") parts.set("like", like);
   if (colour === "picked") parts.set("srgb", srgb);
   if (colour === "lch") parts.set("lch", written(lch));
+  if (colour === "own") parts.set("surface", guest); // beyond the surfaces of the page: what was dropped, which no link shows
   if (path) parts.set("path", JSON.stringify([path.from, path.to, path.t]));
   if (without) parts.set("without", "1");
   return parts;
@@ -76,6 +81,8 @@ function readLook(parts, data) {
     const x = numbers(text, data.X[0].length);
     if (x) found.x = within(reachOf(data.X), x);
   }
+  if (found.x) found.colour = "blend"; // whatever the page begins with
+  if (parts.has("surface")) Object.assign(found, surfaceLook(Number(parts.get("surface")), data));
   if (known(like)) Object.assign(found, { colour: "like", like });
   if (/^#[0-9a-f]{6}$/i.test(srgb ?? "")) Object.assign(found, { colour: "picked", srgb });
   const lch = numbers(parts.get("lch"), 3);

@@ -41,6 +41,17 @@ export function makeTexture(gl, width, height, values, { filter = gl.LINEAR, wra
   return texture;
 }
 
+/** A texture of a picture that repeats, with mipmaps; the format says whether its values are linear. */
+export function makePattern(gl, picture, format) {
+  const texture = gl.createTexture();
+  gl.activeTexture(gl.TEXTURE0);
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texImage2D(gl.TEXTURE_2D, 0, format, gl.RGBA, gl.UNSIGNED_BYTE, picture);
+  gl.generateMipmap(gl.TEXTURE_2D);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+  return texture;
+}
+
 /** A texture that can be drawn into; options as of `makeTexture`. */
 export function makeTarget(gl, width, height, options) {
   const target = gl.createFramebuffer(), picture = makeTexture(gl, width, height, null, options);

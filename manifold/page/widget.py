@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -21,6 +23,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
 from manifold.page.page import widget_module
 from manifold.page.page_data import tabulate, to_document
+from manifold.surface.written import read_surface
 
 
 class MapWidget(anywidget.AnyWidget):
@@ -39,11 +42,12 @@ class MapWidget(anywidget.AnyWidget):
     colour = traitlets.Dict().tag(sync=True)
     link = traitlets.Unicode("").tag(sync=True)
 
-    def __init__(self, model: Manifold) -> None:
-        """Tabulate the materials of a map, in seconds."""
+    def __init__(self, model: Manifold, surfaces: Sequence[Path | str] = ()) -> None:
+        """Tabulate the materials of a map, in seconds; surfaces are folders that `manifold surface` wrote."""
         self.model = model
         start = model.X.mean(axis=0)
-        super().__init__(data=to_document(model, tabulate(model)), latent=start.tolist())
+        read = [read_surface(path) for path in surfaces]
+        super().__init__(data=to_document(model, tabulate(model), read), latent=start.tolist())
 
     @traitlets.validate("latent")
     def _check_latent(self, proposal: Any) -> list[float]:

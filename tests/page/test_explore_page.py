@@ -101,13 +101,12 @@ def test_shaders_ask_for_full_precision(visited):
 
 
 def test_a_moving_ball_makes_up_for_the_materials_that_it_leaves_out(visited, model):
-    x = model.X[0] + [0.05, 0.0]
+    x = model.X[0] + [0.12, 0.0]
     at_rest = table_of_page(visited.page, x)
     moving = table_of_page(visited.page, x, refine=False)
     assert not np.array_equal(moving, at_rest)
-    assert np.mean(np.abs(moving - at_rest)) < 0.005 * np.mean(
-        at_rest
-    )  # five shares of less than a thousandth
+    # A share of less than a thousandth.
+    assert np.mean(np.abs(moving - at_rest)) < 0.005 * np.mean(at_rest)
 
 
 @pytest.fixture(scope="module")

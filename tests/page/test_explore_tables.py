@@ -86,7 +86,7 @@ def unpacked(document, shape):
 
 
 def test_a_ball_from_packed_tables_is_the_ball_of_the_prediction(model, tabulated, rng):
-    packed = json.loads(json.dumps(page_data.packed(tabulated)))
+    packed = json.loads(json.dumps(page_data.packed(tabulated.components)))
     components = unpacked(packed, tabulated.components.shape)[..., : tabulated.pairs.n_grid]
     ball = ball_colours.ball()
     cosines = np.cbrt(ball.wi[:, 2] * ball.wo[:, 2])[:, None]

@@ -12,6 +12,7 @@ import pytest
 import surface_twins
 from helpers.browser import chromium
 from helpers.exported_files import read_glb
+from helpers.small_library import small_model
 from helpers.three_js import ThreeJs, node_modules
 from surface_twins import CAPTIONS, workbook
 from typer.testing import CliRunner
@@ -20,6 +21,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.colour.conversion import decode_srgb, file_to_srgb, to_srgb
 from manifold.colour.reflectances import spectral_changes, weights_at
+from manifold.errors import FileFormatError, MissingFileError, UsageError
 from manifold.fit.exports import TARGETS
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.formats import ma_t12
@@ -34,6 +36,7 @@ from manifold.surface.files import mitsuba_document
 from manifold.surface.lamp_pictures import in_plane
 from manifold.surface.sparkle import Flakes
 from manifold.surface.tiling import Textures
+from manifold.surface.written import read_surface
 
 
 @pytest.fixture(scope="module")
@@ -233,6 +236,39 @@ def test_the_command_prints_and_writes_numbers(printed):
 
 
 @pytest.mark.skipif(not backend.choose().is_llvm, reason="the plugin needs an LLVM variant")
+def test_a_written_surface_is_read_again_and_shown_on_a_page(printed, tmp_path):
+    folder = shutil.copytree(printed[1], tmp_path / "made")
+    read = read_surface(folder)
+    assert (read.name, read.textures.albedo.shape) == ("twin", (192, 192, 3))
+    np.testing.assert_allclose(read.textures.albedo.mean(axis=(0, 1)), 1.0, atol=0.02)
+    np.testing.assert_allclose(read.textures.slope.std(axis=(0, 1)), printed[2]["slope_std"], rtol=0.3)
+    np.testing.assert_allclose(
+        0.5 + 0.5 * read.textures.normal, read_display(folder / "twin_normal.png"), atol=1 / 255
+    )
+    assert read.expected_ball == printed[2]["completion"]["expected"]["ball"]
+    page = tmp_path / "map.html"
+    asked = ["explore", "--html", str(page), "--model", str(small_model(tmp_path)), "--surface", str(folder)]
+    result = CliRunner().invoke(app, asked)
+    assert result.exit_code == 0, result.output
+    assert '"name":"twin"' in page.read_text()
+
+
+def test_a_folder_that_is_no_surface_is_refused(printed, tmp_path):
+    with pytest.raises(MissingFileError, match="no surface"):
+        read_surface(tmp_path)
+    folder = shutil.copytree(printed[1], tmp_path / "made")
+    shutil.copy(folder / "twin.bsdf", folder / "other.bsdf")
+    with pytest.raises(UsageError, match=r"2 surfaces; name the JSON of one, such as other\.json"):
+        read_surface(folder)
+    document = folder / "twin.json"
+    content = json.loads(document.read_text())
+    assert read_surface(document).name == "twin"
+    for named, said in ((["mean"], "is not the JSON"), ({"albedo": "a.png"}, "no file of its mean")):
+        document.write_text(json.dumps(content | {"files": named}))
+        with pytest.raises(FileFormatError, match=said):
+            read_surface(document)
+
+
 def test_mitsuba_loads_the_surface_s_document_with_its_flakes(printed):
     mi = backend.mitsuba("spectral")
     preview.bsdf.register()

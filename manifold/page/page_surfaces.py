@@ -1,0 +1,122 @@
+"""Surfaces of the page: the BRDF of the mean as one more material, and textures small enough for a page."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import distance_transform_edt
+
+from manifold.brdf.measured import BRDF
+from manifold.brdf.wrapper import WrappedBRDF
+from manifold.colour.conversion import encode_srgb, interpolation_matrix, to_srgb
+from manifold.directions import normalize
+from manifold.errors import UsageError
+from manifold.model.location import locate_brdf
+from manifold.model.manifold import Manifold
+from manifold.records import Array, Bands
+from manifold.surface.sparkle import DrawnFlakes
+from manifold.surface.tiling import Textures
+from manifold.surface.written import WrittenSurface
+
+if TYPE_CHECKING:
+    from manifold.page.page_data import TabulatedPairs
+
+SIZE = 512
+"""Most pixels of a side of the textures in a page: some 0.6 MB a surface."""
+
+_QUALITY = 95  # of WebP, which colours are written in: 2 in 255 off
+_SIDES = ([1.0, 1.0, 1.0], [1.0, -1.0, 1.0])  # of the plane of wi and the normal
+
+
+class _InBands(WrappedBRDF):
+    """A BRDF in the bands of a map: linear sRGB, or interpolated between its own wavelengths, constant beyond."""
+
+    def __init__(self, brdf: BRDF, bands: Bands) -> None:
+        super().__init__(brdf)
+        own = brdf.bands
+        if own.wavelengths_nm is None and bands.wavelengths_nm is not None:
+            raise UsageError(
+                "the surface's mean is linear sRGB, the map has spectra; show it on a map in RGB"
+            )
+        self.bands = bands
+        nm = (own.wavelengths_nm, bands.wavelengths_nm)
+        self._matrix = None if None in nm else interpolation_matrix(*map(np.array, nm))
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., B)."""
+        values = self._brdf.eval(wi, wo)
+        if self._matrix is None:
+            return to_srgb(values, self._brdf.bands)
+        return np.asarray(values @ self._matrix.T)
+
+
+def components_of(
+    surface: WrittenSurface, bands: Bands, pairs: TabulatedPairs, basis: Array
+) -> NDArray[np.float32]:
+    """Cube roots of the mean in some bands on the pairs of a page, in its spectral basis (J, R), shape (R, P)."""
+    brdf = _InBands(surface.brdf, bands)
+    roots = [np.cbrt(np.maximum(brdf.eval(pairs.wi * side, pairs.wo * side), 0.0)) for side in _SIDES]
+    weighted = np.mean(roots, axis=0) * pairs.amplitude[:, None]  # [P, J]
+    return np.asarray(np.linalg.pinv(basis) @ weighted.T, dtype=np.float32)
+
+
+def surface_document(surface: WrittenSurface, model: Manifold) -> dict[str, Any]:
+    """Where a surface stands on the map, and its textures, as JSON."""
+    located = locate_brdf(model, _InBands(surface.brdf, model.bands))
+    return {
+        "name": surface.name,
+        "latent": located.latent.tolist(),
+        "expected": surface.expected_ball,  # error of the mean
+        "apart": float(located.errors.ball),  # the map's prediction from the mean, CIEDE2000 of the ball
+        **_textures(surface.textures),
+        "flakes": None if surface.flakes is None else _flakes(surface.flakes),
+    }
+
+
+def _textures(textures: Textures) -> dict[str, Any]:
+    """Colours over the brightest of each channel, sRGB, and normals, as of `manifold surface`."""
+    brightest = textures.albedo.max(axis=(0, 1))
+    slope = _reduced(textures.slope)
+    normal = normalize(np.concatenate([slope, np.ones((*slope.shape[:2], 1))], axis=-1))
+    return {
+        "colours": _picture(encode_srgb(_reduced(textures.albedo / brightest)), "WEBP"),
+        "brightest": brightest.tolist(),
+        "normals": _picture(0.5 + 0.5 * normal, "PNG"),
+    }
+
+
+def _flakes(drawn: DrawnFlakes) -> dict[str, Any]:
+    """What flakes are, and a picture of their normals (x, y) and of the share of each pixel that is a flake's."""
+    nearest = distance_transform_edt(~drawn.mask, return_distances=False, return_indices=True)
+    size = len(drawn.mask)
+    at = ((np.arange(min(size, SIZE)) + 0.5) * size / min(size, SIZE)).astype(int)
+    normal = drawn.normal[tuple(nearest)][np.ix_(at, at)]
+    covered = _reduced(drawn.mask[..., None].astype(float))
+    return {
+        "roughness": drawn.flakes.roughness,
+        "reflectance": drawn.facet.reflectance,
+        "share": drawn.share,
+        "texture": _picture(
+            np.concatenate([0.5 + 0.5 * normal[..., :2] * (covered > 0.0), covered], axis=-1), "PNG"
+        ),
+    }
+
+
+def _reduced(values: Array) -> Array:
+    """Values (S, S, C) averaged to at most `SIZE` pixels a side."""
+    size = (min(len(values), SIZE),) * 2
+    planes = [Image.fromarray(plane.astype(np.float32)) for plane in np.moveaxis(values, -1, 0)]
+    return np.stack([np.asarray(plane.resize(size, Image.Resampling.BOX)) for plane in planes], axis=-1)
+
+
+def _picture(values: Array, kind: str) -> str:
+    """Values in [0, 1], (S, S, 3), as a picture in text."""
+    stream = io.BytesIO()
+    picture = Image.fromarray(np.round(255.0 * values).astype(np.uint8))
+    picture.save(stream, kind, quality=_QUALITY, method=6, optimize=True)
+    return base64.b64encode(stream.getvalue()).decode()

@@ -56,9 +56,9 @@ dominated by highlights; cube root: the same of cube roots, closer to perceived
 differences; CIEDE2000: mean over a ball, D65, and over the lights below."""
 
 _LIGHTS: Columns = (
-    *((name, lambda m, name=name: f"{m.median.lights[name]:.2f}") for name in JUDGED),
-    ("worst", lambda m: f"{m.median.worst:.2f}"),
-    ("p90", lambda m: f"{m.p90.worst:.2f}"),
+    *((name.removesuffix(" 0"), lambda m, name=name: f"{m.median.lights[name]:.2f}") for name in JUDGED),
+    ("worst", lambda m: f"{m.median.worst:.1f}"),
+    ("p90", lambda m: f"{m.p90.worst:.1f}"),
 )
 _LIGHTS_NOTE = """\
 Median CIEDE2000 of the ball in lights that no fit sees: the studio, the same
@@ -66,19 +66,19 @@ light from everywhere, suns so many degrees beside the view; worst: in the light
 where it is largest for each material, median and 90th percentile."""
 
 _PLAUSIBILITY: Columns = (
-    ("RMSE", lambda m: f"{m.median.rmse:.3g}"),
+    ("RMSE", lambda m: f"{m.median.rmse:{'.3g' if m.median.rmse < 100.0 else ',.0f'}}"),
     ("RMSE 80", lambda m: f"{m.median.rmse_80:.3g}"),
     ("negative", lambda m: f"{m.negative_share:.2%}"),
-    ("reciprocity", lambda m: f"{m.reciprocity_error:.3f}"),
+    ("recip.", lambda m: f"{m.reciprocity_error:.3f}"),
     ("albedo", lambda m: f"{m.max_albedo:.2f}"),
     ("ball ITP", lambda m: f"{m.median.ball_itp:.1f}"),
 )
 _PLAUSIBILITY_NOTE = """\
 RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, which a few directions at the
 horizon decide; RMSE 80: within 80 degrees, weighted by both cosines. negative:
-share of values; measured files have some too. reciprocity, albedo: error and largest value of
-the worst material. ball ITP: mean Delta E_ITP of the ball (ITU-R BT.2124) on a
-display whose white has 100 cd/m2, median."""
+share of values; measured files have some too. recip., albedo: error of
+reciprocity and largest albedo of the worst material. ball ITP: mean Delta E_ITP
+of the ball (ITU-R BT.2124) on a display whose white has 100 cd/m2, median."""
 
 _COLOUR_NOTE = """\
 dE: CIEDE2000 of the radiance factor pi f. angle: spectral angle in degrees
@@ -216,9 +216,9 @@ def _expected_errors(report: Report) -> list[str]:
     columns = ("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x", "bound")
     most = next(iter(report.expected_errors.values())).most_level
     guarantee = (
-        f"bound: {LEVEL:.0%} of new materials err by less than so many times what is expected, as far as\n"
-        f"left-out ones tell; guaranteed, if they are drawn like these, are {GUARANTEED:.0%} (jackknife+,\n"
-        f"Barber et al. 2021). This many materials allow levels up to {most:.0%}."
+        f"bound: {LEVEL:.0%} of new materials err by less than so many times what is expected, as\n"
+        f"far as left-out ones tell; guaranteed, if they are drawn like these, are {GUARANTEED:.0%}\n"
+        f"(jackknife+, Barber et al. 2021). This many materials allow levels up to {most:.0%}."
     )
     return _table(columns, rows, f"{_EXPECTED_NOTE}\n{guarantee}")
 

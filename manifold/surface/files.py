@@ -23,6 +23,8 @@ from manifold.errors import UsageError
 from manifold.estimate.completions import Completed, complete, file_name
 from manifold.fit.exports.document import TextureFiles
 from manifold.fit.exports.principled_values import ior_to_f0
+from manifold.fit.exports.targets import TARGETS as EXPORTS
+from manifold.fit.exports.targets import Target
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.progress import Stages
@@ -33,14 +35,8 @@ from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.sparkle import DrawnFlakes, Sparkle, sparkle_of
 from manifold.surface.tiling import Textures, tile
 
-TEXTURED = ("gltf", "openpbr", "standard-surface", "usd", "blender")
-"""Targets of exports whose documents take textures."""
-
 TARGETS = ("gltf", "openpbr", "usd", "blender")
-"""Those that are written by default."""
-
-FLAKED = ("gltf", "openpbr", "standard-surface", "blender")
-"""Those whose coats have normals of their own, which flakes are shown by."""
+"""Targets of exports that are written by default."""
 
 _COAT_IORS = ("coat_ior", "coat ior")
 _VISIBLE_SPARKLE = 1.0  # glints per 10,000 pixels and lamp that a note mentions
@@ -122,13 +118,15 @@ def make_surface(
         folder: to write into; made if missing.
         name: with which those of files begin; that of the sample if None.
         size: of textures, in pixels.
-        targets: of exports, of `TEXTURED`; none are written without readings.
+        targets: of exports that take textures; none are written without readings.
     Raises:
-        UsageError: the folder cannot be written.
+        UsageError: a target takes no textures, or the folder cannot be written.
+        MissingFileError: there are readings, and no library.
     """
     start = time.perf_counter()
-    if unknown := [name for name in targets if name not in TEXTURED]:
-        raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(TEXTURED)}")
+    textured = [name for name, target in EXPORTS.items() if target.textures]
+    if unknown := [name for name in targets if name not in textured]:
+        raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(textured)}")
     stages = Stages({"completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file, expected a folder for the surface's files")
@@ -246,19 +244,17 @@ def write_exports(
     Flakes are coats with normals of their own, in place of what coat there is around them.
     """
     from manifold.fit import exporting
-    from manifold.fit.exports.targets import TARGETS as ALL
-    from manifold.fit.exports.targets import Target
 
     subject = exporting.subject_of(paths["mean"])
     found = {}
     for name in targets:
-        target = ALL[name]
+        target = EXPORTS[name]
 
         def written(values: Mapping[str, Any], target: Target = target) -> TextureFiles:
             path = folder / f"{stem}_{target.name}_base.png"
             base = np.asarray(values[target.base_colour])
             write_display(path, encode_srgb(np.clip(base * textures.albedo, 0.0, 1.0)))
-            if flakes is None or target.name not in FLAKED:
+            if flakes is None or "coat_normal" not in target.textures:
                 return TextureFiles(path, paths["normal"])
             coat = folder / f"{stem}_{target.name}_coat.png"
             ior = next((value for key, value in values.items() if key.lower() in _COAT_IORS), 1.5)
@@ -280,7 +276,9 @@ def write_exports(
 def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, ...]:
     """What the materials of engines do not show of them."""
     notes = tuple(
-        f"{name}: no flakes, its coat has the normals of its base" for name in targets if name not in FLAKED
+        f"{name}: no flakes, its coat has the normals of its base"
+        for name in targets
+        if "coat_normal" not in EXPORTS[name].textures
     )
     if (reflectance := flakes.flakes.reflectance) > (most := ior_to_f0(1.5)):
         notes += (f"flakes reflect {reflectance:.2f} straight on, those of engines' materials {most:.2f}",)

@@ -289,6 +289,13 @@ def test_mitsuba_loads_the_surface_s_document_with_its_flakes(printed):
     assert all(word in loaded for word in ("SurfaceBSDF", "RoughConductor", "BlendBSDF"))
 
 
+@pytest.mark.parametrize("name", ["usd-materialx", "unity"])
+def test_a_target_that_takes_no_textures_is_refused(name, tmp_path):
+    expected = "gltf, openpbr, standard-surface, usd, blender"
+    with pytest.raises(UsageError, match=f"'{name}', expected one of {expected}"):
+        files.make_surface(tmp_path, None, None, tmp_path / "made", targets=[name])
+
+
 def test_surfaces_of_a_folder_go_into_one_with_a_table_and_a_sheet(tmp_path, library):
     (tmp_path / "books").mkdir()
     workbook(tmp_path / "books" / "twin.xlsx", np.random.default_rng(3))

@@ -51,6 +51,7 @@ class Target:
         film: those of the thin film, the thickness and the index last; empty where there is none.
         curve: the base colour by the angle of view, and the one that it replaces; empty where there is none.
         hued: colours whose hue no fit changes, since renderers disagree on what another one does.
+        textures: what its documents take of `TextureFiles`; empty where they take none.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Target:
     film: tuple[str, ...]
     curve: tuple[str, ...] = ()
     hued: tuple[str, ...] = ()
+    textures: tuple[str, ...] = ()
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -112,7 +114,13 @@ _BLENDER = {
 }
 
 
-def _target(name: str, suffix: str, title: str, model: ModuleType, content: Content) -> Target:
+_RELIEF = ("base_colour", "normal")
+_FLAKES = (*_RELIEF, "coat", "coat_normal")
+
+
+def _target(
+    name: str, suffix: str, title: str, model: ModuleType, content: Content, textures: tuple[str, ...] = ()
+) -> Target:
     """A target whose parameters and shading model are those of a module."""
     sheen, film, curve, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "CURVE", "HUED"))
     return Target(
@@ -129,24 +137,31 @@ def _target(name: str, suffix: str, title: str, model: ModuleType, content: Cont
         film,
         curve,
         hued,
+        textures,
     )
 
 
 _ALL = (
-    _target("gltf", ".glb", "glTF 2.0, metallic-roughness and extensions", gltf, lambda e, _: glb.glb(e)),
-    _target("openpbr", ".mtlx", "MaterialX, open_pbr_surface", openpbr, lambda e, _: materialx.mtlx(e)),
+    _target(
+        "gltf", ".glb", "glTF 2.0, metallic-roughness and extensions", gltf, lambda e, _: glb.glb(e), _FLAKES
+    ),
+    _target(
+        "openpbr", ".mtlx", "MaterialX, open_pbr_surface", openpbr, lambda e, _: materialx.mtlx(e), _FLAKES
+    ),
     _target(
         "standard-surface", ".mtlx", "MaterialX, standard_surface", standard_surface,
-        lambda e, _: materialx.mtlx(e),
+        lambda e, _: materialx.mtlx(e), _FLAKES,
     ),
-    _target("usd", ".usda", "USD, UsdPreviewSurface", preview_surface, lambda e, _: usd.usda(e).encode()),
+    _target(
+        "usd", ".usda", "USD, UsdPreviewSurface", preview_surface, lambda e, _: usd.usda(e).encode(), _RELIEF
+    ),
     _target(
         "usd-materialx", ".usda", "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
         preview_surface, _usd_materialx,
     ),
     _target(
         "blender", ".py", "Blender 4 and later, Principled BSDF, a script", blender,
-        lambda e, _: blender.script(e).encode(),
+        lambda e, _: blender.script(e).encode(), _FLAKES,
     ),
     _target("blender-json", ".json", "Blender 4 and later, Principled BSDF, values", blender, _json(_BLENDER)),
     _target(

@@ -27,6 +27,7 @@ from manifold.fit.exports.targets import TARGETS as EXPORTS
 from manifold.fit.exports.targets import Target
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
 from manifold.progress import Stages
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
@@ -121,7 +122,7 @@ def make_surface(
         targets: of exports that take textures; none are written without readings.
     Raises:
         UsageError: a target takes no textures, or the folder cannot be written.
-        MissingFileError: there are readings, and no library.
+        MissingLibraryError: there are readings, and no library.
     """
     start = time.perf_counter()
     textured = [name for name, target in EXPORTS.items() if target.textures]
@@ -130,6 +131,8 @@ def make_surface(
     stages = Stages({"completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file, expected a folder for the surface's files")
+    if readings is not None:
+        Library.open(library)  # refused before anything is written
     folder.mkdir(parents=True, exist_ok=True)
     stages.begin("completing")
     stem = name or ("surface" if readings is None else file_name(readings).removesuffix(".bsdf"))

@@ -289,6 +289,22 @@ def test_mitsuba_loads_the_surface_s_document_with_its_flakes(printed):
     assert all(word in loaded for word in ("SurfaceBSDF", "RoughConductor", "BlendBSDF"))
 
 
+def test_a_missing_library_leaves_no_folder_behind(tmp_path):
+    workbook(tmp_path / "twin.xlsx", np.random.default_rng(3))
+    asked = [
+        "surface",
+        str(tmp_path / "twin.xlsx"),
+        "-L",
+        str(tmp_path / "none.zarr"),
+        "-o",
+        str(tmp_path / "made"),
+    ]
+    result = CliRunner().invoke(app, asked)
+    assert result.exit_code == 1
+    assert "no such library" in str(result.output) + str(result.exception)
+    assert not (tmp_path / "made").exists()
+
+
 @pytest.mark.parametrize("name", ["usd-materialx", "unity"])
 def test_a_target_that_takes_no_textures_is_refused(name, tmp_path):
     expected = "gltf, openpbr, standard-surface, usd, blender"

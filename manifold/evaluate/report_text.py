@@ -65,9 +65,15 @@ Median CIEDE2000 of the ball in lights that no fit sees: the studio, the same
 light from everywhere, suns so many degrees beside the view; worst: in the light
 where it is largest for each material, median and 90th percentile."""
 
+
+def _short(error: float) -> str:
+    """Of values of any size, in at most six characters."""
+    return f"{error:,.0f}" if error >= 100.0 else f"{error:.3f}"
+
+
 _PLAUSIBILITY: Columns = (
-    ("RMSE", lambda m: f"{m.median.rmse:{'.3g' if m.median.rmse < 100.0 else ',.0f'}}"),
-    ("RMSE 80", lambda m: f"{m.median.rmse_80:.3g}"),
+    ("RMSE", lambda m: _short(m.median.rmse)),
+    ("RMSE 80", lambda m: _short(m.median.rmse_80)),
     ("negative", lambda m: f"{m.negative_share:.2%}"),
     ("recip.", lambda m: f"{m.reciprocity_error:.3f}"),
     ("albedo", lambda m: f"{m.max_albedo:.2f}"),

@@ -323,8 +323,18 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
     x, weights = gauss_legendre(_N_CAP if isotropic else _N_CAP_ANISOTROPIC)
     # Mirrored directions meet the horizon in the last alpha^2 of the cap: v^2 spreads that edge out.
     v = 0.5 * (x + 1.0)
+    around = (
+        np.pi * (np.arange(v.size if isotropic else 2 * v.size) + 0.5) / v.size
+    )  # half of it mirrors the other
     moments = _integrate_caps(
-        stretched.reshape(-1, 3), alpha_x, alpha_y, 1.0 - v * v, weights * v, 2 * v.size, _N_COSINES
+        stretched.reshape(-1, 3),
+        alpha_x,
+        alpha_y,
+        1.0 - v * v,
+        weights * v,
+        np.cos(around),
+        np.sin(around),
+        _N_COSINES,
     ).reshape(z.size, phi.size, _N_COSINES)
     moments.setflags(write=False)
     return np.asarray(moments)
@@ -332,7 +342,7 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
 
 @serialised
 @njit(cache=True, parallel=True)
-def _integrate_caps(stretched, alpha_x, alpha_y, heights, weights, n_phi, n_cosines):
+def _integrate_caps(stretched, alpha_x, alpha_y, heights, weights, cos_phi, sin_phi, n_cosines):
     """Moments (n, n_cosines) of G2 / G1 over visible normals, for stretched directions (n, 3)."""
     out = np.zeros((stretched.shape[0], n_cosines))
     for i in prange(stretched.shape[0]):
@@ -343,11 +353,10 @@ def _integrate_caps(stretched, alpha_x, alpha_y, heights, weights, n_phi, n_cosi
         for a in range(heights.size):
             cz = (1.0 - heights[a]) * (1.0 + zi) - zi
             cr = np.sqrt(max(1.0 - cz * cz, 0.0))
-            for b in range(n_phi):
-                phi = 2.0 * np.pi * (b + 0.5) / n_phi
+            for b in range(cos_phi.size):
                 # M^-T h with M = diag(1 / alpha)
-                hx = (cr * np.cos(phi) + wx) * alpha_x
-                hy = (cr * np.sin(phi) + wy) * alpha_y
+                hx = (cr * cos_phi[b] + wx) * alpha_x
+                hy = (cr * sin_phi[b] + wy) * alpha_y
                 hz = cz + zi
                 h = np.sqrt(hx * hx + hy * hy + hz * hz)
                 if h == 0.0:
@@ -358,7 +367,7 @@ def _integrate_caps(stretched, alpha_x, alpha_y, heights, weights, n_phi, n_cosi
                     continue
                 ox, oy = 2.0 * cosine * hx / h - ix, 2.0 * cosine * hy / h - iy
                 zo = oz / np.sqrt((alpha_x * ox) ** 2 + (alpha_y * oy) ** 2 + oz * oz)
-                value = zo * (1.0 + zi) / (zi + zo) * weights[a] / n_phi  # G2 / G1(wi)
+                value = zo * (1.0 + zi) / (zi + zo) * weights[a] / cos_phi.size  # G2 / G1(wi)
                 position = min(max(cosine, 0.0), 1.0) * (n_cosines - 1)
                 k = min(int(position), n_cosines - 2)
                 out[i, k] += value * (k + 1 - position)

@@ -45,7 +45,7 @@ def downloaded(tmp_path):
     return tmp_path
 
 
-def test_the_commands_run_one_after_the_other(run, downloaded, rng):
+def test_the_commands_run_one_after_the_other(run, downloaded, rng, quick_balls):
     pytest.importorskip("mitsuba")
     paint = Plastic(GGX.isotropic(0.005), np.array(1.5), np.full(31, 0.1), MA_T12_BANDS)  # 85 gloss units
     write_ma_t12(downloaded / "sample.xlsx", paint, "sample", rng)

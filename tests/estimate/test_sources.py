@@ -201,7 +201,7 @@ def test_a_projected_file_says_what_the_projection_changed(run, folder, command)
 
 def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkeypatch):
     monkeypatch.setattr(physical, "RECIPROCITY_ERROR", 0.001)  # so that the projection changes something
-    options, library = OutputOptions(physical=True), folder / "library.zarr"
+    options, library = OutputOptions(physical=True, resolution=16, incidences=4), folder / "library.zarr"
     path = folder / "projected.bsdf"
     made = predictions.reconstruct(library, folder / FILE, path, without=[NAME], options=options)
     measured = MeasuredBRDF(fill_unmeasured(read_bsdf(folder / FILE)))

@@ -67,11 +67,11 @@ def test_predictions_are_those_of_the_brdf(data, materials, key):
 
 @pytest.mark.parametrize("key", KEYS)
 def test_many_bands_are_predicted_from_a_few(key):
-    """Twenty bands between red, green and blue: all are predicted, and none is worse than its neighbours."""
-    spectral = [material.select_bands(list(range(0, 60, 3))) for material in spectral_materials()]
+    """Eight bands between red, green and blue: all are predicted, and none is worse than its neighbours."""
+    spectral = [material.select_bands(list(range(0, 60, 8))) for material in spectral_materials()]
     data = Data.evaluate(spectral, GRID)
     combination = left_out(METHODS[key], data, OUT)
-    assert combination.weights.shape[0] == 20
+    assert combination.weights.shape[0] == 8
     truth = spectral[OUT].eval(data.wi, data.wo)
     samples = [m.select_bands(combination.sample_bands.tolist()) for m in spectral]
     found = PredictedBRDF(samples, combination, spectral[0].bands).eval(data.wi, data.wo)

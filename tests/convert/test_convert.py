@@ -137,12 +137,16 @@ def test_files_of_several_incidences_become_one_brdf(files, tmp_path):
 def test_conversions_say_what_readings_leave_open(files, tmp_path):
     """One band for three channels, one incidence for all, few readings for a hemisphere."""
 
-    def said(readings, to):
+    def said(readings, to, **options):
         astm.write(tmp_path / "given.astm", readings)
-        return " ".join(convert([tmp_path / "given.astm"], tmp_path / f"out{to}").notes)
+        return " ".join(
+            convert([tmp_path / "given.astm"], tmp_path / f"out{to}", options=Options(**options)).notes
+        )
 
     whole = registry.read_readings(files["mini-diff"])
-    assert said(whole, ".bsdf").startswith("spectra are estimated from three bands")
+    assert said(whole, ".bsdf", resolution=8, n_theta_i=4).startswith(
+        "spectra are estimated from three bands"
+    )
     assert said(whole, ".csv") == ""
     steps = np.unique(np.round(whole.wi[:, 2], 6))
     one = whole.select_pairs(np.flatnonzero(np.isclose(whole.wi[:, 2], steps[1], atol=1e-5))).select_bands(

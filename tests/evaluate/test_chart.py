@@ -35,7 +35,7 @@ GRID = RusinkiewiczGrid(18, 9, 6)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def two_laps():
+def two_laps(short_search):
     """Every time is measured twice, not five times: no claim here is about small differences of times."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(held_out, "_REPEATS", 2)

@@ -35,7 +35,7 @@ KINDS = ("material",)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def small_grid():
+def small_grid(short_search):
     """The default grid with a tenth of its pairs: what holds for these holds for all."""
     made_of_it = (appearance_pairs, encoding_pairs)
     with pytest.MonkeyPatch.context() as patch:

@@ -7,7 +7,7 @@ from helpers.browser import chromium
 from helpers.small_library import small_model
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def model(tmp_path_factory):
     """A map of blends of a few RGB materials."""
     from manifold.model.manifold import Manifold
@@ -15,7 +15,7 @@ def model(tmp_path_factory):
     return Manifold.load(small_model(tmp_path_factory.mktemp("map")))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def document(model):
     """What a page of the map is told."""
     from manifold.page.page_data import tabulate, to_document
@@ -23,7 +23,7 @@ def document(model):
     return to_document(model, tabulate(model))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def address(document, tmp_path_factory):
     """The page as a file."""
     from manifold.page.page import make_page

@@ -44,6 +44,8 @@ PLACE, STEP = "-0.1,0.2", f"{NAME}:{OTHER}:0.5"
 MATERIALS = (FILE, NAME, PLACE, STEP)
 SMALL = ("--size", "16", "--samples", "1")
 
+pytestmark = pytest.mark.usefixtures("quick_balls")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -107,7 +109,6 @@ def test_a_material_of_a_library_is_its_file(folder):
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
-@pytest.mark.usefixtures("quick_balls")
 def test_every_command_takes_a_material_by_any_name(run, folder, command, made):
     """The kinds by turns: one function reads them for all commands."""
     if command[0] in ("render", "compare", "walk", "map"):

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
+from pathlib import PurePath
 from types import MappingProxyType
 from typing import Any
 
@@ -191,7 +192,7 @@ class BsdfFile:
 
 
 def plain(value: Any) -> Any:
-    """What JSON holds of a value: records by their `to_json` or fields, None for NaN; else its text."""
+    """What JSON holds of a value: records by their `to_json` or fields, None for NaN, paths as text."""
     match value:
         case None | bool() | int() | str():
             return value
@@ -209,7 +210,9 @@ def plain(value: Any) -> Any:
             return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
         case list() | tuple():
             return [plain(each) for each in value]
-    return str(value)
+        case PurePath():
+            return str(value)
+    raise TypeError(f"{type(value).__name__} has no place in JSON")
 
 
 def evenly_spaced(total: int, count: int) -> Indices:

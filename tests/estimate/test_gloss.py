@@ -13,6 +13,7 @@ from helpers.small_library import NAMES
 from scipy.integrate import dblquad
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.estimate import Completion, calibrate
 from manifold.estimate.completions import Completed, parse_gloss
@@ -254,7 +255,7 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
 def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, tmp_path):
     made = Completion.of(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 20.0}))
     missed = replace(made, gloss_misfits={60.0: 0.9})
-    document = Completed(tmp_path, None, missed, None, Errors(), SimpleNamespace(), None, (), 0.0).to_json()
+    document = Completed(tmp_path, None, missed, None, Errors(), Plausibility(0.0, 0.0, 0.9, 0.0), None, (), 0.0).to_json()
     assert np.sqrt(np.mean(np.square(document["misfits"]))) < 0.5
     assert document["residual"] == 0.9
 

@@ -255,7 +255,8 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
 def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, tmp_path):
     made = Completion.of(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 20.0}))
     missed = replace(made, gloss_misfits={60.0: 0.9})
-    document = Completed(tmp_path, None, missed, None, Errors(), Plausibility(0.0, 0.0, 0.9, 0.0), None, (), 0.0).to_json()
+    sound = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9, highlight_valley=0.0)
+    document = Completed(tmp_path, None, missed, None, Errors(), sound, None, (), 0.0).to_json()
     assert np.sqrt(np.mean(np.square(document["misfits"]))) < 0.5
     assert document["residual"] == 0.9
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from manifold.brdf.measured import BRDF, require_brdf
-from manifold.brdf.unmeasured_cells import Cells
+from manifold.brdf.unmeasured_cells import Cells, cells_of
 from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import luminance as luminance_of
 from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
@@ -127,6 +128,18 @@ def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
     return D, sigma / sigma[0]
 
 
+@nb.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _projected(w, m, area):
+    """Areas (M,) of facets with normals m (3, M) as seen from w (N, 3), summed: shape (N,)."""
+    out = np.empty(w.shape[0])
+    for i in range(w.shape[0]):
+        total = 0.0
+        for k in range(m.shape[1]):
+            total += max(w[i, 0] * m[0, k] + w[i, 1] * m[1, k] + w[i, 2] * m[2, k], 0.0) * area[k]
+        out[i] = total
+    return out
+
+
 def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
     """Normal distribution and projected area, each (rows = phi, columns = theta), WARP_NODES^2."""
     u = np.linspace(0.0, 1.0, WARP_NODES)
@@ -140,11 +153,10 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
     coarse = np.linspace(0.0, 1.0, 33)
     nodes = np.stack(np.meshgrid(u, u, indexing="xy"), axis=-1).reshape(-1, 2)
     w = from_spherical(u_to_theta(coarse)[None, :], u_to_phi(coarse)[:, None]).reshape(-1, 3)
-    projection = np.maximum(w @ m.T, 0.0) * measure.reshape(-1)
-    cosine = m[:, 2] * measure.reshape(-1)
+    facing, cosine = np.ascontiguousarray(m.T), m[:, 2] * measure.reshape(-1)
 
     def projected_area(D: Array) -> Array:
-        table = (projection @ D.reshape(-1)).reshape(33, 33)
+        table = _projected(w, facing, (measure * D).reshape(-1)).reshape(33, 33)
         return np.asarray(interpolate(table, nodes).reshape(WARP_NODES, WARP_NODES))
 
     D = np.ones((WARP_NODES, WARP_NODES))
@@ -154,30 +166,32 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
     return D, projected_area(D)
 
 
-def _visible_normals(ndf: Array, wi: Array) -> Array:
-    """Density of visible normals over the unit square, shape (C, C) for C columns of `ndf`, not normalised."""
+def _normals(n: int) -> Array:
+    """Normals (n, n, 3) of the nodes of a square grid over the unit square: rows azimuths, columns elevations."""
+    u = np.linspace(0.0, 1.0, n)
+    return from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
+
+
+def _visible_normals(ndf: Array, cos_im: Array) -> Array:
+    """Density of visible normals over the unit square (C, C), not normalised, by their cosines with `wi`, (C, C)."""
     u = np.linspace(0.0, 1.0, ndf.shape[1])
     if len(ndf) != ndf.shape[1]:  # rows are alike in isotropic files
         ndf = ndf[:1]
     jacobian = 2.0 * np.pi**2 * u * np.sin(u_to_theta(u))
-    return ndf * np.maximum(_normals(u) @ wi, 0.0) * jacobian
+    return ndf * np.maximum(cos_im, 0.0) * jacobian
 
 
-def _normals(u: Array) -> Array:
-    """Normals of the points of a square grid over the unit square: rows azimuths, columns elevations."""
-    return from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
-
-
-def _node_density(ndf: Array, wi: Array, exponent: float) -> Array:
+def _node_density(ndf: Array, m: Array, wi: Array, exponent: float) -> Array:
     """Density of the nodes over the unit square (C, C), not normalised: a power of the visible normals' density.
 
-    Normals that mirror `wi` below the horizon count less, unless the density is the instrument's own (exponent 1).
+    Normals m (C, C, 3) that mirror `wi` below the horizon count less, unless the density is the instrument's own
+    (exponent 1).
     """
-    visible = _visible_normals(ndf, wi)
+    cos_im = m @ wi
+    visible = _visible_normals(ndf, cos_im)
     if exponent == 1.0:
         return visible
-    m = _normals(np.linspace(0.0, 1.0, ndf.shape[1]))
-    cos_o = 2.0 * (m @ wi) * m[..., 2] - wi[2]
+    cos_o = 2.0 * cos_im * m[..., 2] - wi[2]
     return np.asarray((visible * np.clip(1.0 + cos_o / _FADE, _BELOW_HORIZON, 1.0)) ** exponent)
 
 
@@ -251,10 +265,17 @@ def measure(
     ndf, sigma = ndf.astype(np.float32), sigma.astype(np.float32)
 
     vndf = np.empty((len(phi_i), len(theta_i), WARP_NODES, WARP_NODES), dtype=np.float32)
+    m = _normals(WARP_NODES)
     for p, t in np.ndindex(vndf.shape[:2]):
         wi = from_spherical(min(theta_i[t], HORIZON), phi_i[p])
-        vndf[p, t] = _node_density(ndf, wi, warp_exponent)
-    spectra, measured = _at_nodes(brdf, ndf, sigma, vndf, phi_i, theta_i, resolution)
+        vndf[p, t] = _node_density(ndf, m, wi, warp_exponent)
+    warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
+    cells = [
+        Cells.seen_from(warp, float(phi), float(theta), (resolution, resolution), is_isotropic=isotropic)
+        for phi in phi_i
+        for theta in theta_i
+    ]
+    spectra, measured = _at_nodes(brdf, ndf, sigma, cells, phi_i, theta_i)
     if compensate:
         spectra = _compensate(spectra, measured, phi_i, theta_i)
     spectra = np.moveaxis(spectra, -1, 2)
@@ -274,53 +295,50 @@ def measure(
         jacobian=True,
         valid=pack_valid(measured, version),
     )
-    return with_luminance(file)
+    return with_luminance(file, cells)
 
 
 def remeasure(brdf: BRDF, file: BsdfFile) -> BsdfFile:
     """The file with the values of another BRDF of the same bands at its nodes, its warps kept."""
-    spectra, _ = _at_nodes(
-        brdf, file.ndf, file.sigma, file.vndf, file.phi_i_rad, file.theta_i_rad, file.spectra.shape[-1]
-    )
-    return with_luminance(replace(file, spectra=np.moveaxis(spectra, -1, 2)))
+    cells = [one for _, _, one in cells_of(file)]
+    spectra, _ = _at_nodes(brdf, file.ndf, file.sigma, cells, file.phi_i_rad, file.theta_i_rad)
+    return with_luminance(replace(file, spectra=np.moveaxis(spectra, -1, 2)), cells)
 
 
-def with_luminance(file: BsdfFile) -> BsdfFile:
+def with_luminance(file: BsdfFile, cells: list[Cells] | None = None) -> BsdfFile:
     """The file with the `luminance` that it is sampled by: that of its values over the density of its warp.
 
-    Where the warp is that of the visible normals, as in measured files, it is the luminance of `spectra`.
+    Where the warp is that of the visible normals, as in measured files, it is the luminance of `spectra`. The cells of
+    its slices are found unless they are given.
     """
     density = np.maximum(luminance_of(np.moveaxis(file.spectra, 2, -1), file.bands), 0.0)  # [P, T, H, W]
-    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
-    for p, t in np.ndindex(density.shape[:2] if file.jacobian else (0, 0)):
+    if not file.jacobian:
+        return replace(file, luminance=density.astype(np.float32))
+    m = _normals(file.ndf.shape[1])
+    cells = [one for _, _, one in cells_of(file)] if cells is None else cells
+    for (p, t), one in zip(np.ndindex(density.shape[:2]), cells, strict=True):
         phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])
-        cells = Cells.seen_from(warp, phi_i, theta_i, density.shape[2:], is_isotropic=file.is_isotropic)
-        points = np.ascontiguousarray(cells.points).reshape(-1, 2)
         wi = from_spherical(min(theta_i, HORIZON), 0.0 if file.is_isotropic else phi_i)
-        visible = interpolate(_visible_normals(file.ndf, wi), points)
-        sampled = warp.evaluate(points, phi_i, theta_i)
-        ratio = np.divide(visible, sampled, out=np.zeros_like(visible), where=sampled > 0.0)
-        density[p, t] *= ratio.reshape(density.shape[2:])
+        points = np.ascontiguousarray(one.points).reshape(-1, 2)
+        visible = interpolate(_visible_normals(file.ndf, m @ wi), points).reshape(density.shape[2:])
+        density[p, t] *= np.divide(visible, one.density, out=np.zeros_like(visible), where=one.density > 0.0)
     return replace(file, luminance=density.astype(np.float32))
 
 
 def _at_nodes(
-    brdf: BRDF, ndf: Array, sigma: Array, vndf: Floats, phi_i: Array, theta_i: Array, n: int
+    brdf: BRDF, ndf: Array, sigma: Array, cells: list[Cells], phi_i: Array, theta_i: Array
 ) -> tuple[Floats, Mask]:
     """Stored values (P, T, n, n, B) and which of them were measured (P, T, n, n)."""
-    warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
     ndf, sigma = ndf.astype(float), sigma.astype(float)  # kernels are compiled for one precision only
-    shape = (len(phi_i), len(theta_i), n, n)
-    spectra, measured = np.empty((*shape, brdf.bands.count), dtype=np.float32), np.empty(shape, dtype=bool)
-    for p, t in np.ndindex(shape[:2]):
-        phi, theta = float(phi_i[p]), float(theta_i[t])
-        cells = Cells.seen_from(warp, phi, theta, (n, n), is_isotropic=len(phi_i) == 1)
-        f_cos = np.zeros((n, n, brdf.bands.count))
-        f_cos[cells.is_above] = brdf.eval_cos(cells.wi, cells.wo[cells.is_above])
-        D = interpolate(ndf, np.ascontiguousarray(cells.points).reshape(-1, 2)).reshape(n, n)
+    shape = (len(phi_i), len(theta_i), *cells[0].is_above.shape)
+    spectra, measured = np.zeros((*shape, brdf.bands.count), dtype=np.float32), np.empty(shape, dtype=bool)
+    for (p, t), one in zip(np.ndindex(shape[:2]), cells, strict=True):
+        phi, theta, above = float(phi_i[p]), float(theta_i[t]), one.is_above
+        D = interpolate(ndf, one.points[above])
         area = bilinear(sigma, np.sqrt(theta * 2.0 / np.pi), (phi + np.pi) / (2.0 * np.pi))
         scale = np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)
-        spectra[p, t], measured[p, t] = f_cos * scale[..., None], cells.is_above
+        spectra[p, t, above] = brdf.eval_cos(one.wi, one.wo[above]) * scale[:, None]
+        measured[p, t] = above
     return spectra, measured
 
 
@@ -331,22 +349,41 @@ def _compensate(spectra: Floats, measured: Mask, phi_i: Array, theta_i: Array) -
     limited to a fifth of the value, so that sharp edges do not ring and nothing turns negative.
     """
     grid = np.arange(spectra.shape[2], dtype=float)
-    shift = np.zeros_like(spectra)
+    # in the precision of the values: these are the largest arrays of a measurement
+    ahead, behind = np.zeros((2, 4, max(spectra.shape[:4])), dtype=spectra.dtype)
     for axis, nodes in enumerate((phi_i, theta_i, grid, grid)):
-        if len(nodes) < 3:
+        if len(nodes) >= 3:
+            h = np.diff(nodes)
+            factor = -1.0 / 12.0 * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
+            ahead[axis, 1 : len(h)], behind[axis, 1 : len(h)] = factor / h[1:], factor / h[:-1]
+    out = np.zeros_like(spectra)
+    _add_shift(spectra, measured, ahead, behind, out)
+    return out
+
+
+@nb.njit(cache=True, nogil=True)
+def _add_shift(spectra, measured, ahead, behind, out):
+    """Measured values, shifted by their differences to the next and the previous ones times weights (axis, node)."""
+    P, T, H, W, B = spectra.shape
+    for p, t, i, j in np.ndindex((P, T, H, W)):
+        if not measured[p, t, i, j]:
             continue
-        values, inner = np.moveaxis(spectra, axis, 0), np.moveaxis(shift, axis, 0)[1:-1]
-        h = np.diff(nodes).reshape(-1, *[1] * (values.ndim - 1))
-        factor = -1.0 / 12.0 * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
-        step = np.diff(values, axis=0)
-        # in the precision of the values: these are the largest arrays of a measurement
-        inner += (factor / h[1:]).astype(values.dtype) * step[1:]
-        inner -= (factor / h[:-1]).astype(values.dtype) * step[:-1]
-    limit = np.float32(0.2) * spectra
-    np.clip(shift, -limit, limit, out=shift)
-    shift += spectra
-    shift[~measured] = 0.0
-    return shift
+        here = spectra[p, t, i, j]
+        p_0, p_1 = spectra[max(p - 1, 0), t, i, j], spectra[min(p + 1, P - 1), t, i, j]
+        t_0, t_1 = spectra[p, max(t - 1, 0), i, j], spectra[p, min(t + 1, T - 1), i, j]
+        i_0, i_1 = spectra[p, t, max(i - 1, 0), j], spectra[p, t, min(i + 1, H - 1), j]
+        j_0, j_1 = spectra[p, t, i, max(j - 1, 0)], spectra[p, t, i, min(j + 1, W - 1)]
+        for b in range(B):
+            f = here[b]
+            shift = ahead[0, p] * (p_1[b] - f) - behind[0, p] * (f - p_0[b])
+            shift += ahead[1, t] * (t_1[b] - f)
+            shift -= behind[1, t] * (f - t_0[b])
+            shift += ahead[2, i] * (i_1[b] - f)
+            shift -= behind[2, i] * (f - i_0[b])
+            shift += ahead[3, j] * (j_1[b] - f)
+            shift -= behind[3, j] * (f - j_0[b])
+            limit = np.float32(0.2) * f
+            out[p, t, i, j, b] = f + min(max(shift, -limit), limit)
 
 
 def pack_valid(measured: Mask, version: tuple[int, ...]) -> NDArray[np.uint8]:

@@ -27,12 +27,14 @@ class Cells:
         wi: the incident direction, shape (3,).
         wo: outgoing directions, shape (R, C, 3).
         is_above: whether these are above the horizon, bool, shape (R, C).
+        density: of the points over the unit square, by the warp, shape (R, C).
     """
 
     points: Array
     wi: Array
     wo: Array
     is_above: Mask
+    density: Array
 
     @classmethod
     def seen_from(
@@ -43,13 +45,13 @@ class Cells:
         direction.
         """
         rows, columns = (np.linspace(0.0, 1.0, n) for n in shape)
-        points, _ = warp.sample(np.stack(np.meshgrid(columns, rows), axis=-1), phi_i, theta_i)
+        points, density = warp.sample(np.stack(np.meshgrid(columns, rows), axis=-1), phi_i, theta_i)
         turn = phi_i if is_isotropic else 0.0
         m = from_spherical(u_to_theta(points[..., 0]), u_to_phi(points[..., 1]) + turn)
         wi = from_spherical(min(theta_i, HORIZON), phi_i)
         cos_im = m @ wi
         wo = 2.0 * cos_im[..., None] * m - wi
-        return cls(points, wi, wo, (cos_im > 0.0) & (wo[..., 2] > 0.0))
+        return cls(points, wi, wo, (cos_im > 0.0) & (wo[..., 2] > 0.0), density)
 
 
 def cells_of(

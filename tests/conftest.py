@@ -80,10 +80,12 @@ def atoms(library):
 
 
 @pytest.fixture
-def quick_balls(monkeypatch):
-    """Balls of few samples, for tests that do not look at them."""
+def quick_pictures(monkeypatch):
+    """Balls of few samples and figures that are not laid out, for tests that do not look at them."""
+    from manifold.plots import figures
     from manifold.render import thumbnails
 
+    monkeypatch.setattr(figures, "_LAYOUT", None)
     monkeypatch.setattr(thumbnails, "SAMPLES", 4)
 
 

@@ -15,6 +15,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import profile_pairs, squared_valleys, valley_depth
 from manifold.brdf.sums import WeightedSum
 from manifold.gplvm import GPLVM
+from manifold.library.compact import dequantise
 from manifold.nonnegative import nonnegative_weights
 from manifold.pairs import Pairs
 
@@ -30,14 +31,25 @@ def compile_rendering() -> None:
     remeasure(measured, file)
     wi, wo = profile_pairs()
     valley_depth(np.moveaxis(measured.eval(wi, wo), -1, 0))
-    measured.eval(np.repeat(wi, 100, axis=0), np.repeat(wo, 100, axis=0))  # many: by another loop
+    wi = np.array(np.broadcast_to(wi, wo.shape))
+    many = [np.repeat(w, 100, axis=0) for w in (wi, wo)]  # by another loop
     measured.pdf(wi, wo)
     measured.sample(wi, np.full((*wi.shape[:-1], 2), 0.5))
     measured.albedo(wi[:, 0])
-    pairs = Pairs(wi, wo)
-    total = np.zeros((len(pairs), measured.bands.count))
-    measured.eval_at(pairs)
-    WeightedSum([measured], [1.0], cube_root=True).add_to(total, pairs)
+    for is_kept in (False, True):  # kept directions are read-only
+        for w in (wi, wo, *many):
+            w.setflags(write=not is_kept)
+        pairs = Pairs(wi, wo)
+        measured.eval(*many)
+        measured.eval_at(pairs)
+        total = np.zeros((len(pairs), measured.bands.count), WeightedSum.dtype)
+        WeightedSum([measured], [1.0], cube_root=True).add_to(total, pairs)
+    dequantise(
+        np.ones((1, 1, 2, 2), np.int32),
+        np.ones((1, 3), np.float32),
+        np.float32(0.0),
+        np.ones((1, 2, 2, 3), np.float32),
+    )
 
 
 def compile_models() -> None:

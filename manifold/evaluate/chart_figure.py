@@ -20,7 +20,7 @@ from manifold.evaluate.held_out import ChartRow
 from manifold.evaluate.methods import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
 from manifold.evaluate.readings import Curve
 from manifold.evaluate.seen_fits import FAMILY
-from manifold.plots.figures import new_figure, place_names
+from manifold.plots.figures import fix_layout, new_figure, place_names
 from manifold.records import Array
 
 _ERRORS = ("ball", "cube_root", "linear")
@@ -75,8 +75,7 @@ def chart(made: Chart) -> Figure:
         axes.set_title(f"{ERRORS[error]}, median", fontsize=11)
         _error_ticks(axes, [_error_of(row, error) for row in made.rows])
     figure.legend(handles=_legend(made), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
-    figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
-    figure.set_layout_engine("none")
+    fix_layout(figure)
     for axis_row, cost in zip(grid, COSTS, strict=True):
         for axes, error in zip(axis_row, _ERRORS, strict=True):
             _name(figure, axes, made, error, cost)

@@ -12,7 +12,7 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patheffects import withStroke
 
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import in_lines, new_figure
+from manifold.plots.figures import fix_layout, in_lines, new_figure
 from manifold.plots.map_figure import (
     MARK,
     draw_expected_error,
@@ -55,8 +55,8 @@ def ball_map(
         axes.scatter(X[:, 0], X[:, 1], s=0)
         axes.margins(0.15)
     latent_axes(axes, model)
-    figure.draw_without_rendering()  # the layout decides where pixels are
-    axes.autoscale(enable=False)  # and what is drawn there does not move them
+    fix_layout(figure)
+    axes.autoscale(enable=False)
     point = figure.dpi / 72.0
     outline = [withStroke(linewidth=2.5, foreground="white")]
     style: dict[str, Any] = {"fontsize": 7.5, "linespacing": 1.05, "ha": "center", "va": "top"}

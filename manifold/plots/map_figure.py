@@ -13,7 +13,7 @@ from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.library.identity import origins_in_words
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import new_figure, place_names, shortened
+from manifold.plots.figures import fix_layout, new_figure, place_names, shortened
 from manifold.records import Array, Indices
 
 _DOT_POINTS = 10.5  # diameter of a material
@@ -137,7 +137,7 @@ def material_colours(model: Manifold, materials: Indices) -> Array:
 
 def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:
     """Names near their points, set from the rim of the map inwards."""
-    figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
+    fix_layout(figure)
     axes.autoscale(enable=False)
     pixels = axes.transData.transform(X)
     labels = [

@@ -525,7 +525,7 @@ DIAGNOSED = {
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
-@pytest.mark.usefixtures("quick_balls")
+@pytest.mark.usefixtures("quick_pictures")
 def test_every_command_that_predicts_says_what_to_expect(run, folder, arguments, find):
     status, out, err = run(*arguments, "--json", "-", cwd=folder)
     assert status == 0, err

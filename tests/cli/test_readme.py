@@ -14,7 +14,9 @@ from helpers.small_library import NAMES, measured
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
+from manifold.estimate import reports
 from manifold.io_rgl import write_bsdf
+from manifold.render import render
 
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 SECTION = README.split("## With your own measurements")[1].split("\n## ")[0]
@@ -45,8 +47,11 @@ def downloaded(tmp_path):
     return tmp_path
 
 
-def test_the_commands_run_one_after_the_other(run, downloaded, rng, quick_balls):
+def test_the_commands_run_one_after_the_other(run, downloaded, rng, quick_pictures, monkeypatch):
     pytest.importorskip("mitsuba")
+    little = render.RenderSettings(size=64, samples=16)
+    monkeypatch.setattr(render, "RenderSettings", lambda: little)
+    monkeypatch.setattr(reports, "_BALL", 64)
     paint = Plastic(GGX.isotropic(0.005), np.array(1.5), np.full(31, 0.1), MA_T12_BANDS)  # 85 gloss units
     write_ma_t12(downloaded / "sample.xlsx", paint, "sample", rng)
     (complete,) = re.findall(r"`(manifold complete sample\.xlsx .*?)`", SECTION)

@@ -32,6 +32,7 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold, Settings
+from manifold.plots import figures
 from manifold.render import thumbnails
 from manifold.render.render import RenderSettings
 
@@ -58,10 +59,11 @@ def few_materials():
         patch.setattr(demo_module, "BudgetSettings", partial(demo_module.BudgetSettings, size=32, samples=16))
         patch.setattr(demo_module.maps, "walk", partial(demo_module.maps.walk, steps=2))
         patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))
-        patch.setattr(demo_module, "TRIED", ("few_directions",))
+        patch.setattr(demo_module, "TRIED", ("sharp_lobe",))
         little = RenderSettings(size=32, samples=16)
         patch.setattr(demo_module, "RenderSettings", lambda: little)
         patch.setattr(demo_module, "picture_of_fit", partial(demo_module.picture_of_fit, settings=little))
+        patch.setattr(figures, "_LAYOUT", None)
         patch.setattr(thumbnails, "SAMPLES", 4)
         yield few
 

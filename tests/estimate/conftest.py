@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,18 +10,23 @@ import pytest
 from helpers.small_library import measured
 
 from manifold.colour.lights import environment
-from manifold.estimate import photographs, reports
+from manifold.estimate import photographs, reports, sightings
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.io_rgl import write_bsdf
 from manifold.render.render import render_floating_ball
 
 
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch) -> None:
-    """Reports and pictures of photographs in fewer pixels, with fewer samples: no test looks at their noise."""
-    monkeypatch.setattr(reports, "_BALL", 64)
-    monkeypatch.setattr(photographs, "_SIZE", 128)
-    monkeypatch.setattr(photographs, "_SAMPLES", 8)
+@pytest.fixture(scope="module", autouse=True)
+def small_pictures() -> Iterator[None]:
+    """Pictures in fewer pixels, with fewer samples, and fewer directions of light for each block of a photograph: no
+    test looks at their noise.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reports, "_BALL", 64)
+        patch.setattr(photographs, "_SIZE", 128)
+        patch.setattr(photographs, "_SAMPLES", 8)
+        patch.setattr(sightings, "SAMPLES", 128)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -44,7 +44,7 @@ PLACE, STEP = "-0.1,0.2", f"{NAME}:{OTHER}:0.5"
 MATERIALS = (FILE, NAME, PLACE, STEP)
 SMALL = ("--size", "16", "--samples", "1")
 
-pytestmark = pytest.mark.usefixtures("quick_balls")
+pytestmark = pytest.mark.usefixtures("quick_pictures")
 
 
 @pytest.fixture(scope="module")

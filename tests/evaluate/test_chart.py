@@ -118,7 +118,6 @@ def test_an_interrupted_chart_is_continued_and_a_finished_one_measured_again(two
 def test_a_chart_of_few_settings_has_numbers_that_do_not_overlap(made):
     few = tuple(row for row in made.rows if row.key in ("nearest", "pca_2_identity"))
     figure = chart_figure.chart(replace(made, rows=few, fronts=fronts(few)))
-    figure.draw_without_rendering()
     for axes in figure.axes:
         for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
             shown = [
@@ -217,7 +216,6 @@ def test_times_within_their_spread_and_errors_within_a_percent_do_not_count_as_d
 def test_errors_of_zero_and_costs_that_hardly_differ_can_be_read():
     found = (_row("copies", 0.0, 340.0), _row("dearer", 0.5, 340.2))
     figure = chart_figure.chart(Chart(found, fronts(found), 8, 3, 8, 1.0, {}, {}))
-    figure.draw_without_rendering()
     for axes in figure.axes:
         low, high = axes.get_xlim()
         assert high > 2.0 * low  # a power of ten and its multiples have room beside each other
@@ -235,9 +233,6 @@ def test_a_chart_says_which_setting_to_choose():
     assert "choose fast: 1.20, and 5 times as fast" in said(slow, fast, rough, cheat)
     assert "Choose it" in said(slow, rough)
     assert said(cheat) == ""
-    found = (slow, rough)
-    made = Chart(found, fronts(found), 8, 3, 8, 1.0, {}, {})
-    assert conclusion(made) in " ".join(chart_figure.chart(made).get_suptitle().split())
 
 
 def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):
@@ -281,6 +276,10 @@ def figure(made):
     return chart_figure.chart(made)
 
 
+def test_the_picture_says_which_setting_to_choose(figure, made):
+    assert conclusion(made) in " ".join(figure.get_suptitle().split())
+
+
 def _texts(axes):
     return [text.get_text() for text in axes.texts]
 
@@ -322,8 +321,7 @@ def test_names_of_points_anywhere_do_not_cover_each_other(seed):
     drawn = figures.new_figure(5.0, 4.0)
     axes = drawn.subplots()
     axes.set(xlim=(0, 1), ylim=(0, 1))
-    drawn.draw_without_rendering()
-    drawn.set_layout_engine("none")
+    figures.fix_layout(drawn)
     names = [
         axes.annotate(
             f"setting number {k}, 6",

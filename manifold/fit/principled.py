@@ -205,7 +205,8 @@ def _fit(
     layout = residuals.layout
     tried = TriedDefaults.none(layout.size)
     start = time.perf_counter()
-    with threadpool_limits(1):  # small matrices: threads would only wait for each other
+    # small matrices and launches: threads would only wait for each other
+    with threadpool_limits(1), backend.one_thread():
         if isinstance(options, GaussNewton):
             minima = gauss_newton.find_minima(residuals, options)
             assessed = _assess(residuals, minima, noise, tried)

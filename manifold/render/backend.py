@@ -266,7 +266,7 @@ def drjit() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Dr.Jit without worker threads, which use a core while they wait: processor times then count work only."""
+    """Dr.Jit without worker threads, which use a core while they wait for small launches."""
     dr = drjit()
     before = dr.thread_count()
     dr.set_thread_count(0)

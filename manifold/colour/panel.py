@@ -18,7 +18,7 @@ from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import rotate_z
 from manifold.metrics import Errors
 from manifold.pairs import Pairs
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, Indices
 
 FITTED = (
     "studio 60", "studio 180", "studio 300", "overcast", "sun 20", "sun 35", "sun 60", "sun 75", "sun 110",
@@ -43,6 +43,14 @@ class Panel(Picture):
     def pixel_weights(self) -> Array:
         """Weights (K,) of all pixels with which lights count the same, whose mean is 1."""
         return np.repeat(self.counts.mean() / self.counts, self.counts)
+
+    def every(self, step: int) -> tuple[Panel, Indices]:
+        """Every `step`-th pixel of each light, and the indices of those."""
+        lights = np.split(np.arange(self.counts.sum()), np.cumsum(self.counts)[:-1])
+        chosen = [light[::step] for light in lights]
+        used = np.unique(self.sums[np.concatenate(chosen)].indices)
+        parts = [self.sums[rows][:, used] for rows in chosen]
+        return Panel(self.names, self[used], parts), np.concatenate(chosen)
 
     def compare(self, xyz: Array, xyz_star: Array) -> Errors[float]:
         """How differently two balls look, by what `xyz` returns."""

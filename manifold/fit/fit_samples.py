@@ -40,6 +40,11 @@ class Pixels:
         empty = cls(lights, np.zeros(0))
         return replace(empty, values=empty.of(np.maximum(f(lights.wi, lights.wo), 0.0) * lights.wo[:, 2:]))
 
+    def every(self, step: int) -> Pixels:
+        """Every `step`-th pixel in each light."""
+        lights, rows = self.lights.every(step)
+        return Pixels(lights, self.values[rows])
+
     def of(self, f_cos: Array) -> Array:
         """Pixels (..., K, B) of values f cos(theta_o) (..., P, B) at the direction pairs of the panel."""
         f = np.moveaxis(f_cos / self.lights.wo[:, 2:], -2, 0)

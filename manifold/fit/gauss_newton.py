@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ class GaussNewton:
             best vectors with a low and with a high value of each shared parameter, in and out of that quarter of its
             range.
         coarse_pairs: direction pairs of the first refinement.
+        coarse_pixels: of the pixels in each light, it sees every one of this many.
         coarse_iterations, iterations: evaluations allowed per start, coarse and fine.
         tolerance: relative change of the cost, and of the parameters, at which a refinement ends.
         n_fine: how many distinct minima of the coarse refinement are refined on all pairs.
@@ -45,6 +46,7 @@ class GaussNewton:
     search_pairs: int = 160
     n_starts: int = 6
     coarse_pairs: int = 320
+    coarse_pixels: int = 4
     coarse_iterations: int = 6
     iterations: int = 60
     tolerance: float = 1e-5
@@ -220,8 +222,11 @@ def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
     starts = _diverse(layout.inward(points), points, layout.is_per_band, options.n_starts)
     samples = residuals.criterion.samples
     few = samples.subset(_spread(len(samples), options.coarse_pairs))
+    is_whole = len(few) == len(samples)
+    if few.pixels is not None and not is_whole:
+        few = replace(few, pixels=few.pixels.every(options.coarse_pixels))
     first = Residuals(layout.family, Criterion(few, residuals.criterion.metric.name))
-    if len(few) == len(samples):  # few samples leave room for rivals
+    if is_whole:  # few samples leave room for rivals
         parts = _outer_quarters(points, layout)
         rivals = [
             minimize(first, start, options.iterations, options.tolerance, part)

@@ -115,8 +115,9 @@ def compare(path: Path, wi: np.ndarray, wo: np.ndarray, rounds: int) -> dict[str
         "new memory": lambda: brdf.eval_cos(wi, wo),
         "out= in double precision": lambda: brdf.eval_cos(wi, wo, out=double),
         "out= in single precision": lambda: brdf.eval_cos(wi, wo, out=single),
-        f"a sum of {SUMMED} files": lambda: summed.eval(wi, wo, out=single),
+        (of_several := f"a sum of {SUMMED} files"): lambda: summed.eval(wi, wo, out=single),
     }
+    counts = {of_several: SUMMED}
     times: dict[str, list[float]] = {name: [] for name in works}
     for round_ in range(rounds + 1):
         for name, work in works.items():
@@ -127,7 +128,7 @@ def compare(path: Path, wi: np.ndarray, wo: np.ndarray, rounds: int) -> dict[str
             del values
     methods = {}
     for name, seconds in times.items():
-        count = SUMMED if name.startswith("a sum") else 1
+        count = counts.get(name, 1)
         ratios = count * np.array(times["mitsuba"]) / seconds
         methods[name] = {
             "values_per_second": count * pairs * 195 / statistics.median(seconds),

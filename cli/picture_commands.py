@@ -199,7 +199,7 @@ def explore(
     surface: Annotated[
         list[Path] | None,
         typer.Option(
-            help="A folder that `manifold surface` wrote, shown on the page; may be repeated.",
+            help="A folder that `manifold surface` wrote, or the JSON of one of several in it; may be repeated.",
             metavar="FOLDER",
         ),
     ] = None,

@@ -81,12 +81,10 @@ def atoms(library):
 
 @pytest.fixture
 def quick_pictures(monkeypatch):
-    """Balls of few samples and figures that are not laid out, for tests that do not look at them."""
-    from manifold.plots import figures
-    from manifold.render import thumbnails
+    """Balls and figures that are quickly drawn, for tests that do not look at them."""
+    from helpers.quick_pictures import draw_quickly
 
-    monkeypatch.setattr(figures, "_LAYOUT", None)
-    monkeypatch.setattr(thumbnails, "SAMPLES", 4)
+    draw_quickly(monkeypatch)
 
 
 @pytest.fixture

@@ -195,8 +195,8 @@ class Plausibility:
             0, 5, ... 85 degrees.
         highlight_valley: depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at incidences
             of 30, 45 and 60 degrees, as a share of the lower of the highest values on its two sides; the mean of bands.
-            It counts as far as the mean of both sides of the mirror direction has it too: a rise towards grazing is no
-            valley.
+            It counts as far as the geometric mean of the two sides of the mirror direction has it, too: a rise towards
+            grazing is no valley.
         albedo_incidence_deg: elevation at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.

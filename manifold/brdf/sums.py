@@ -235,7 +235,7 @@ def add_located(located, group, weights, take_root, total):
 class WeightedSum:
     """The sum of weight * f of measured materials, or of weight times the signed cube root of f."""
 
-    dtype = np.float32
+    dtype = np.float32  # of totals
 
     def __init__(
         self, materials: Sequence[MeasuredBRDF], weights: Sequence[float] | Array, *, cube_root: bool

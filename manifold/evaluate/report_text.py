@@ -67,7 +67,7 @@ where it is largest for each material, median and 90th percentile."""
 
 
 def _short(error: float) -> str:
-    """Of values of any size, in at most six characters."""
+    """An error of values in 1/sr: from 100 on without decimals, which decide nothing there."""
     return f"{error:,.0f}" if error >= 100.0 else f"{error:.3f}"
 
 

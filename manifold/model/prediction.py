@@ -159,9 +159,9 @@ class PredictedBRDF(NotebookPicture):
         return turned
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast, perhaps negative if weights are.
+        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast; negative only where weights are.
 
-        `out` as in `MeasuredBRDF.eval`.
+        `out` and errors as in `MeasuredBRDF.eval`.
         """
         if self._measured is not None and out is None:
             return self._measured.eval(wi, wo)
@@ -264,7 +264,7 @@ class PredictedBRDF(NotebookPicture):
 class _MappedSum:
     """The sum of weights * T(f) of any BRDFs and any mapping, one BRDF after the other."""
 
-    dtype = np.float64
+    dtype = np.float64  # of totals: logarithms need it
 
     def __init__(self, brdfs: Sequence[BRDF], weights: Array, mapping: ValueMapping):
         self._terms, self._mapping = list(zip(brdfs, weights, strict=True)), mapping

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from matplotlib import rcParams
@@ -33,13 +32,12 @@ _GAPS, _ANGLES = np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0, 17.0, 24.0, 34.0]), 36
 # Costs of a covered square pixel, where a dot's gap costs a text's height.
 _COVERED_POINT, _COVERED_NAME = 4.0, 100.0
 _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
-_LAYOUT: Literal["constrained"] | None = "constrained"
 rcParams["font.family"] += [name for name in _FALLBACK_FONTS if name in fontManager.get_font_names()]
 
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of that many inches, drawn without a window."""
-    figure = Figure(figsize=(width, height), dpi=110, layout=_LAYOUT)
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 

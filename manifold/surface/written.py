@@ -49,7 +49,8 @@ def read_surface(path: Path | str) -> WrittenSurface:
         path: its folder, or its `NAME.json` where the folder has several.
     Raises:
         FileFormatError: it is no such surface, or has no BRDF of the mean.
-        MissingFileError: one of its files is missing.
+        MissingFileError: one of its files is missing, or the folder has no surface.
+        UsageError: the folder has several.
     """
     path = Path(path)
     document = _document_in(path) if path.is_dir() else path

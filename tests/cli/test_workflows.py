@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers.mitsuba_reference import measured
 from helpers.paths import real_rgl_files
+from helpers.quick_pictures import draw_quickly
 from helpers.small_library import small_model
 
 from manifold import demo as demo_module
@@ -32,8 +33,6 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold, Settings
-from manifold.plots import figures
-from manifold.render import thumbnails
 from manifold.render.render import RenderSettings
 
 FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_felt_yellow"}
@@ -63,8 +62,7 @@ def few_materials():
         little = RenderSettings(size=32, samples=16)
         patch.setattr(demo_module, "RenderSettings", lambda: little)
         patch.setattr(demo_module, "picture_of_fit", partial(demo_module.picture_of_fit, settings=little))
-        patch.setattr(figures, "_LAYOUT", None)
-        patch.setattr(thumbnails, "SAMPLES", 4)
+        draw_quickly(patch)
         yield few
 
 

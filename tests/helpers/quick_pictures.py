@@ -1,0 +1,15 @@
+"""Pictures for tests that do not look at them."""
+
+from __future__ import annotations
+
+import pytest
+from matplotlib.figure import Figure
+
+from manifold.plots import figures
+from manifold.render import thumbnails
+
+
+def draw_quickly(patch: pytest.MonkeyPatch) -> None:
+    """Balls of few samples, and figures that are not laid out."""
+    patch.setattr(figures, "Figure", lambda layout, **given: Figure(**given))
+    patch.setattr(thumbnails, "SAMPLES", 4)

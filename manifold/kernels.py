@@ -56,13 +56,13 @@ class Kernel(ABC):
 
     @property
     def numbers(self) -> tuple[int, float]:
-        """Parameters for compiled loops: index of the family, `1 / l^2`."""
-        if self.family not in KERNELS:
+        """Parameters for compiled loops: index of the class for `radial_of_pair`, `1 / l^2`."""
+        if type(self) not in _COMPILED:
             raise UsageError(
-                f"kernel '{self.family}' is your own, expected {KERNELS} for direct local search; "
-                "use the optimizer l-bfgs"
+                f"kernel '{self.family}' is your own, and direct local search is compiled for "
+                f"{', '.join(kernel.family for kernel in _COMPILED)} only; use the optimizer l-bfgs"
             )
-        return list(KERNELS).index(self.family), 1.0 / self.length_scale**2
+        return _COMPILED.index(type(self)), 1.0 / self.length_scale**2
 
     @abstractmethod
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
@@ -145,14 +145,13 @@ class Matern52(Kernel):
         return (1.0 + a + a * a / 3.0) * decay, (-5.0 / 6.0) * (1.0 + a) * decay
 
 
-KERNELS: Registry[type[Kernel]] = Registry(
-    "kernel", ((kernel.family, kernel) for kernel in (SquaredExponential, Matern32, Matern52))
-)
+_COMPILED = (SquaredExponential, Matern32, Matern52)  # in the order of `radial_of_pair`
+KERNELS: Registry[type[Kernel]] = Registry("kernel", ((kernel.family, kernel) for kernel in _COMPILED))
 """What `kernel_named` takes."""
 
 
 def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
-    """A kernel by its name, such as `se` or `matern32`, or a class of your own with `family`, `steepest` and `radial`.
+    """A kernel by its name in `KERNELS`, or a class of your own with `family`, `steepest` and `radial`.
 
     >>> kernel_named("se", mu=1e-4).smooth(np.array([[0.0]]), np.array([[0.0], [1.0]])).round(3)
     array([[1.   , 0.607]])

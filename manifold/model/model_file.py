@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 
 from manifold import disk
-from manifold.errors import LibraryError, MissingModelError, ModelError, UsageError
+from manifold.errors import LibraryError, MissingModelError, ModelError, UnknownNameError, UsageError
 from manifold.library.store import Library
 from manifold.model.blend_space import BlendSpace
 from manifold.model.expected_error import LeftOut
@@ -207,6 +207,11 @@ def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, Lef
         if space.X.shape != expected:
             raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")
         left_out = LeftOut.from_arrays(stored.arrays, space)
+    except UnknownNameError as error:
+        raise ModelError(
+            f"{path}: {error}; register your own before you load the model, as in "
+            "manifold.kernels.KERNELS['name'] = Class"
+        ) from error
     except UsageError as error:
         raise ModelError(f"{path}: fitted with {error}; embed the library again") from error
     except (KeyError, TypeError, ValueError, IndexError) as error:

@@ -251,8 +251,8 @@ class PredictedBRDF(NotebookPicture):
         parts: list[tuple[Sequence[BRDF], Array]] = [(self._materials, self._weights)]
         if self._is_per_band:
             parts = [([material], np.ones(1)) for material in self._materials]
-        is_root = isinstance(self._mapping, CubeRoot)
-        is_quick = is_root or isinstance(self._mapping, Identity)
+        is_root = type(self._mapping) is CubeRoot  # a subclass may have another `forward`
+        is_quick = is_root or type(self._mapping) is Identity
         return [
             WeightedSum(cast(Sequence[MeasuredBRDF], materials), weights, cube_root=is_root)
             if is_quick and all(isinstance(material, MeasuredBRDF) for material in self._materials)

@@ -83,7 +83,9 @@ class Settings:
         if not isinstance(self.kernel, str):
             raise UsageError(f"kernel {self.kernel!r}, expected a name, which a model's file can hold")
         require_mu(self.mu)
-        self.covariance()  # checks it
+        covariance = self.covariance()  # checks it
+        if self.optimizer == "dls":
+            _ = covariance.numbers  # checks it
 
     def landmarks_of(self, materials: int) -> int:
         """How many of a number of materials are laid out."""

@@ -15,7 +15,7 @@ from manifold.dls import hooke_jeeves
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM, OPTIMIZERS
 from manifold.gpr import FlatModelWarning, GaussianProcess, IsolatedLatentsWarning
-from manifold.kernels import KERNELS, SquaredExponential, kernel_named
+from manifold.kernels import KERNELS, Kernel, Matern52, SquaredExponential, kernel_named
 from manifold.likelihood import IncrementalObjective, LatentObjective, centre_gram, fix_gauge, pca_start
 
 
@@ -38,6 +38,51 @@ def test_objective_is_the_likelihood_written_out(rng):
     Y, X = curved(rng, 12), rng.normal(size=(12, 2))
     expected = reference.gplvm_objective(X, Y, 1e-2, 1.3)
     assert objective_of(Y, 1e-2, 1.3)(X)[0] == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("optimizer", OPTIMIZERS)
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_fit_ends_at_the_likelihood_of_its_kernel_written_out(rng, kernel, optimizer):
+    Y = curved(rng, 12)
+    model = GPLVM(kernel=kernel, optimizer=optimizer, mu=1e-2, max_iter=30).fit(Y)
+    expected = reference.gplvm_objective(model.embedding_, Y, 1e-2, 1.0, reference.RADIAL[kernel])
+    assert model.objective_ == pytest.approx(expected, rel=1e-9)  # condition of K: up to 1e3
+    assert model.objective_ < model.objective_start_ - 1.0
+
+
+class Cauchy(Kernel):
+    """`g = 1 / (1 + r^2)`."""
+
+    family, steepest = "cauchy", 3.0**1.5 / 8.0
+
+    def radial(self, squared, xp=np):
+        g = 1.0 / (1.0 + squared)
+        return g, -(g**2)
+
+
+class NotMatern(Matern52):
+    """A class of one's own that inherits the name of a built-in kernel."""
+
+    def radial(self, squared, xp=np):
+        g = 1.0 / (1.0 + squared)
+        return g, -(g**2)
+
+
+@pytest.mark.parametrize("own", [Cauchy, NotMatern])
+@pytest.mark.parametrize("is_registered", [False, True])
+def test_a_kernel_of_ones_own_is_fitted_as_it_is_or_refused(rng, monkeypatch, own, is_registered):
+    Y, kernel = curved(rng, 12), own
+    if is_registered:
+        monkeypatch.setitem(KERNELS, own.family, own)
+        kernel = own.family
+    model = GPLVM(kernel=kernel, optimizer="l-bfgs", mu=1e-2).fit(Y)
+    expected = reference.gplvm_objective(model.embedding_, Y, 1e-2, 1.0, reference.RADIAL["cauchy"])
+    assert model.objective_ == pytest.approx(expected, rel=1e-9)  # condition of K: up to 1e3
+    refused = (
+        rf"kernel '{own.family}' is your own, .* compiled for se, matern32, matern52 only; use .* l-bfgs"
+    )
+    with pytest.raises(UsageError, match=refused):
+        GPLVM(kernel=kernel, optimizer="dls").fit(Y)
 
 
 def test_prior_adds_half_its_weight_times_the_squared_norm(rng):

@@ -6,17 +6,23 @@ import math
 
 import numpy as np
 
+RADIAL = {  # of r, the distance in length scales
+    "se": lambda r: math.exp(-(r**2) / 2),
+    "matern32": lambda r: (1 + math.sqrt(3) * r) * math.exp(-math.sqrt(3) * r),
+    "matern52": lambda r: (1 + math.sqrt(5) * r + 5 * r**2 / 3) * math.exp(-math.sqrt(5) * r),
+    "cauchy": lambda r: 1 / (1 + r**2),
+}
 
-def covariance(x, x_prime, mu, length_scale):
-    """Squared exponential plus delta, one pair of points."""
-    squared = sum((a - b) ** 2 for a, b in zip(x, x_prime, strict=True))
+
+def covariance(x, x_prime, mu, length_scale, radial=RADIAL["se"]):
+    """A radial kernel plus delta, one pair of points."""
     delta = 1.0 if all(a == b for a, b in zip(x, x_prime, strict=True)) else 0.0
-    return mu * delta + math.exp(-squared / (2 * length_scale**2))
+    return mu * delta + radial(math.dist(x, x_prime) / length_scale)
 
 
-def covariance_matrix(A, B, mu, length_scale):
+def covariance_matrix(A, B, mu, length_scale, radial=RADIAL["se"]):
     """All pairs by two loops."""
-    return np.array([[covariance(a, b, mu, length_scale) for b in B] for a in A])
+    return np.array([[covariance(a, b, mu, length_scale, radial) for b in B] for a in A])
 
 
 def posterior(X, Y, X_new, mu, length_scale):
@@ -31,10 +37,10 @@ def posterior(X, Y, X_new, mu, length_scale):
     return np.array(means), np.array(variances)
 
 
-def gplvm_objective(X, Y, mu, length_scale):
+def gplvm_objective(X, Y, mu, length_scale, radial=RADIAL["se"]):
     """Negative log likelihood per output, constants dropped, output variance profiled out."""
     N, D = Y.shape
-    K = covariance_matrix(X, X, mu, length_scale)
+    K = covariance_matrix(X, X, mu, length_scale, radial)
     Y_c = Y - Y.mean(axis=0)
     s2 = np.trace(np.linalg.inv(K) @ Y_c @ Y_c.T) / (N * D)
     return 0.5 * np.linalg.slogdet(K)[1] + 0.5 * N * math.log(s2)

@@ -27,6 +27,7 @@ from manifold.errors import (
     UsageError,
 )
 from manifold.io_rgl import write_bsdf
+from manifold.kernels import KERNELS, Kernel
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
@@ -292,6 +293,28 @@ def test_a_model_keeps_its_kernel(library, tmp_path, kind, kernel):
     x = made.between(made.names[0], made.names[1], 0.3)
     np.testing.assert_array_equal(found.std(x), made.std(x))
     np.testing.assert_array_equal(found.weights(x), made.weights(x))
+
+
+def test_a_model_with_a_kernel_of_ones_own_is_loaded_where_it_is_registered(library, tmp_path, monkeypatch):
+    class Cauchy(Kernel):
+        family, steepest = "cauchy", 3.0**1.5 / 8.0
+
+        def radial(self, squared, xp=np):
+            g = 1.0 / (1.0 + squared)
+            return g, -(g**2)
+
+    monkeypatch.setitem(KERNELS, "cauchy", Cauchy)
+    with pytest.raises(UsageError, match=r"kernel 'cauchy' is your own, .* use the optimizer l-bfgs"):
+        Settings(kind="material", kernel="cauchy")
+    settings = Settings(kind="material", kernel="cauchy", optimizer="l-bfgs")
+    Manifold.fit(library, settings, calibrate=False).save(tmp_path / "model.h5")
+    assert isinstance(Manifold.load(tmp_path / "model.h5", library).gp.kernel, Cauchy)
+    monkeypatch.delitem(KERNELS, "cauchy")
+    with pytest.raises(
+        ModelError,
+        match=r"model\.h5: no kernel is called 'cauchy'; .* register .* manifold\.kernels\.KERNELS",
+    ):
+        Manifold.load(tmp_path / "model.h5", library)
 
 
 def test_a_model_of_another_version_is_refused(model, tmp_path, monkeypatch):

@@ -19,7 +19,7 @@ from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.brdf.sums import WeightedSum, cube_root
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
-from manifold.mapping import MAPPINGS
+from manifold.mapping import MAPPINGS, CubeRoot
 from manifold.model.combination import Combination, Dictionary, Values
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.pairs import Pairs
@@ -98,6 +98,21 @@ def test_measured_materials_are_combined_in_one_pass_as_one_by_one(measured_mate
     # Fused values are in single precision, as files have them; differences of large terms cost some more.
     np.testing.assert_allclose(fused, general, rtol=2e-6, atol=1e-7 * np.abs(general).max())
     assert not np.any(fused[::7])
+
+
+def test_a_mapping_of_ones_own_is_not_taken_for_the_one_it_derives_from(measured_materials, rng):
+    class FifthRoot(CubeRoot):
+        def forward(self, values, cosine_weight=None):
+            return np.sign(values) * np.abs(values) ** 0.2
+
+        def inverse(self, mapped, cosine_weight=None):
+            return mapped**5
+
+    own = Combination(FifthRoot(), np.array([0.6, 0.1, 0.3, 0.0]))
+    wi, wo = directions(rng, 50)
+    roots = [FifthRoot().forward(material.eval(wi, wo)) for material in measured_materials]
+    expected = sum(weight * root for weight, root in zip(own.weights, roots, strict=True)) ** 5
+    np.testing.assert_allclose(PredictedBRDF(measured_materials, own).eval(wi, wo), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("weights", [[0.6, -0.3, 0.5, 0.2], [0.0, 1.0, 0.0, 0.0]])

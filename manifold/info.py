@@ -52,10 +52,12 @@ def inspect_instrument_file(
     textured = [record for record in records if isinstance(record, Readings) and record.texture]
     if textured:
         rows["texture"] = "graininess, sparkle or pictures of the sample are below"
-        tables += [
-            _picture_table(textured[0]) if key == "images" else _texture_table(key, value)
-            for key, value in textured[0].texture.items()
-        ]
+    for record in textured[:_MOST_SAMPLES]:
+        for key, value in record.texture.items():
+            heads, cells = _picture_table(record) if key == "images" else _texture_table(key, value)
+            if len(records) > 1:
+                heads, cells = ("sample", *heads), [(record.name, *row) for row in cells]
+            tables.append((heads, cells))
     document = {"path": str(path), "format": format_name, "samples": [_document(r) for r in records]}
     return rows, document, tables
 

@@ -12,10 +12,10 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,9 +24,20 @@ from manifold.errors import FileFormatError
 from manifold.formats.column_heads import lab_head, viewing
 from manifold.formats.geometries import parse_geometry
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing, aspecular_pair
-from manifold.formats.tables import HEADERS, Cell, Columns, Table, find_columns, in_one_unit, read_table
+from manifold.formats.tables import (
+    HEADERS,
+    Cell,
+    Columns,
+    Table,
+    find_columns,
+    in_one_unit,
+    read_table,
+    text_of,
+)
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.records import Array
+
+T = TypeVar("T")
 
 _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
@@ -59,14 +70,16 @@ def read(path: Path) -> list[Readings]:
         )
         for table, columns in found
     ]
-    texture = _texture(sheets, data, workbook)
+    samples = in_one_unit(_named_apart(readings))
+    texture, notes = _texture(sheets, data, workbook, [sample.name for sample in samples])
     return [
         replace(
-            one,
-            texture=texture.get(one.name, texture.get("", {})),
-            viewing=one.viewing if one.bands.is_rgb else seen_as,
+            sample,
+            texture=texture[sample.name],
+            viewing=sample.viewing if sample.bands.is_rgb else seen_as,
+            notes=sample.notes + notes,
         )
-        for one in in_one_unit(_named_apart(readings))
+        for sample in samples
     ]
 
 
@@ -147,9 +160,9 @@ def _sheets(workbook: io.BytesIO, context: ErrorContext) -> dict[str, list[list[
     return sheets
 
 
-def _pick(sheets: Mapping[str, object], word: str) -> str | None:
-    """The title of the first sheet whose title holds a word, case aside."""
-    return next((title for title in sheets if word in title.lower()), None)
+def _titled(sheets: Mapping[str, list[list[Cell]]], words: str) -> Iterator[str]:
+    """Yield the titles of the sheets whose titles hold these words, case aside."""
+    return (title for title in sheets if words in title.lower())
 
 
 def _instrument(sheets: Mapping[str, list[list[Cell]]]) -> str:
@@ -174,23 +187,50 @@ def _viewing(sheets: Mapping[str, list[list[Cell]]]) -> Viewing:
 
 
 def _texture(
-    sheets: Mapping[str, list[list[Cell]]], data: bytes, workbook: io.BytesIO
-) -> dict[str, dict[str, Any]]:
-    """Texture rows and flake images by sample; what names no sample is under the empty name."""
-    texture: dict[str, dict[str, Any]] = {}
-    title = _pick(sheets, "texture data")
-    for name, entry in _texture_rows(sheets[title]) if title else []:
-        texture.setdefault(name, {}).setdefault("values", []).append(entry)
-    title = _pick(sheets, "texture image")
-    if title:
-        images = _images(data, workbook, title, sheets[title])
-        for entry in texture.values() if texture and images else ():
-            entry["images"] = images
-        if images and not texture:
-            texture[""] = {"images": images}
-    if len(texture) == 1:
-        texture[""] = next(iter(texture.values()))
-    return texture
+    sheets: Mapping[str, list[list[Cell]]], data: bytes, workbook: io.BytesIO, samples: Sequence[str]
+) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+    """Texture rows and pictures of every sample, and notes about those that belong to none."""
+    entries: dict[str, list[dict[str, Any]]] = {}
+    images: dict[str, dict[str, bytes]] = {}
+    repeated = []
+    for title in _titled(sheets, "texture data"):
+        for name, entry in _texture_rows(sheets[title]):
+            entries.setdefault(name, []).append(entry)
+    for title in _titled(sheets, "texture image"):
+        for picture in _pictures(data, workbook, title):
+            name, caption = _head_and_caption(sheets[title], picture)
+            own = images.setdefault(name, {})
+            if caption in own:
+                repeated.append(f"{caption} of '{name}'")
+            own.setdefault(caption, picture.content)
+    values_of, unused_values = _by_sample(entries, samples)
+    images_of, unused_images = _by_sample(images, samples)
+    texture: dict[str, dict[str, Any]] = {name: {} for name in samples}
+    for key, by_sample in (("values", values_of), ("images", images_of)):
+        for name, content in by_sample.items():
+            texture[name][key] = content
+    notes = [
+        f"{what} of {', '.join(repr(name) if name else 'no name' for name in unused)} left out: the workbook has no "
+        "readings of that name"
+        for what, unused in (("texture values", unused_values), ("pictures", unused_images))
+        if unused
+    ]
+    if repeated:
+        notes.append(f"several pictures {', '.join(dict.fromkeys(repeated))}: the first is used")
+    return texture, tuple(notes)
+
+
+def _by_sample(by_name: Mapping[str, T], samples: Sequence[str]) -> tuple[dict[str, T], list[str]]:
+    """Return what stands under the name of each sample, and the other names.
+
+    A workbook of one sample need not repeat its name: what stands under any single name is that sample's.
+    """
+    if len(samples) == 1 and len(by_name) == 1:
+        return dict(zip(samples, by_name.values(), strict=True)), []
+    return (
+        {name: by_name[name] for name in samples if name in by_name},
+        [name for name in by_name if name not in samples],
+    )
 
 
 def _texture_rows(rows: list[list[Cell]]) -> list[tuple[str, dict[str, Any]]]:
@@ -202,13 +242,29 @@ def _texture_rows(rows: list[list[Cell]]) -> list[tuple[str, dict[str, Any]]]:
             for below in rows[index + 1 :]:
                 entry = {h: c for h, c in zip(heads, below, strict=False) if h and c is not None}
                 if entry:
-                    found.append((str(entry.get("Name", entry.get("name", ""))), entry))
+                    found.append((text_of(entry.get("Name", entry.get("name"))), entry))
             return found
     return []
 
 
-def _images(data: bytes, workbook: io.BytesIO, title: str, rows: list[list[Cell]]) -> dict[str, bytes]:
-    """Pictures of a sheet (PNG, JPEG), by the caption in the cell to their left; none where they cannot be read."""
+class _Picture(NamedTuple):
+    """A picture on a sheet: the cell of its upper left corner, counted from 0, and its bytes."""
+
+    row: int
+    column: int
+    content: bytes
+
+
+def _head_and_caption(rows: Sequence[Sequence[Cell]], picture: _Picture) -> tuple[str, str]:
+    """The text above a picture in its column, which names the sample, and the first text of its row."""
+    above = (cells[picture.column] for cells in rows[: picture.row][::-1] if picture.column < len(cells))
+    head = next((text for cell in above if (text := text_of(cell))), "")
+    caption = rows[picture.row][0] if picture.row < len(rows) and rows[picture.row] else None
+    return head, text_of(caption) or f"row {picture.row + 1}"
+
+
+def _pictures(data: bytes, workbook: io.BytesIO, title: str) -> list[_Picture]:
+    """Pictures of a sheet (PNG, JPEG); none where they cannot be read."""
     import openpyxl
     from openpyxl.packaging.relationship import get_dependents, get_rels_path
     from openpyxl.reader.drawings import find_images
@@ -217,18 +273,16 @@ def _images(data: bytes, workbook: io.BytesIO, title: str, rows: list[list[Cell]
         with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             if sum(part.file_size for part in archive.infolist()) > _LARGEST_FILE:
-                return {}
+                return []
             sheet = openpyxl.load_workbook(workbook, read_only=True)[title]._worksheet_path
             relations = get_dependents(archive, get_rels_path(sheet))
             drawings = [relation.target for relation in relations if relation.Type.endswith("/drawing")]
-            found = {}
-            for image in [image for drawing in drawings[:1] for image in find_images(archive, drawing)[1]]:
-                row = image.anchor._from.row
-                caption = rows[row][0] if row < len(rows) and rows[row] else None
-                found[str(caption or f"row {row + 1}")] = image._data()
-            return found
+            images = [image for drawing in drawings for image in find_images(archive, drawing)[1]]
+            return [
+                _Picture(image.anchor._from.row, image.anchor._from.col, image._data()) for image in images
+            ]
     except Exception:  # openpyxl raises whatever its parsers do; readings do not depend on pictures
-        return {}
+        return []
 
 
 def write(path: Path, readings: Readings) -> None:
@@ -260,7 +314,7 @@ def write(path: Path, readings: Readings) -> None:
         texture.append(list(entries[0]))
         for entry in entries:
             texture.append(list(entry.values()))
-    images.append(["Geometry", "Image"])
+    images.append([None, readings.name])
     for row_number, (caption, picture) in enumerate(readings.texture.get("images", {}).items(), start=2):
         images.cell(row_number, 1, caption)
         images.add_image(Image(io.BytesIO(picture)), f"B{row_number}")

@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo kernels test test-slow test-lowest check attack bench golden engines docs clean help
 
 help:
-	@echo "make demo        run the whole program on the built-in corpus, into $(OUT)/"
+	@echo "make demo        run the main job on the built-in corpus, into $(OUT)/"
 	@echo "make kernels     compile what Numba would compile at first use"
 	@echo "make test        run the tests, all but the slow ones"
 	@echo "make test-slow   run the slow ones"

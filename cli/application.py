@@ -87,7 +87,7 @@ def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
 app = Application(
     name="manifold",
     help="Learn a manifold of materials from measured spectral BRDFs, and predict BRDFs that were not measured.",
-    epilog="Start with `manifold demo`, which runs everything on the built-in synthetic corpus.",
+    epilog="Start with `manifold demo`, which runs the main job on built-in materials.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

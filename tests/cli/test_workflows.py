@@ -23,16 +23,18 @@ from manifold.cli.main import app
 from manifold.directions import from_spherical
 from manifold.estimate.predictions import predict
 from manifold.evaluate import embed, make_report
-from manifold.evaluate.budget import example_scenes
+from manifold.evaluate.budget import budgets, example_scenes
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.report_text import lead
 from manifold.evaluate.seen_fits import METHODS
 from manifold.evaluate.stability.catalogue import MODES
+from manifold.fit import comparison
 from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold, Settings
+from manifold.render.images import read_image
 from manifold.render.render import RenderSettings
 
 FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_felt_yellow"}
@@ -55,20 +57,28 @@ def few_materials():
         patch.setattr(corpus, "isotropic_materials", lambda: few)
         patch.setattr(corpus, "measure", in_few_bands)
         patch.setattr(example_scenes, "EXAMPLES", SCENE)
-        patch.setattr(demo_module, "BudgetSettings", partial(demo_module.BudgetSettings, size=32, samples=16))
+        patch.setattr(budgets, "BudgetSettings", partial(budgets.BudgetSettings, size=32, samples=16))
         patch.setattr(demo_module.maps, "walk", partial(demo_module.maps.walk, steps=2))
         patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))
         patch.setattr(demo_module, "TRIED", ("sharp_lobe",))
-        little = RenderSettings(size=32, samples=16)
-        patch.setattr(demo_module, "RenderSettings", lambda: little)
-        patch.setattr(demo_module, "picture_of_fit", partial(demo_module.picture_of_fit, settings=little))
+        little = partial(RenderSettings, size=32, samples=16)
+        patch.setattr(demo_module, "RenderSettings", little)
+        patch.setattr(comparison, "picture_of_fit", partial(comparison.picture_of_fit, settings=little()))
         draw_quickly(patch)
         yield few
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory, few_materials):
-    return demo_module.run(tmp_path_factory.mktemp("demo"))
+    announced = []
+    result = demo_module.run(tmp_path_factory.mktemp("demo"), everything=True, announce=announced.append)
+    assert tuple(announced) == result.made
+    return result
+
+
+@pytest.fixture(scope="module")
+def folder(demo):
+    return demo.made[-1].paths[0].parent
 
 
 def test_what_the_demo_charts_and_tries_is_in_the_registries():
@@ -83,9 +93,9 @@ def test_the_demo_runs_all_its_steps_on_materials_of_every_scene(tmp_path, monke
     names = FEW | {scene.material for scene in example_scenes.EXAMPLES.values()}
     some = tuple(m for m in corpus.isotropic_materials() if m.name in names)
     monkeypatch.setattr(corpus, "isotropic_materials", lambda: some)
-    made = demo_module.run(tmp_path)
-    assert all(path.stat().st_size > 0 for path in made.files["pictures"])
-    assert len(made.files["pictures"]) == 10
+    made = demo_module.run(tmp_path, everything=True)
+    assert all(path.stat().st_size > 0 for path in made.pictures)
+    assert len(made.pictures) == 12
     assert made.left_out is None
 
 
@@ -95,19 +105,35 @@ def directions(rng, n):
     return w / np.linalg.norm(w, axis=-1, keepdims=True)
 
 
-def test_the_demo_leaves_everything_it_names(demo):
-    assert all(path.stat().st_size > 0 for paths in demo.files.values() for path in paths)
-    (library,), (text, document) = demo.files["library"], demo.files["report"]
-    assert Library.open(library).names == tuple(sorted(FEW))
-    assert json.loads(document.read_text())["names"] == sorted(FEW)
-    assert "synthetic" in text.read_text()
+def test_every_result_of_the_demo_exists_when_it_is_announced(tmp_path, few_materials):
+    class Stopped(Exception):
+        pass
+
+    def look(made):
+        assert all(path.stat().st_size > 0 for path in made.paths)
+        if any(path.name == "predicted_spec.bsdf" for path in made.paths):
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        demo_module.run(tmp_path, announce=look)
 
 
-def test_the_demo_ends_in_a_page_whose_links_are_there(demo):
-    index, _ = demo.files["page"]
+def test_the_demo_renders_its_prediction_under_two_illuminants(demo, folder):
+    daylight, lamp = (read_image(folder / f"predicted_{name}.png") for name in demo_module.ILLUMINANTS)
+    assert np.abs(daylight - lamp).mean() > 0.002  # a coloured material differs under a fluorescent lamp
+
+
+def test_the_report_of_the_demo_is_of_its_library(folder):
+    assert Library.open(folder / "library.zarr").names == tuple(sorted(FEW))
+    assert json.loads((folder / "report.json").read_text())["names"] == sorted(FEW)
+    assert "synthetic" in (folder / "report.txt").read_text()
+
+
+def test_the_demo_ends_in_a_page_whose_links_are_there(demo, folder):
+    index = folder / "index.html"
     text = index.read_text()
     links = set(re.findall(r'(?:href|src)="([^"]*)"', text))
-    assert links >= {"explorer.html", "library.zarr", *(path.name for path in demo.files["pictures"])}
+    assert links >= {"explorer.html", "library.zarr", *(path.name for path in demo.pictures)}
     for link in links:
         assert (index.parent / link).exists(), link
     assert lead(demo.report) in html.unescape(text)
@@ -119,8 +145,8 @@ def test_the_demo_ends_in_a_page_whose_links_are_there(demo):
         assert name in {each.name for each in app.registered_commands}
 
 
-def test_a_predicted_file_opens_in_mitsuba_and_is_the_prediction(demo, rng):
-    model = Manifold.load(demo.files["model"][0])
+def test_a_predicted_file_opens_in_mitsuba_and_is_the_prediction(demo, folder, rng):
+    model = Manifold.load(folder / "model.h5")
     brdf = model.predict(np.array(demo.predicted.latent))
     file = read_bsdf(demo.predicted.path)
     wi, wo = directions(rng, 1500)
@@ -141,7 +167,7 @@ def test_the_predicted_file_says_what_it_is(demo):
     assert file.spectra.min() >= 0.0
 
 
-def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
+def test_running_the_demo_again_keeps_what_is_there(demo, folder, monkeypatch):
     class Stopped(Exception):
         pass
 
@@ -150,11 +176,11 @@ def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
 
     monkeypatch.setattr(corpus, "measure", lambda *_, **__: pytest.fail("measured again"))
     monkeypatch.setattr(demo_module, "predict", stop)  # what follows is made anew
-    before = Manifold.load(demo.files["model"][0])
+    before = Manifold.load(folder / "model.h5")
     with pytest.raises(Stopped):
-        demo_module.run(demo.files["model"][0].parent)
+        demo_module.run(folder)
     np.testing.assert_array_equal(
-        Manifold.load(demo.files["model"][0]).latent("syn_satin_gold"), before.latent("syn_satin_gold")
+        Manifold.load(folder / "model.h5").latent("syn_satin_gold"), before.latent("syn_satin_gold")
     )
 
 

@@ -1,48 +1,122 @@
-"""The Typer application to which every module adds its commands."""
+"""The Typer application to which every module adds its commands, and the layout of its help."""
 
 from __future__ import annotations
 
 import inspect
 import re
 from collections.abc import Callable
+from copy import copy
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from . import outputs
 
 _REGISTRY = re.compile(r"\{(manifold[.\w]*)\.(\w+)\}")
 
 
+GROUPS = {
+    "Start": {"demo": "report"},
+    "Files": {
+        "import": "library", "info": "library", "convert": "instrument", "fetch": "library", "compact": "library",
+        "corpus": "library",
+    },
+    "Map": {
+        "embed": "model", "predict": "model", "locate": "model", "map": "picture", "walk": "picture",
+        "explore": "picture", "find": "library",
+    },
+    "Samples": {
+        "complete": "completion", "photograph": "photograph", "reconstruct": "model", "surface": "surface",
+        "calibrate": "completion",
+    },
+    "Use": {"render": "picture", "compare": "picture", "export": "fit", "fit": "fit"},
+    "Study": {
+        "report": "report", "chart": "report", "stability": "report", "budget": "report", "slices": "picture",
+    },
+}  # fmt: skip
+"""Commands by the groups of `manifold --help`, and the module `cli/MODULE_commands.py` of each."""
+
+MODULES = {command: module for commands in GROUPS.values() for command, module in commands.items()}
+COLOUR, LIGHT, TAKEN, GRID, SHARED = (
+    "Colour", "Light and picture", "How the pictures were taken", "Written file", "Sharing the work",
+)  # fmt: skip
+"""Panels of options in helps, in this order, behind the options that have none."""
+_PANELS = ("", COLOUR, LIGHT, TAKEN, GRID, SHARED)
+_MOST_SHOWN = 20  # options in a help; `--help-all` shows all
+
+
+def load(command: str | None) -> None:
+    """Import the module of a command, or of all commands if there is none of this name."""
+    for module in {MODULES[command]} if command in MODULES else dict.fromkeys(MODULES.values()):
+        import_module(f".{module}_commands", __package__)
+
+
 class Command(TyperCommand):
     """A command that checks its outputs before it runs."""
 
+    shows_all = False
+    """Whether helps show all options; set by `--help-all`."""
+
     def get_help(self, ctx: Any) -> str:
-        """As Typer's; `{manifold.mapping.MAPPINGS}` stands for the names in that registry, which is imported now."""
+        """Return the help, in which `{manifold.mapping.MAPPINGS}` stands for the names in that registry."""
         for each in (self, *self.params):
             if text := getattr(each, "help", None):
                 each.help = _REGISTRY.sub(lambda found: str(getattr(import_module(found[1]), found[2])), text)
         return super().get_help(ctx)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """As Typer's, but arguments stand by their names alone, without a type such as `<list[Path]>`."""
-        for parameter in self.params:
+        """Write arguments by their names alone, then options by panel, those for experts only on request."""
+        arguments, panels = [], {panel: [] for panel in _PANELS}
+        for parameter in self.get_params(ctx):
             if parameter.param_type_name == "argument":
                 parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
-        super().format_options(ctx, formatter)
+                arguments.append(parameter.get_help_record(ctx))
+            elif (record := parameter.get_help_record(ctx)) is not None:
+                panels[getattr(parameter, "rich_help_panel", None) or ""].append(record)
+        left_out = []
+        for panel in reversed(_PANELS[1:]):
+            if Command.shows_all or sum(map(len, panels.values())) <= _MOST_SHOWN:
+                break
+            if panels.pop(panel):
+                left_out.insert(0, panel.lower())
+        for title, records in {"Arguments": arguments, "Options": panels.pop(""), **panels}.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+        if left_out:
+            formatter.write_paragraph()
+            formatter.write_text(f"More options ({'; '.join(left_out)}): {ctx.command_path} --help-all")
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
-        """As Typer's. Raises UsageError where an output cannot be written to."""
+        """Check the outputs, then run. Raises UsageError if an output cannot be written to."""
         assert self.callback is not None
         outputs.check_all(inspect.unwrap(self.callback), ctx.params)
         return super().invoke(ctx)
 
 
+class Group(TyperGroup):
+    """The commands, which help lists by group."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands under the titles of their groups."""
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(80)) for name in names])
+
+
 class Application(typer.Typer):
     """A Typer of such commands."""
+
+    def only(self, command: str | None) -> Any:
+        """Return the Click group of one command, or of all if there is none of this name."""
+        load(command)
+        chosen = copy(self)
+        if command in MODULES:
+            chosen.registered_commands = [each for each in self.registered_commands if each.name == command]
+        return typer.main.get_command(chosen)
 
     def command(self, *args: Any, **kwargs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         """As `typer.Typer.command`; a parameter that is a dataclass of options is these options."""
@@ -69,6 +143,8 @@ def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
             parameter.replace(name=one.name, annotation=hints[one.name], default=one.default)
             for one in (() if group is None else fields(group))
         ]
+        if getattr(group, "is_hidden", False):
+            own = [each.replace(annotation=_hidden(each.annotation)) for each in own]
         parameters += own or [parameter]
 
     def run(**given: Any) -> Any:
@@ -84,8 +160,16 @@ def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
+def _hidden(annotation: Any) -> Any:
+    """Return the annotation of an option that helps do not show."""
+    option = copy(annotation.__metadata__[0])
+    option.hidden = True
+    return Annotated[annotation.__origin__, option]
+
+
 app = Application(
     name="manifold",
+    cls=Group,
     help="Learn a manifold of materials from measured spectral BRDFs, and predict BRDFs that were not measured.",
     epilog="Start with `manifold demo`, which runs the main job on built-in materials.",
     add_completion=False,

@@ -13,6 +13,7 @@ import typer
 from manifold.errors import FileFormatError, UsageError
 
 from . import terminal
+from .application import SHARED
 from .outputs import or_default
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def _workers_option(by_default: str) -> Any:
         help=f"Local processes that share the work. [default: {by_default}]",
         metavar="N",
         min=1,
+        rich_help_panel=SHARED,
     )
 
 
@@ -44,6 +46,7 @@ SchedulerOption = Annotated[
         "--scheduler",
         help="Let the workers of this Dask scheduler share the work, such as tcp://10.0.0.1:8786.",
         metavar="ADDRESS",
+        rich_help_panel=SHARED,
     ),
 ]
 

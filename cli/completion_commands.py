@@ -14,7 +14,7 @@ from manifold import progress
 from manifold.errors import UsageError
 from manifold.names import first_few
 
-from . import options, photo_options, terminal
+from . import options, photograph_commands, terminal
 from .application import app
 from .batch_options import PER_CORE, WorkerOptions, make_many, require_folder
 from .outputs import checked, or_default
@@ -64,13 +64,7 @@ def complete(
     ] = False,
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
-    gloss: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Gloss of the sample at 20, 60 or 85 degrees (ISO 2813); may be given for each.",
-            metavar="ANGLE=UNITS",
-        ),
-    ] = None,
+    gloss: options.GlossOption = None,
     unit: options.UnitOption = None,
     repeatability: Annotated[
         float | None,
@@ -100,20 +94,19 @@ def complete(
     ] = False,
     illuminant: options.IlluminantOption = None,
     observer: options.ObserverOption = None,
-    photos: photo_options.PhotoOptions = photo_options.NONE,
+    photos: photograph_commands.OldPhotoOptions = photograph_commands.NO_OLD,
     picture: Annotated[
         bool,
         typer.Option(
             "--picture",
-            help="Also render its ball, beside the file; of photographs, these beside their prediction.",
+            help="Also render its ball, into NAME.png.",
         ),
     ] = False,
     report: options.ReportOption = None,
     suggest: Annotated[
         int,
         typer.Option(
-            help="Also suggest this many directions to measure next, or places of the lamp; without READINGS, to "
-            "measure first, or with --lamp and no picture, where to hold it.",
+            help="Also suggest this many directions to measure next; without READINGS, to measure first.",
             metavar="K",
             min=0,
             max=100,
@@ -144,8 +137,21 @@ def complete(
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
         )
-    request = photos.request()
-    if report is not None and (request or not (readings or lab)):
+    if photos.photo:
+        terminal.note_old_spelling("complete --photo", "manifold photograph")
+        request = photos.request_of(photos.photo)
+        photograph_commands.complete_photographs(
+            results, request, library, output, readings=readings, sample=sample, gloss=gloss, lab=lab, picture=picture,
+            suggest=suggest, written=written,
+        )  # fmt: skip
+        return
+    if photos.lamp:
+        if readings or lab or not suggest:
+            raise UsageError("--lamp goes with photographs; see `manifold photograph --help`")
+        terminal.note_old_spelling("complete --lamp --suggest", "photograph --suggest")
+        photograph_commands.suggest_lamps(results, library, suggest)
+        return
+    if report is not None and not (readings or lab):
         raise UsageError("--report goes with readings or a colour; leave it out")
     if mixture and lab is None:
         raise UsageError("--mixture goes with --lab; leave it out")
@@ -153,32 +159,6 @@ def complete(
     def parsed(text: str) -> Array:
         return completions.parse_lab(text, options.viewing_of(illuminant, observer))
 
-    if request is not None:
-        from manifold.estimate import photographs
-
-        given = completions.parse_gloss(gloss or [])
-        measured = instruments.read(readings, sample, correction, unit=unit)[0] if readings else None
-        if lab is not None:
-            measured = readings_of_colour(parsed(lab), {}, Library(library).bands)
-        target = or_default(output, f"{request.photographs[0].stem}.bsdf")
-        with progress.shown("Completing"):
-            seen = photographs.complete(
-                library, request, target, readings=measured, gloss=given,
-                picture=checked(target.with_suffix(".png"), "picture") if picture else None, count=suggest,
-                options=written,
-            )  # fmt: skip
-        photo_options.show_photographs(results, f"Completed {target}", seen)
-        return
-    if photos.lamp:
-        if readings or lab or not suggest:
-            raise UsageError("--lamp goes with --photo, or before a picture with --suggest K; leave it out")
-        from manifold.estimate.lamp_plan import plan_lamps
-
-        with progress.shown("Leaving materials out"):
-            plan = plan_lamps(library, suggest)
-        photo_options.show_plan(results, plan, "")
-        results.document(plan)
-        return
     if not readings and lab is None:
         if not suggest:
             raise UsageError(

@@ -33,7 +33,7 @@ def fit(
         typer.Argument(help="A .bsdf file, a file of readings, a material of the library, or a place on the map; or "
         "several, folders of .bsdf files, or libraries.", metavar="MATERIAL"),
     ] = None,
-    latent: options.PlaceOption = None,
+    latent: options.OldPlaceOption = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -191,7 +191,7 @@ def export(
             show_default=False,
         ),
     ] = None,
-    latent: options.PlaceOption = None,
+    latent: options.OldPlaceOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     colour: options.ColourOptions = options.OWN_COLOUR,

@@ -9,7 +9,6 @@ import sys
 import traceback
 import warnings
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 import typer
@@ -19,8 +18,7 @@ from manifold.errors import ManifoldError, UsageError, in_words
 from manifold.names import printable
 from manifold.progress import display_with
 
-from . import terminal
-from .application import app
+from . import application, terminal
 
 _COORDINATES = re.compile(r"-[\d.][-+\d.eE]*(,[-+\d.eE]+)+")  # such as -0.3,1.2, which is no option
 _EXIT_ERROR = 1
@@ -35,7 +33,7 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@application.app.callback()
 def _options(
     version: bool = typer.Option(
         False, "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
@@ -51,17 +49,12 @@ def _options(
     """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
 
 
-for _commands in (  # in the order of the help
-    "library",
-    "model",
-    "report",
-    "picture",
-    "fit",
-    "completion",
-    "instrument",
-    "surface",
-):
-    import_module(f".{_commands}_commands", __package__)
+def __getattr__(name: str) -> Any:
+    """Return `app`, the application with all commands; a run imports only the module of its command."""
+    if name == "app":
+        application.load(None)
+        return application.app
+    raise AttributeError(f"module {__name__} has no attribute {name}")
 
 
 def run(arguments: list[str] | None = None) -> None:
@@ -73,6 +66,9 @@ def run(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug, strict = "--debug" in arguments, "--strict" in arguments
     arguments = [argument for argument in arguments if argument not in ("--debug", "--strict")]
+    application.Command.shows_all = "--help-all" in arguments
+    arguments = ["--help" if argument == "--help-all" else argument for argument in arguments]
+    command = next((argument for argument in arguments if not argument.startswith("-")), None)
     # Behind a blank, which all that takes coordinates ignores, they are no option to Click.
     arguments = [f" {argument}" if _COORDINATES.fullmatch(argument) else argument for argument in arguments]
     for stream in (sys.stdout, sys.stderr):
@@ -88,7 +84,8 @@ def run(arguments: list[str] | None = None) -> None:
         # A shell's variable that is not set; as a path, Python takes it for the current folder.
         if "" in arguments:
             raise UsageError("found an empty argument, expected a value")
-        status = app(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
+        group = application.app.only(command)
+        status = group(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
     except BrokenPipeError:
         # What reads the output has ended, as `head` does; nothing is printed about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

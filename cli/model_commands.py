@@ -11,8 +11,8 @@ import typer
 from manifold import progress
 from manifold.errors import ManifoldError, UsageError
 
-from . import options, photo_options, terminal
-from .application import app
+from . import options, photograph_commands, terminal
+from .application import COLOUR, app
 from .batch_options import (
     ONE,
     PER_CORE,
@@ -223,25 +223,19 @@ def parse_latent_dim(text: str) -> int:
 @app.command(
     "predict",
     short_help="Write the material at a latent coordinate.",
-    epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf",
+    epilog="Example: manifold predict -0.3,1.2 -o between_spec.bsdf",
 )
 def predict(
     place: Annotated[
         str | None,
         typer.Argument(
-            help="The same as --latent; or a file or material of the library, which is located.",
-            metavar="PLACE",
+            help="Latent coordinates separated by commas, without spaces; FROM:TO:T on the walk between two materials, "
+            "T from 0 to 1; or a material of the library or a file, which is located.",
+            metavar="X,Y|FROM:TO:T|NAME|FILE",
             show_default=False,
         ),
     ] = None,
-    latent: Annotated[
-        str | None,
-        typer.Option(
-            help="Latent coordinates separated by commas, without spaces; a material's name; or FROM:TO:T, on the path "
-            "between two materials, T from 0 to 1, as `walk` draws it.",
-            metavar="X,Y|NAME|FROM:TO:T",
-        ),
-    ] = None,
+    latent: options.OldPlaceOption = None,
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -249,15 +243,25 @@ def predict(
     gloss: Annotated[
         list[str] | None,
         typer.Option(
-            help="Gloss units it should have at 20, 60 or 85 degrees; may be repeated.", metavar="60=UNITS"
+            help="Gloss units it should have at 20, 60 or 85 degrees; may be repeated.",
+            metavar="60=UNITS",
+            rich_help_panel=COLOUR,
         ),
     ] = None,
     lightness: Annotated[
         str | None,
-        typer.Option(help="CIELAB lightness (45/0, D65) it should have, or a change.", metavar="L|+L|-L"),
+        typer.Option(
+            help="CIELAB lightness (45/0, D65) it should have, or a change.",
+            metavar="L|+L|-L",
+            rich_help_panel=COLOUR,
+        ),
     ] = None,
-    chroma: Annotated[str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C")] = None,
-    hue: Annotated[str | None, typer.Option(help="Hue in degrees, likewise.", metavar="H|+H|-H")] = None,
+    chroma: Annotated[
+        str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C", rich_help_panel=COLOUR)
+    ] = None,
+    hue: Annotated[
+        str | None, typer.Option(help="Hue in degrees, likewise.", metavar="H|+H|-H", rich_help_panel=COLOUR)
+    ] = None,
     physical: options.PhysicalOption = False,
     output: Annotated[
         Path | None,
@@ -274,6 +278,7 @@ def predict(
 
     The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. With --lightness,
     --chroma or --hue it is changed to these; with --gloss the material gets another coat, and what is below stays.
+    `--latent X,Y` is another way to name the place.
     """
     from manifold.estimate import predictions
     from manifold.estimate.attributes import Attributes
@@ -302,8 +307,8 @@ def predict(
         return
     if latent is None:
         raise UsageError(
-            "found no latent; give --latent -0.3,1.2 or a material, or --from with a table of latents; of a colour and "
-            "gloss alone, `manifold complete --lab L,a,b --gloss 60=UNITS` makes a material"
+            "found no place; name one, such as -0.3,1.2 or a material, or give --from with a table of them; `manifold "
+            "complete --lab L,a,b --gloss 60=UNITS` makes a material of a colour and gloss alone"
         )
     with progress.shown("Reading materials"):
         made = predictions.predict(
@@ -349,39 +354,40 @@ def locate(
             "materials, the folder. [default for several: locations]"
         ),
     ] = None,
-    photos: photo_options.PhotoOptions = photo_options.NONE,
-    picture: Annotated[
-        Path | None,
-        written("--picture", help="Of photographs: these beside their prediction, and differences."),
-    ] = None,
+    photos: photograph_commands.OldPhotoOptions = photograph_commands.NO_OLD,
+    picture: Annotated[Path | None, written("--picture", help="", hidden=True)] = None,
     physical: options.PhysicalOption = False,
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
-    """Embed a measured or photographed material: find its latent on the fitted manifold.
+    """Find the latent of a measured material on the fitted manifold.
 
-    Its colours are in the JSON. The predictions of several are written into a folder, with a table and a sheet of
-    balls. With --photo and --light, the material is that of a photographed ball.
+    The JSON has its colours. The predictions of several materials are written into a folder, with a table and a sheet
+    of balls.
     """
     from manifold.estimate import predictions
     from manifold.model.diagnostics import in_words
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
-    if (request := photos.request()) is not None:
+    if photos.photo:
         if materials:
             raise UsageError(f"found {materials[0]} and --photo, expected one of them")
         from manifold.estimate import photographs
 
+        terminal.note_old_spelling(
+            "locate --photo", "manifold photograph, then manifold locate on its result"
+        )
+        request = photos.request_of(photos.photo)
         with progress.shown("Comparing pixels"):
             seen = photographs.locate(
                 model, request, output, library=library, picture=picture,
                 options=OutputOptions(physical, terminal.is_strict()),
             )  # fmt: skip
-        photo_options.show_photographs(results, "Located the photographed ball", seen)
+        photograph_commands.show_photographs(results, "Located the photographed ball", seen)
         return
     if not materials:
-        raise UsageError("found no material; name one, or give --photo PICTURE and --light PICTURE")
+        raise UsageError("found no material; name a file, a material of the library, or a place on the map")
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:

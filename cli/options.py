@@ -11,6 +11,8 @@ import typer
 
 from manifold.errors import UsageError
 
+from . import terminal
+from .application import COLOUR, GRID
 from .outputs import written
 
 if TYPE_CHECKING:
@@ -44,16 +46,24 @@ class ColourOptions:
     """The colour of a prediction: by default its own."""
 
     like: Annotated[
-        str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
+        str | None,
+        typer.Option(help="Take the reflectance of this material.", metavar="NAME", rich_help_panel=COLOUR),
     ] = None
     reflectance: Annotated[
         Path | None,
         typer.Option(
-            help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
+            help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.",
+            metavar="FILE",
+            rich_help_panel=COLOUR,
         ),
     ] = None
     srgb: Annotated[
-        str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
+        str | None,
+        typer.Option(
+            help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.",
+            metavar="COLOUR",
+            rich_help_panel=COLOUR,
+        ),
     ] = None
 
     def choice(self, *, refused: str | None = None) -> ColourChoice:
@@ -67,15 +77,17 @@ class ColourOptions:
 
 OWN_COLOUR = ColourOptions()
 """None of these options."""
-PlaceOption = Annotated[
-    str | None,
-    typer.Option(
-        help="The same for the prediction at a place: coordinates, a material's name, or FROM:TO:T between two.",
-        metavar="X,Y|NAME|FROM:TO:T",
-    ),
-]
+OldPlaceOption = Annotated[str | None, typer.Option("--latent", hidden=True)]
+"""A place, as versions up to 0.3 named it; it is an argument now."""
 MATERIAL = "FILE|NAME|X,Y|FROM:TO:T"
 """Metavariable of a material: a file, a material of the library, or a place on the map."""
+GlossOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Gloss of the sample at 20, 60 or 85 degrees (ISO 2813); once for each angle.",
+        metavar="ANGLE=UNITS",
+    ),
+]
 CorrectionOption = Annotated[
     Path | None,
     typer.Option(
@@ -90,13 +102,20 @@ PhysicalOption = Annotated[
         "--physical",
         help="Change impossible values alone: no negative ones, albedo at most 1, reciprocal within 5 %; may "
         "refine grids.",
+        rich_help_panel=GRID,
     ),
 ]
 ResolutionOption = Annotated[
-    int, typer.Option(help="Outgoing directions: a grid of N x N.", metavar="N", min=4, max=512)
+    int,
+    typer.Option(
+        help="Outgoing directions: a grid of N x N.", metavar="N", min=4, max=512, rich_help_panel=GRID
+    ),
 ]
 IncidencesOption = Annotated[
-    int, typer.Option(help="Incident elevations from 0 to 90 degrees.", metavar="N", min=2, max=128)
+    int,
+    typer.Option(
+        help="Incident elevations from 0 to 90 degrees.", metavar="N", min=2, max=128, rich_help_panel=GRID
+    ),
 ]
 SampleOption = Annotated[
     str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
@@ -106,6 +125,7 @@ IlluminantOption = Annotated[
     typer.Option(
         help="Illuminant of Lab values, such as D50 or A.  [default: that of the file, or D65]",
         metavar="NAME",
+        rich_help_panel=COLOUR,
     ),
 ]
 ObserverOption = Annotated[
@@ -113,6 +133,7 @@ ObserverOption = Annotated[
     typer.Option(
         help="Their observer in degrees: 2 (CIE 1931) or 10 (CIE 1964).  [default: that of the file, or 2]",
         metavar="DEGREES",
+        rich_help_panel=COLOUR,
     ),
 ]
 ReportOption = Annotated[
@@ -157,15 +178,22 @@ def material_sources(
     texts: Sequence[str], latents: Sequence[str], model: Path, library: Path | None, *,
     colour: ColourOptions,
 ) -> list[MaterialSource]:  # fmt: skip
-    """Arguments that stand for materials, then places of `--latent`, predictions in the colour of the options."""
+    """Return what arguments mean that stand for materials, predictions in the colour of the options.
+
+    `latents` are places by the old option --latent, and follow the others.
+    """
     from manifold.estimate.sources import PlaceSource
 
-    found = several_materials(texts, model, library)
-    found += [PlaceSource(model, latent.strip(), library) for latent in latents]
-    are_measured = not any(isinstance(source, PlaceSource) for source in found)
+    if latents:
+        terminal.note_old_spelling(f"--latent {latents[0]}", f"the argument {latents[0]}")
+    sources = several_materials(texts, model, library)
+    sources += [PlaceSource(model, latent.strip(), library) for latent in latents]
+    are_measured = not any(isinstance(source, PlaceSource) for source in sources)
     refused = "predictions; files and materials have their own colours" if are_measured else None
     choice = colour.choice(refused=refused)
-    return [replace(source, colour=choice) if isinstance(source, PlaceSource) else source for source in found]
+    return [
+        replace(source, colour=choice) if isinstance(source, PlaceSource) else source for source in sources
+    ]
 
 
 def one_material(

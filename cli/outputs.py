@@ -23,9 +23,9 @@ class _Running(NamedTuple):
 _running: ContextVar[_Running] = ContextVar("_running")
 
 
-def written(*names: str, help: str, metavar: str = "FILE") -> Any:
+def written(*names: str, help: str, metavar: str = "FILE", hidden: bool = False) -> Any:
     """An option that names a file or folder to be written, to stand in an annotation; see `check_all`."""
-    option = typer.Option(*names, help=help, metavar=metavar)
+    option = typer.Option(*names, help=help, metavar=metavar, hidden=hidden)
     option.is_written = True
     return option
 

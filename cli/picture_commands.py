@@ -13,7 +13,7 @@ from manifold import progress
 from manifold.errors import UsageError
 
 from . import options, terminal
-from .application import app
+from .application import LIGHT, app
 from .batch_options import ONE, OneWorkerOptions, PointsOption, inputs_of, make_many
 from .outputs import or_default, written
 
@@ -129,10 +129,7 @@ def slices(
             help=".bsdf files, fits, materials of the library, or places on the map.", metavar="MATERIAL"
         ),
     ] = None,
-    latent: Annotated[
-        list[str] | None,
-        typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y|NAME|FROM:TO:T"),
-    ] = None,
+    latent: Annotated[list[str] | None, typer.Option("--latent", hidden=True)] = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
     kind: Annotated[
         SliceKind,
@@ -242,16 +239,28 @@ IlluminantOption = Annotated[
     typer.Option(
         help="CIE illuminant (D65, A, F2, F11, LED-B3, ...), or a text file of nm and power.",
         metavar="NAME|FILE",
+        rich_help_panel=LIGHT,
     ),
 ]
 EnvironmentOption = Annotated[
     Path | None,
-    typer.Option(help="Environment map, latitude by longitude; a studio light if none.", metavar="FILE"),
+    typer.Option(
+        help="Environment map, latitude by longitude; a studio light if none.",
+        metavar="FILE",
+        rich_help_panel=LIGHT,
+    ),
 ]
-SizeOption = Annotated[int, typer.Option(help="Pixels per side.", metavar="N", min=16, max=8192)]
-SamplesOption = Annotated[int, typer.Option(help="Light paths per pixel.", metavar="N", min=1, max=1 << 20)]
+SizeOption = Annotated[
+    int, typer.Option(help="Pixels per side.", metavar="N", min=16, max=8192, rich_help_panel=LIGHT)
+]
+SamplesOption = Annotated[
+    int, typer.Option(help="Light paths per pixel.", metavar="N", min=1, max=1 << 20, rich_help_panel=LIGHT)
+]
 SeedOption = Annotated[
-    int, typer.Option(help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0)
+    int,
+    typer.Option(
+        help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0, rich_help_panel=LIGHT
+    ),
 ]
 
 
@@ -270,7 +279,7 @@ def render(
             show_default=False,
         ),
     ] = None,
-    latent: options.PlaceOption = None,
+    latent: options.OldPlaceOption = None,
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,

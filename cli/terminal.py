@@ -12,16 +12,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-)
-
 from manifold import __version__, disk, text_tables
 from manifold.names import first_few, printable
 from manifold.progress import Progress as Listener
@@ -57,6 +47,16 @@ def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
         with _lines(title) as line:
             yield line
         return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        DownloadColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -122,6 +122,8 @@ class Results:
         """Print a title, then a label and its value per row: lists with commas, sentences of a tuple line by line."""
         if self._only_json:
             return
+        from rich.console import Console
+
         Console(highlight=False, soft_wrap=True).print(printable(title), style="bold", markup=False)
         width = max(map(len, rows), default=0) + 4
         for label, value in rows.items():
@@ -177,6 +179,11 @@ def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
     """Rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
+
+
+def note_old_spelling(old: str, new: str) -> None:
+    """Say on stderr that a spelling of version 0.3 still works, and what replaces it."""
+    print(f"manifold: note: {old} is now {new}; the old spelling goes with version 0.5", file=sys.stderr)
 
 
 def megabytes(size: int) -> str:

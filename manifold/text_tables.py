@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 _WIDEST = 10_000  # columns: rows are never cut
 
 
@@ -19,6 +15,10 @@ def table_lines(
     bold: bool = False,
 ) -> list[str]:
     """A header line, bold only on terminals, then a line per row; numeric columns stand to the right."""
+    from rich.console import Console  # 0.1 s, and only results need it
+    from rich.table import Table
+    from rich.text import Text
+
     if numeric is None:
         numeric = [all(map(_is_number, cells)) for cells in zip(*rows, strict=True)]
     table = Table(box=None, pad_edge=False, header_style="bold" if bold else "")

@@ -19,6 +19,7 @@ from helpers.sample_files import write_samples
 from helpers.small_library import NAMES, measured, small_library, small_model
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.cli.application import GROUPS, MODULES
 from manifold.directions import from_spherical
 from manifold.encoding import encoding_pairs
 from manifold.formats.tensor_file import read_tensors, write_tensors
@@ -27,10 +28,7 @@ from manifold.metrics import relative_error
 from manifold.model.manifold import Manifold
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
-COMMANDS = (
-    "demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "reconstruct", "report",
-    "render", "compare", "map", "walk", "slices", "fit", "chart", "stability", "budget", "export",
-)  # fmt: skip
+COMMANDS = tuple(MODULES)
 
 
 def start(*arguments, cwd, **options):
@@ -75,7 +73,7 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
     [
         (["predic"], "predict"),
         (["predict", "--latnt", "0,0"], "--latent"),
-        (["predict"], "--latent"),
+        (["predict"], "found no place"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
         (["embed", "--optimizer", "adam"], "for '--optimizer': 'adam' is not one of 'dls', 'l-bfgs'"),
         (["predict", "--latent", "0.3", "1.2"], "coordinates have commas and no blanks, such as 0.3,1.2"),
@@ -432,7 +430,7 @@ def test_an_interruption_before_the_command_runs_is_one_line(run, monkeypatch, t
     def interrupt(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("manifold.cli.main.app", interrupt)
+    monkeypatch.setattr("manifold.cli.application.Application.only", lambda *_: interrupt)
     status, _, err = run("corpus", "out", cwd=tmp_path)
     assert status == 130
     assert "interrupted" in one_line(err)
@@ -445,7 +443,7 @@ def test_an_interruption_that_compiled_code_wraps_is_an_interruption(run, monkey
         except KeyboardInterrupt as interruption:  # as CPython does where Numba loads a compiled function
             raise SystemError("returned a result with an exception set") from interruption
 
-    monkeypatch.setattr("manifold.cli.main.app", interrupt)
+    monkeypatch.setattr("manifold.cli.application.Application.only", lambda *_: interrupt)
     status, _, err = run("corpus", "out", cwd=tmp_path)
     assert status == 130
     assert "interrupted" in one_line(err)
@@ -533,3 +531,26 @@ def test_every_command_that_predicts_says_what_to_expect(run, folder, arguments,
     assert set(found) >= DIAGNOSED
     model = Manifold.load(folder / "model.h5", folder / "library.zarr")
     assert found["expected"]["ball"] == float(model.expected_error(np.array(found["latent"])).ball)
+
+
+def test_the_help_lists_every_command_once_under_its_group(run, tmp_path):
+    _, out, _ = run("--help", cwd=tmp_path)
+    listed = re.findall(r"^  ([a-z]+)  ", out, re.MULTILINE)
+    assert sorted(listed) == sorted(COMMANDS)
+    assert [title for title in GROUPS if f"\n{title}:\n" in out] == list(GROUPS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_help_shows_more_than_twenty_options(run, tmp_path, command):
+    _, out, _ = run(command, "--help", cwd=tmp_path)
+    _, whole, _ = run(command, "--help-all", cwd=tmp_path)
+    shown, every = (re.findall(r"^  (?:-\w, )?(--[a-z-]+)", text, re.MULTILINE) for text in (out, whole))
+    assert len(shown) <= 20
+    assert set(shown) <= set(every)
+    assert ("--help-all" in out) == (len(shown) < len(every))
+
+
+def test_a_place_by_its_old_option_still_works_with_a_note(run, folder):
+    status, _, err = run("slices", "--latent", "0,0", "-o", "old.png", cwd=folder)
+    assert status == 0
+    assert "--latent 0,0 is now the argument 0,0" in err

@@ -245,11 +245,11 @@ def test_a_plan_says_what_one_lamp_determines_and_which_to_add(photo_atoms, thre
 
 @pytest.mark.usefixtures("three_angles")
 def test_lamps_are_suggested_before_and_after_the_picture(run, library, tmp_path):
-    status, out, err = run("complete", "--lamp", "found", "--suggest", "1", "-L", library, cwd=tmp_path)
+    status, out, err = run("photograph", "--suggest", "1", "-L", library, cwd=tmp_path)
     assert status == 0, err
     assert "Hold the lamp next" in out
-    status, _, err = run("complete", "--lamp", "flash", "-L", library, cwd=tmp_path)
-    assert (status, "--lamp goes with --photo" in err) == (2, True)
+    status, _, err = run("photograph", "--lamp", "flash", "-L", library, cwd=tmp_path)
+    assert (status, "found no picture" in err) == (2, True)
 
 
 # -- cylinders --------------------------------------------------------------------------------------------------------
@@ -301,7 +301,7 @@ def test_a_tin_is_completed_and_its_options_are_checked(run, library, tmp_path):
     out.open(str(tmp_path / "tin.exr"), OpenImageIO.ImageSpec(128, 100, 3, "float"))
     out.write_image(picture)
     out.close()
-    given = ["complete", "--photo", "tin.exr", "-L", library, "-o", "tin_rgb.bsdf"]
+    given = ["photograph", "tin.exr", "-L", library, "-o", "tin_rgb.bsdf"]
     where = ["--cylinder", "64,50,40,60"]
     status, _, err = run(*given, *where, "--lamp", "0.5,0.5,0.7", "--exposure", "1", cwd=tmp_path)
     assert status == 0, err

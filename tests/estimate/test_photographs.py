@@ -1,4 +1,4 @@
-"""`--photo` of complete and locate: from a picture to a file."""
+"""`manifold photograph`: from a picture to a file."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def folder(tmp_path_factory, library):
 
 def test_a_photograph_is_completed(run, folder, library):
     code, out, err = run(
-        "complete", "--photo", "ball.exr", "--light", "light.exr", "--distance", 8, "--library", library,
+        "photograph", "ball.exr", "--light", "light.exr", "--distance", 8, "--library", library,
         "-o", "found.bsdf", "--picture", "--json", "found.json", cwd=folder,
     )  # fmt: skip
     assert code == 0, err
@@ -66,8 +66,8 @@ def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
     truth = MeasuredBRDF(read_bsdf(folder / "gold_rgb.bsdf"))
     units = gloss_units(truth, [60.0])[60.0]
     code, _, err = run(
-        "complete", "--lab", "{:.2f},{:.2f},{:.2f}".format(*lab_of(truth)), "--gloss", f"60={units:.1f}",
-        "--photo", "ball.exr", "--light", "light.exr", "--distance", 8, "--library", library,
+        "photograph", "ball.exr", "--lab", "{:.2f},{:.2f},{:.2f}".format(*lab_of(truth)), "--gloss", f"60={units:.1f}",
+        "--light", "light.exr", "--distance", 8, "--library", library,
         "-o", "together.bsdf", "--json", "together.json", cwd=folder,
     )  # fmt: skip
     assert code == 0, err
@@ -78,12 +78,22 @@ def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
     assert f"gloss at 60 degrees: {units:.1f} given" in notes
 
 
+def test_the_old_spelling_still_completes_a_photograph(run, folder, library):
+    code, _, err = run(
+        "complete", "--photo", "ball.exr", "--light", "light.exr", "-L", library, "-o", "old.bsdf", cwd=folder
+    )
+    assert code == 0, err
+    assert "complete --photo is now manifold photograph" in err
+    assert (folder / "old.bsdf").is_file()
+
+
 def test_a_photograph_is_located_near_its_material(run, folder, library):
     code, out, err = run(
         "locate", "--photo", "ball.exr", "--light", "studio", "--distance", 8, "--circle", "64,64,49.2",
         "--library", library, "-o", "there.bsdf", cwd=folder,
     )  # fmt: skip
     assert code == 0, err
+    assert "locate --photo is now manifold photograph" in err
     assert "satin_gold" in out.split("nearest")[1].split("\n")[0]
     assert "reconstruction error" in out
     assert np.isfinite(read_bsdf(folder / "there.bsdf").spectra).all()
@@ -124,7 +134,7 @@ def test_a_camera_is_described_by_its_sensitivities(run, tmp_path):
     errors = {}
     for camera in ((), ("--camera", "curves.csv")):
         code, _, err = run(
-            "complete", "--photo", "ball.exr", "--light", "overcast", "--distance", 8, "--circle", "48,48,36.9",
+            "photograph", "ball.exr", "--light", "overcast", "--distance", 8, "--circle", "48,48,36.9",
             *camera, "-o", "found_spec.bsdf", cwd=tmp_path,
         )  # fmt: skip
         assert code == 0, err
@@ -144,8 +154,7 @@ def test_a_camera_is_described_by_its_sensitivities(run, tmp_path):
 def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, words):
     tifffile.imwrite(folder / "bad.tif", values.astype(np.float32), photometric="rgb")
     code, _, err = run(
-        "complete",
-        "--photo",
+        "photograph",
         "bad.tif",
         "--light",
         "studio",
@@ -162,22 +171,22 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--photo", "ball.exr"], "--light ENV.exr"),
-        (["--photo", "ball.exr", "--light", "nowhere.exr"], "no such file"),
-        (["--photo", "ball.exr", "--light", "ball.exr"], "twice as wide"),
-        (["--photo", "light.exr", "--light", "studio", "--circle", "900,10,40"], "expected one inside it"),
-        (["--photo", "ball.exr", "--light", "negative.exr"], "negative light, down to -0.25"),
-        (["--photo", "ball.exr", "--light", "studio", "--circle", "64,64,1e300"], "a radius from 8 pixels"),
-        (["--photo", "ball.exr", "--light", "studio", "--turn", "nan"], "expected finite angles"),
-        (["--photo", "ball.exr", "--light", "studio", "--elevation", "nan"], "less than or equal to 89"),
-        (["--photo", "ball.exr", "--light", "studio", "--distance", "nan"], "more than 1"),
-        (["--photo", "ball.exr", "--light", "studio", "--exposure", "bright"], "or free"),
-        (["--photo", "ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photographs"),
-        (["--photo", "ball.exr", "--light", "studio", "--camera", "curves.csv"], "spectral library"),
+        (["ball.exr"], "give one of --lamp"),
+        (["ball.exr", "--light", "nowhere.exr"], "no such file"),
+        (["ball.exr", "--light", "ball.exr"], "twice as wide"),
+        (["light.exr", "--light", "studio", "--circle", "900,10,40"], "expected one inside it"),
+        (["ball.exr", "--light", "negative.exr"], "negative light, down to -0.25"),
+        (["ball.exr", "--light", "studio", "--circle", "64,64,1e300"], "a radius from 8 pixels"),
+        (["ball.exr", "--light", "studio", "--turn", "nan"], "expected finite angles"),
+        (["ball.exr", "--light", "studio", "--elevation", "nan"], "less than or equal to 89"),
+        (["ball.exr", "--light", "studio", "--distance", "nan"], "more than 1"),
+        (["ball.exr", "--light", "studio", "--exposure", "bright"], "or free"),
+        (["ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photographs"),
+        (["ball.exr", "--light", "studio", "--camera", "curves.csv"], "spectral library"),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(run, folder, library, arguments, words):
-    code, _, err = run("complete", *arguments, "--library", library, "-o", "x.bsdf", cwd=folder)
+    code, _, err = run("photograph", *arguments, "--library", library, "-o", "x.bsdf", cwd=folder)
     assert code in (1, 2)
     assert words in " ".join(err.split())
     assert not (folder / "x.bsdf").exists()

@@ -8,8 +8,8 @@ from typing import Any
 
 from golden import calls
 
-_PHOTO = "--photo ball.tif --light light.exr"
-_GREY = "--photo shared/ball-photographs/gray/gray.0.png --light lamp.exr --exposure free"
+_PHOTO = "ball.tif --light light.exr"
+_GREY = "shared/ball-photographs/gray/gray.0.png --light lamp.exr --exposure free"
 
 COMMANDS: dict[str, str] = {
     # -- evaluations
@@ -34,7 +34,7 @@ COMMANDS: dict[str, str] = {
     "slices syn_satin_gold --kind spectra -M spectral.h5 -o spectra.png;"
     "slices syn_satin_gold --bands 450,650 -M spectral.h5 -o bands.png",
     "render": "render cardboard -M real.h5 --size 48 --samples 16 -o file.exr;"
-    "render --latent 0.3,0.5 --srgb #a04020 -M real.h5 --size 48 --samples 16 -o place.exr;"
+    "render 0.3,0.5 --srgb #a04020 -M real.h5 --size 48 --samples 16 -o place.exr;"
     "render 0.3,0.5 --direct -M real.h5 --size 48 --samples 16 -o direct.exr",
     "render spectral": "render syn_metal_copper -M spectral.h5 --illuminant F11 --size 48 --samples 16 -o copper.exr;"
     "render spectral-left-out/syn_satin_rose_spec.bsdf --environment light.exr --size 48 --samples 16 -o rose.png",
@@ -66,7 +66,7 @@ COMMANDS: dict[str, str] = {
     "embed as published": "embed -L real.zarr --kind material --mapping identity -M own.h5;"
     "predict cardboard -M own.h5 -o predicted.bsdf; predict 0.1,0.2 -M own.h5 -o between.bsdf",
     # -- predictions
-    "predict place": "predict --latent 0.3,0.5 -M real.h5 -o place.bsdf",
+    "predict place": "predict 0.3,0.5 -M real.h5 -o place.bsdf",
     "predict material": "predict cardboard -M real.h5 -o material.bsdf",
     "predict file": "predict real-left-out/paper_blue_rgb.bsdf -M real.h5 -o file.bsdf",
     "predict walk": "predict cardboard:satin_purple:0.4 -M real.h5 -o walk.bsdf",
@@ -85,8 +85,8 @@ COMMANDS: dict[str, str] = {
     "locate": "locate real-left-out/paper_blue_rgb.bsdf -M real.h5 -o located.bsdf; locate 0.3,0.5 -M real.h5",
     "locate several": "locate real-left-out -M real.h5 -o located -j 1",
     "locate spectral": "locate spectral-left-out/syn_satin_rose_spec.bsdf -M spectral.h5 -o located.bsdf",
-    "locate photograph": f"locate {_PHOTO} -M corpus.h5 -o located.bsdf --picture located.png",
-    "locate grey ball": f"locate {_GREY} --circle 241,245,150 -M real.h5 -o located.bsdf",
+    "locate photograph": f"locate --photo {_PHOTO} -M corpus.h5 -o located.bsdf --picture located.png",
+    "locate grey ball": f"locate --photo {_GREY} --circle 241,245,150 -M real.h5 -o located.bsdf",
     "reconstruct": "reconstruct real-left-out/paper_blue_rgb.bsdf -L real.zarr -o made.bsdf;"
     "reconstruct cardboard --without cardboard -L real.zarr -M real.h5 -o cardboard.bsdf",
     "reconstruct in 12 numbers": "reconstruct real-left-out/paper_blue_rgb.bsdf --numbers 12 -L real.zarr -o made.bsdf;"
@@ -97,7 +97,7 @@ COMMANDS: dict[str, str] = {
     # -- readings
     "complete twelve readings": "complete ma-t12/syn_satin_rose.xlsx -L real.zarr -o made.bsdf --suggest 3 --picture",
     "surface": "surface shared/ma-t12/PEN_PW_RO_CC_1.xlsx -L real.zarr -o own --size 192 --target gltf",
-    "complete together": f"complete ma-t12/syn_satin_rose.xlsx {_PHOTO} --circle 24,24,18.46 --gloss 60=40"
+    "complete together": f"photograph {_PHOTO} --readings ma-t12/syn_satin_rose.xlsx --circle 24,24,18.46 --gloss 60=40"
     " -L corpus.zarr -o made.bsdf",
     "complete real paint": "complete shared/ma-t12/PAR_PW_CN_MC_2.xlsx -L real.zarr -o made.bsdf;"
     "complete shared/ma-t12/PEN_PW_RO_CC_1.xlsx --gloss 60=20 -L corpus.zarr -o gloss.bsdf",
@@ -116,11 +116,11 @@ COMMANDS: dict[str, str] = {
     "complete several": "complete ma-t12/syn_felt_yellow.xlsx ma-t12/syn_chrome_mint.xlsx ma-t12/syn_satin_rose.xlsx"
     " -L real.zarr -o made --into own.zarr -j 2; info own.zarr",
     "complete physical": "complete ma-t12/syn_satin_rose.xlsx -L real.zarr -o made.bsdf --physical --resolution 16",
-    "complete photograph": f"complete {_PHOTO} -L corpus.zarr -o made.bsdf --picture",
-    "complete photograph and readings": f"complete ma-t12/syn_satin_rose.xlsx {_PHOTO} --circle 24,24,18.46"
-    " -L corpus.zarr -o made.bsdf",
-    "complete photograph spectral": f"complete {_PHOTO} -L spectral.zarr -o made.bsdf",
-    "complete grey ball": f"complete {_GREY} --circle 241,245,150 -L real.zarr -o made.bsdf",
+    "complete photograph": f"photograph {_PHOTO} -L corpus.zarr -o made.bsdf --picture",
+    "complete photograph and readings": f"photograph {_PHOTO} --readings ma-t12/syn_satin_rose.xlsx"
+    " --circle 24,24,18.46 -L corpus.zarr -o made.bsdf",
+    "complete photograph spectral": f"photograph {_PHOTO} -L spectral.zarr -o made.bsdf",
+    "complete grey ball": f"photograph {_GREY} --circle 241,245,150 -L real.zarr -o made.bsdf",
     "suggest": "complete -L real.zarr --suggest 4; complete -L real.zarr --suggest 3 --instrument ma-t12;"
     "complete ma-t12/syn_satin_rose.xlsx -L real.zarr --suggest 3 --instrument mini-diff -o made.bsdf",
     "calibrate": "calibrate ma-t12-few mini-diff-few -o correction.json;"
@@ -134,14 +134,14 @@ COMMANDS: dict[str, str] = {
     "fit by Adam": "fit cardboard -M real.h5 -o adam.json --method adam",
     "fit few": "fit cardboard -M real.h5 -o few.json --free base_color,roughness;"
     "fit cardboard -M real.h5 -o own.json --bsdf diffuse.json",
-    "fit place and readings": "fit --latent 0.3,0.5 -M real.h5 -o place.json; fit ma-t12/syn_satin_rose.xlsx"
+    "fit place and readings": "fit 0.3,0.5 -M real.h5 -o place.json; fit ma-t12/syn_satin_rose.xlsx"
     " -o readings.json; fit syn_satin_gold -M spectral.h5 -o spectral.json",
     "fit several": "fit real-left-out -o fits -j 1",
     "export fit": "fit cardboard -M real.h5 -o cardboard.json; export cardboard.json --mapped -o mapped.glb;"
     "export cardboard.json --against real/cardboard_rgb.bsdf -o direct.mtlx;"
     "render cardboard.json --size 32 --samples 8 -o fit.exr",
     "export library": "export real-left-out --target unreal -o exports",
-    "export place": "export --latent 0.3,0.5 --srgb #a04020 -M real.h5 -o place.usda",
+    "export place": "export 0.3,0.5 --srgb #a04020 -M real.h5 -o place.usda",
     # -- conversions
     "convert place and spectra": "convert 0.3,0.5 -M real.h5 -o place.binary;"
     "convert spectral-left-out/syn_satin_rose_spec.bsdf -o spectra.csv;"

@@ -1,0 +1,333 @@
+"""The command photograph, and the options that say how pictures of a ball were taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import typer
+
+from manifold import progress
+from manifold.errors import UsageError
+
+from . import options, terminal
+from .application import TAKEN, app
+from .outputs import checked, or_default
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from manifold.estimate.lamp_plan import Determined, LampPlan
+    from manifold.estimate.photographs import FromPhotographs
+    from manifold.estimate.sightings import PhotoRequest
+    from manifold.model.output_file import OutputOptions
+
+
+@dataclass(frozen=True)
+class PhotoOptions:
+    """How pictures of a ball were taken."""
+
+    lamp: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--lamp",
+            help="The direction of the one lamp: right, up, towards the camera, and its distance in radii of the ball "
+            "if it is near; flash, at the camera; a file with one line per picture; or found, estimated from the "
+            "pictures, with its distance if it is near. Once, or once per picture.",
+            metavar="X,Y,Z[,D]|flash|FILE|found[,D]",
+        ),
+    ] = None
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--light",
+            help="Instead of --lamp: the surroundings as an .exr panorama (latitude by longitude, straight ahead in "
+            "the first column), or studio, overcast, sky, one-lamp or room. Once, or once per picture.",
+            metavar="PICTURE|NAME",
+        ),
+    ] = None
+    light_ball: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--light-ball",
+            help="Instead of --lamp: a picture of a mirror ball in the same place, by the same camera, optionally with "
+            "its outline. Once, or once per picture. The fit estimates the brightness of clipped highlights.",
+            metavar="PICTURE[@X,Y,R]",
+        ),
+    ] = None
+    exposure: Annotated[
+        str | None,
+        typer.Option(
+            "--exposure",
+            help="Exposure of the pictures relative to the light, or to a white diffuser that faces the lamp; free if "
+            "it is unknown; each if it is unknown and differs between pictures.  [default: 1; free for lamps without a "
+            "grey card]",
+            metavar="E|free|each",
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+    grey: Annotated[
+        str | None,
+        typer.Option(
+            "--grey",
+            help="A grey card in the pictures, facing the camera: corner and size in pixels, and reflectance. It fixes "
+            "the exposure and the colour of the lamp.",
+            metavar="X,Y,W,H,R",
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+    circle: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--circle",
+            help="The outline of the ball in pixels. [default: estimated]",
+            metavar="X,Y,R",
+            show_default=False,
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+    cylinder: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--cylinder",
+            help="Instead of a ball, an upright cylinder such as a painted tin: centre, radius and height in pixels.",
+            metavar="X,Y,R,H",
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            "--distance",
+            help="Distance of the camera from the centre of the ball, in radii of the ball. [default: far]",
+            metavar="RADII",
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+    elevation: Annotated[
+        float,
+        typer.Option(
+            "--elevation",
+            help="Elevation of the camera above the ball, in degrees.",
+            metavar="DEG",
+            min=-89.0,
+            max=89.0,
+            rich_help_panel=TAKEN,
+        ),
+    ] = 0.0
+    turn: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--turn",
+            help="Degrees to the right from the first column of the light to straight ahead.",
+            metavar="DEG",
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            "--camera",
+            help="Sensitivities of the camera: a text file of wavelengths in nm and three columns. [default: sRGB]",
+            metavar="FILE",
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+    linear: Annotated[
+        bool,
+        typer.Option("--linear", help="The values of all pictures are linear.", rich_help_panel=TAKEN),
+    ] = False
+    dark: Annotated[
+        Path | None,
+        typer.Option(
+            "--dark",
+            help="A picture without light, subtracted from the others.",
+            metavar="PICTURE",
+            rich_help_panel=TAKEN,
+        ),
+    ] = None
+
+    def request_of(self, pictures: Sequence[Path]) -> PhotoRequest:
+        """Return what these options say of pictures. Raises UsageError if they contradict each other."""
+        from manifold.estimate.sightings import PhotoRequest
+
+        if sum(map(bool, (self.light, self.lamp, self.light_ball))) != 1:
+            from manifold.colour.lights import ENVIRONMENTS
+
+            several = "several kinds of light" if self.light or self.lamp else "no light"
+            raise UsageError(
+                f"{pictures[0]}: found {several}; give one of --lamp (X,Y,Z, flash or found), --light-ball MIRROR.png "
+                f"and --light (ENV.exr, {', '.join(ENVIRONMENTS)})"
+            )
+        if self.circle and self.cylinder:
+            raise UsageError("--circle and --cylinder, expected one of them")
+        if any(
+            text.count(",") != count
+            for given, count in ((self.circle, 2), (self.cylinder, 3))
+            for text in given or ()
+        ):
+            raise UsageError("expected --circle X,Y,R, or --cylinder X,Y,R,H")
+        exposure = self.exposure or ("free" if self.lamp and self.grey is None else "1")
+        try:
+            known = None if exposure == "free" or (exposure == "each" and self.grey is None) else 1.0
+            if exposure not in ("free", "each"):
+                known = float(exposure)
+        except ValueError:
+            raise UsageError(f"--exposure '{exposure}', expected a number above 0, each or free") from None
+        far = float("inf") if self.distance is None else self.distance
+        return PhotoRequest(
+            list(pictures), self.light or (), self.cylinder or self.circle or (), self.turn or (0.0,), self.elevation,
+            far, known, self.camera, self.lamp or (), exposure == "each", self.grey, self.linear, self.dark,
+            self.light_ball or (),
+        )  # fmt: skip
+
+
+NONE = PhotoOptions()
+
+
+@dataclass(frozen=True)
+class OldPhotoOptions(PhotoOptions):
+    """The options of `photograph` in commands that took photographs in version 0.3; helps do not show them."""
+
+    photo: Annotated[list[Path] | None, typer.Option("--photo", metavar="PICTURE")] = None
+    is_hidden: ClassVar[bool] = True
+
+
+NO_OLD = OldPhotoOptions()
+
+
+@app.command(
+    "photograph",
+    short_help="Find the BRDF of a painted ball or tin in photographs.",
+    epilog="Example: manifold photograph a.png b.png c.png --lamp found -o paint.bsdf",
+)
+def photograph(
+    pictures: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Pictures of one ball: .exr or .tif (linear), .png or .jpg (sRGB), or raw files of a camera.",
+            metavar="PICTURE",
+            show_default=False,
+        ),
+    ] = None,
+    photos: PhotoOptions = NONE,
+    readings: Annotated[
+        list[Path] | None,
+        typer.Option(help="Also readings of the material, from an instrument's file.", metavar="FILE"),
+    ] = None,
+    sample: options.SampleOption = None,
+    gloss: options.GlossOption = None,
+    lab: Annotated[
+        str | None, typer.Option(help="Also its CIELAB colour (45/0, D65, 2 degrees).", metavar="L,a,b")
+    ] = None,
+    library: options.LibraryOption = options.DEFAULT_LIBRARY,
+    output: Annotated[
+        Path | None, options.output_option("The file to write. [default: the first picture's name, .bsdf]")
+    ] = None,
+    picture: Annotated[
+        bool,
+        typer.Option("--picture", help="Also draw the photographs beside their prediction, into NAME.png."),
+    ] = False,
+    suggest: Annotated[
+        int,
+        typer.Option(
+            help="Also suggest this many places of the lamp for the next pictures; without pictures, for the first.",
+            metavar="K",
+            min=0,
+            max=100,
+        ),
+    ] = 0,
+    physical: options.PhysicalOption = False,
+    resolution: options.ResolutionOption = 32,
+    incidences: options.IncidencesOption = 24,
+    json: options.JsonOption = None,
+) -> None:
+    """Find the BRDF of a painted ball or tin in photographs, with a library of materials as prior.
+
+    The light of the pictures is given by --lamp, --light or --light-ball. Readings, gloss and a colour of the same
+    material are part of the same estimate. To find its place on a map, run `manifold locate` on the result.
+    """
+    from manifold.model.output_file import OutputOptions
+
+    results = terminal.Results(json)
+    if not pictures:
+        if not suggest or readings or lab or gloss:
+            raise UsageError(
+                "found no picture; name one, or give --suggest K alone for the first places of the lamp"
+            )
+        suggest_lamps(results, library, suggest)
+        return
+    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
+    complete_photographs(
+        results, photos.request_of(pictures), library, output, readings=readings, sample=sample, gloss=gloss, lab=lab,
+        picture=picture, suggest=suggest, written=written,
+    )  # fmt: skip
+
+
+def suggest_lamps(results: terminal.Results, library: Path, count: int) -> None:
+    """Print where to hold the lamp for the first pictures."""
+    from manifold.estimate.lamp_plan import plan_lamps
+
+    with progress.shown("Leaving materials out"):
+        plan = plan_lamps(library, count)
+    show_plan(results, plan, "")
+    results.document(plan)
+
+
+def complete_photographs(
+    results: terminal.Results, request: PhotoRequest, library: Path, output: Path | None, *,
+    readings: Sequence[Path] | None, sample: str | None, gloss: Sequence[str] | None, lab: str | None, picture: bool,
+    suggest: int, written: OutputOptions,
+) -> None:  # fmt: skip
+    """Complete photographs, and readings, gloss and colour of the same material, and print the result."""
+    from manifold.estimate import completions, instruments, photographs
+    from manifold.estimate.attributes import readings_of_colour
+    from manifold.library.store import Library
+
+    if readings and lab is not None:
+        raise UsageError(f"found --lab {lab} and readings {readings[0]}, expected one of them")
+    measured = instruments.read(list(readings), sample)[0] if readings else None
+    if lab is not None:
+        colour = completions.parse_lab(lab, options.viewing_of(None, None))
+        measured = readings_of_colour(colour, {}, Library(library).bands)
+    target = or_default(output, f"{request.photographs[0].stem}.bsdf")
+    with progress.shown("Completing"):
+        made = photographs.complete(
+            library, request, target, readings=measured, gloss=completions.parse_gloss(gloss or []),
+            picture=checked(target.with_suffix(".png"), "picture") if picture else None, count=suggest,
+            options=written,
+        )  # fmt: skip
+    show_photographs(results, f"Completed {target}", made)
+
+
+def show_photographs(results: terminal.Results, title: str, found: FromPhotographs) -> None:
+    """Print what was found in photographs."""
+    notes = {f"note {k}": note for k, note in enumerate(found.diagnostics, start=1)}
+    results.rows(title, {**found.rows, "time": f"{found.seconds:.1f} s", **notes})
+    if found.plan is not None:
+        show_plan(results, found.plan, " beside what there is")
+    results.document(found)
+
+
+def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
+    """Print where to hold a lamp."""
+    heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")
+
+    def cells(label: str, one: Determined) -> tuple[str, ...]:
+        return (
+            label,
+            f"{one.ball:.1f}",
+            f"{one.colour:.1f}",
+            f"{100.0 * one.gloss:.0f} %",
+            f"{one.flop:.1f}",
+        )
+
+    results.text(
+        f"\nWhat one picture{beside} determines, by the angle between lamp and camera: median errors of left-out "
+        "materials\n(CIEDE2000 of the ball in five lights and of the colour at 45/0, gloss, L* at 15 less that at 110 "
+        "degrees)\n"
+    )
+    results.table(heads, [cells(f"{one.angles_deg[-1]:.0f} degrees", one) for one in plan.alone])
+    results.text("\nHold the lamp next\n")
+    results.table(heads, [cells(f"{one.angles_deg[-1]:.0f} degrees", one) for one in plan.next])

@@ -41,8 +41,8 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
 from manifold.estimate.completions import complete
 from manifold.estimate.picture_colours import reading_at, with_picture_colours
-from manifold.formats.ma_t12 import picture_directions, picture_geometry
 from manifold.formats.registry import read_readings
+from manifold.formats.workbook_pictures import picture_directions, picture_geometry
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.records import Array, Bands

@@ -81,7 +81,8 @@ def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
         raise MissingFileError(f"{path}: no such file; {advice}")
     try:
         with path.open("rb") as stream:
-            content = stream.read(most + 1)
+            size = os.fstat(stream.fileno()).st_size
+            content = stream.read(min(size, most) + 1)  # which allocates as much before it reads
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
     if len(content) > most:

@@ -18,8 +18,8 @@ from manifold.estimate.picture_colours import colour_of, reading_at
 from manifold.estimate.sources import FileSource, MaterialSource, source_file
 from manifold.formats import registry, tensor_file
 from manifold.formats.dense import DenseTable
-from manifold.formats.ma_t12 import picture_directions, picture_geometry, picture_values
 from manifold.formats.readings import Readings
+from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.io_rgl import read_bsdf
 from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
 from manifold.records import Bands, BsdfFile

@@ -11,8 +11,8 @@ from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import spectral_changes, weights_at
 from manifold.errors import FileFormatError
 from manifold.estimate.residual import coordinates
-from manifold.formats.ma_t12 import picture_directions, picture_geometry, picture_values
 from manifold.formats.readings import Readings
+from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.records import Array
 
 _SAME_PLACE = 0.1  # largest distance in correlation lengths: 1 degree

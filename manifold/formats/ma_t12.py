@@ -7,23 +7,22 @@ Sheets `Color Data`, `Texture Data`, `Spectral Data`, `Texture Images`. `Spectra
 from __future__ import annotations
 
 import io
-import re
 import warnings
 import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from manifold import disk
 from manifold.errors import FileFormatError
 from manifold.formats.column_heads import lab_head, viewing
-from manifold.formats.geometries import parse_geometry
-from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing, aspecular_pair
+from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing
 from manifold.formats.tables import (
     HEADERS,
     Cell,
@@ -35,7 +34,7 @@ from manifold.formats.tables import (
     text_of,
 )
 from manifold.formats.text import ErrorContext, read_bytes
-from manifold.records import Array
+from manifold.formats.workbook_pictures import SheetPicture, add_picture, pictures_in, read_part
 
 T = TypeVar("T")
 
@@ -43,6 +42,8 @@ _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
 _LARGEST_SHEETS = 12_000_000  # bytes unpacked: 500 samples in one workbook
 _MOST_PARTS = 5000
+_HEAD = 64  # bytes by which a part is XML
+_BEFORE_XML = b"\xef\xbb\xbf \t\r\n"
 _MOST_ROWS = 50_000  # rows of a sheet
 _MOST_CELLS = 2_000_000  # cells of all sheets: openpyxl makes all up to the last of a row
 
@@ -56,7 +57,7 @@ def read(path: Path) -> list[Readings]:
     """Readings and texture of every sample of a workbook."""
     context = ErrorContext(path, _REMEDY)
     data = read_bytes(path, _LARGEST_FILE)
-    workbook = _without_images(data, context)
+    workbook = _xml_parts(data, context)
     sheets = _sheets(workbook, context)
     instrument = _instrument(sheets)
     found = _tables(sheets, context)
@@ -106,23 +107,28 @@ def _named_apart(found: Sequence[tuple[str | None, list[Readings]]]) -> list[Rea
     ]
 
 
-def _without_images(data: bytes, context: ErrorContext) -> io.BytesIO:
-    """The workbook without its images, which may be large; what is no workbook, or unpacks to more, is refused."""
+def _xml_parts(data: bytes, context: ErrorContext) -> io.BytesIO:
+    """Repack a workbook with empty parts for what is not XML; refuse what is no workbook, or unpacks to more.
+
+    A part is XML by its first bytes, not by its name: openpyxl opens the pictures of chart sheets.
+    """
     packed = io.BytesIO()
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(packed, "w") as made:
             parts = archive.infolist()
             if not any(part.filename.startswith("xl/") for part in parts):
                 raise context.error("found a ZIP archive, expected an .xlsx workbook of a spectrophotometer")
-            kept = [part for part in parts if not part.filename.startswith("xl/media/")]
-            unpacked = sum(part.file_size for part in kept)
-            if len(parts) > _MOST_PARTS or unpacked > _LARGEST_SHEETS:
+            if len(parts) > _MOST_PARTS:
+                raise context.error(f"{len(parts)} parts, expected a spectrophotometer's workbook of fewer")
+            is_xml = [read_part(archive, part, _HEAD).lstrip(_BEFORE_XML).startswith(b"<") for part in parts]
+            unpacked = sum(part.file_size for part in compress(parts, is_xml))
+            if unpacked > _LARGEST_SHEETS:
                 raise context.error(
-                    f"its {len(parts)} parts unpack to {unpacked / 1e6:.0f} MB, expected a spectrophotometer's "
-                    f"workbook of at most {_LARGEST_SHEETS / 1e6:.0f} MB"
+                    f"its {sum(is_xml)} parts of XML unpack to {unpacked / 1e6:.0f} MB, expected a "
+                    f"spectrophotometer's workbook of at most {_LARGEST_SHEETS / 1e6:.0f} MB"
                 )
-            for part in kept:
-                made.writestr(part.filename, archive.read(part))
+            for part, is_kept in zip(parts, is_xml, strict=True):
+                made.writestr(part.filename, read_part(archive, part) if is_kept else b"")
     except FileFormatError:  # which is a ValueError
         raise
     except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, RuntimeError) as error:
@@ -192,12 +198,20 @@ def _texture(
     """Texture rows and pictures of every sample, and notes about those that belong to none."""
     entries: dict[str, list[dict[str, Any]]] = {}
     images: dict[str, dict[str, bytes]] = {}
-    repeated = []
+    unpacked: dict[str, bytes] = {}
+    repeated: list[str] = []
+    notes: list[str] = []
     for title in _titled(sheets, "texture data"):
         for name, entry in _texture_rows(sheets[title]):
             entries.setdefault(name, []).append(entry)
     for title in _titled(sheets, "texture image"):
-        for picture in _pictures(data, workbook, title):
+        pictures: list[SheetPicture] = []
+        try:
+            pictures = pictures_in(data, workbook, title, unpacked)
+        except Exception as error:  # openpyxl raises whatever its parsers do
+            reason = " ".join(str(error).split())[:80] or type(error).__name__
+            notes.append(f"the pictures of sheet '{title}' cannot be read ({reason}) and are left out")
+        for picture in pictures:
             name, caption = _head_and_caption(sheets[title], picture)
             own = images.setdefault(name, {})
             if caption in own:
@@ -209,7 +223,7 @@ def _texture(
     for key, by_sample in (("values", values_of), ("images", images_of)):
         for name, content in by_sample.items():
             texture[name][key] = content
-    notes = [
+    notes += [
         f"{what} of {', '.join(repr(name) if name else 'no name' for name in unused)} left out: the workbook has no "
         "readings of that name"
         for what, unused in (("texture values", unused_values), ("pictures", unused_images))
@@ -247,42 +261,12 @@ def _texture_rows(rows: list[list[Cell]]) -> list[tuple[str, dict[str, Any]]]:
     return []
 
 
-class _Picture(NamedTuple):
-    """A picture on a sheet: the cell of its upper left corner, counted from 0, and its bytes."""
-
-    row: int
-    column: int
-    content: bytes
-
-
-def _head_and_caption(rows: Sequence[Sequence[Cell]], picture: _Picture) -> tuple[str, str]:
+def _head_and_caption(rows: Sequence[Sequence[Cell]], picture: SheetPicture) -> tuple[str, str]:
     """The text above a picture in its column, which names the sample, and the first text of its row."""
     above = (cells[picture.column] for cells in rows[: picture.row][::-1] if picture.column < len(cells))
     head = next((text for cell in above if (text := text_of(cell))), "")
     caption = rows[picture.row][0] if picture.row < len(rows) and rows[picture.row] else None
     return head, text_of(caption) or f"row {picture.row + 1}"
-
-
-def _pictures(data: bytes, workbook: io.BytesIO, title: str) -> list[_Picture]:
-    """Pictures of a sheet (PNG, JPEG); none where they cannot be read."""
-    import openpyxl
-    from openpyxl.packaging.relationship import get_dependents, get_rels_path
-    from openpyxl.reader.drawings import find_images
-
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            if sum(part.file_size for part in archive.infolist()) > _LARGEST_FILE:
-                return []
-            sheet = openpyxl.load_workbook(workbook, read_only=True)[title]._worksheet_path
-            relations = get_dependents(archive, get_rels_path(sheet))
-            drawings = [relation.target for relation in relations if relation.Type.endswith("/drawing")]
-            images = [image for drawing in drawings for image in find_images(archive, drawing)[1]]
-            return [
-                _Picture(image.anchor._from.row, image.anchor._from.col, image._data()) for image in images
-            ]
-    except Exception:  # openpyxl raises whatever its parsers do; readings do not depend on pictures
-        return []
 
 
 def write(path: Path, readings: Readings) -> None:
@@ -291,7 +275,6 @@ def write(path: Path, readings: Readings) -> None:
     Readings are at the 12 geometries of `geometry_ma_t12`, in their order; their texture is as `read` gives it.
     """
     import openpyxl
-    from openpyxl.drawing.image import Image
 
     book = openpyxl.Workbook()
     colour = book.active
@@ -317,37 +300,6 @@ def write(path: Path, readings: Readings) -> None:
     images.append([None, readings.name])
     for row_number, (caption, picture) in enumerate(readings.texture.get("images", {}).items(), start=2):
         images.cell(row_number, 1, caption)
-        images.add_image(Image(io.BytesIO(picture)), f"B{row_number}")
+        add_picture(images, f"B{row_number}", picture)
     with disk.replacing(path) as partial:
         book.save(partial)
-
-
-_DIFFUSE = re.compile(r"r?_?(\d+)d", re.IGNORECASE)  # light from everywhere: `15d`
-
-
-def picture_geometry(caption: str) -> tuple[float, float] | None:
-    """Angles of camera and lamp in degrees, the lamp's positive on the mirror's side, NaN for diffuse light; or None.
-
-    >>> picture_geometry("15as-45"), picture_geometry("15as80"), picture_geometry("15d")
-    ((15.0, 60.0), (15.0, -65.0), (15.0, nan))
-    """
-    if (diffuse := _DIFFUSE.fullmatch(caption.strip())) is not None:
-        return float(diffuse[1]), np.nan
-    angles = parse_geometry(caption)
-    return None if angles is None or angles[2] else (angles[0], angles[0] - angles[1])
-
-
-def picture_directions(camera_deg: float, lamp_deg: float) -> tuple[Array, Array]:
-    """wi (3,) and wo (3,) of a picture's geometry, those of the reading of its name."""
-    return aspecular_pair(camera_deg, camera_deg - lamp_deg)
-
-
-def picture_values(content: bytes) -> Array:
-    """Linear sRGB of a PNG or JPEG picture, shape (H, W, 3), as it is stored: the instrument's codes are linear."""
-    from PIL import Image
-
-    try:
-        with Image.open(io.BytesIO(content), formats=("PNG", "JPEG")) as image:
-            return np.asarray(image.convert("RGB"), dtype=np.float64) / 255.0
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise FileFormatError(f"cannot be decoded ({str(error)[:80]}); export the workbook again") from None

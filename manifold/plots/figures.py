@@ -12,11 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
-from matplotlib.image import imread
 from matplotlib.patches import Circle
 from matplotlib.text import Annotation
 
-from manifold import disk
+from manifold import disk, pixels
 from manifold.errors import UsageError
 from manifold.names import without_controls
 from manifold.records import Array
@@ -142,7 +141,7 @@ def contact_sheet(cells: Sequence[tuple[str, str, Path]], under: str | None) -> 
         axes.set_axis_off()
     for axes, (name, text, picture) in zip(grid, cells, strict=False):
         if picture.is_file():
-            axes.imshow(imread(picture), interpolation="antialiased")
+            axes.imshow(pixels.decode(picture.read_bytes(), "RGBA"), interpolation="antialiased")
         else:
             axes.add_patch(Circle((0.5, 0.5), 0.5, fill=False, color="0.7", linestyle=":"))
             axes.set_aspect("equal")

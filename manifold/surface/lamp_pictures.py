@@ -14,8 +14,8 @@ from manifold.colour.pictures import SUFFIXES, read_picture
 from manifold.errors import FileFormatError, UsageError
 from manifold.estimate.lamps import read_lamps
 from manifold.estimate.picture_colours import colour_of, odd_picture, reading_at
-from manifold.formats.ma_t12 import picture_directions, picture_geometry, picture_values
 from manifold.formats.readings import Readings
+from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.records import Array, Mask
 
 _LEAST_LAMPS = 3

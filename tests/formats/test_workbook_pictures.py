@@ -12,8 +12,9 @@ from openpyxl.drawing.image import Image as SheetImage
 from PIL import Image
 
 from manifold import info
-from manifold.formats.ma_t12 import picture_values, read
+from manifold.formats.ma_t12 import read
 from manifold.formats.readings import MA_T12_NAMES
+from manifold.formats.workbook_pictures import picture_values
 
 CAPTIONS = ("15as-45", "15as15", "15d")
 

@@ -1,0 +1,124 @@
+"""Pictures in the workbooks of instruments: read from a sheet, decoded, and written into one.
+
+openpyxl's own image loader gives Pillow any part of a workbook, see `manifold.pixels`. So parts are read here as bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+import zipfile
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from manifold import pixels
+from manifold.errors import FileFormatError
+from manifold.formats.geometries import parse_geometry
+from manifold.formats.readings import aspecular_pair
+from manifold.records import Array
+
+_MOST_BYTES = 200_000_000  # of the pictures of a workbook, unpacked
+_DIFFUSE = re.compile(r"r?_?(\d+)d", re.IGNORECASE)  # light from everywhere: `15d`
+
+
+def read_part(archive: zipfile.ZipFile, part: zipfile.ZipInfo, most: int | None = None) -> bytes:
+    """Read a part of a workbook, or its first bytes, and unpack no more than the archive's directory declares.
+
+    Raises:
+        zipfile.BadZipFile: the part has another size, or is packed otherwise than by deflation.
+    """
+    if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others unpack without a limit
+        raise zipfile.BadZipFile(f"a part is packed by method {part.compress_type}, expected deflation")
+    with archive.open(part) as stream:  # ZipFile.read unpacks everything before it looks at the size
+        return stream.read(part.file_size if most is None else min(most, part.file_size))
+
+
+class SheetPicture(NamedTuple):
+    """A picture on a sheet: the cell of its upper left corner, counted from 0, and its bytes."""
+
+    row: int
+    column: int
+    content: bytes
+
+
+def pictures_in(
+    data: bytes, workbook: io.BytesIO, sheet: str, unpacked: dict[str, bytes]
+) -> list[SheetPicture]:
+    """The pictures on a sheet of a workbook, as they are stored.
+
+    Args:
+        data: the workbook.
+        workbook: the same with empty parts for what is not XML.
+        sheet: title of the sheet.
+        unpacked: pictures of the workbook by their parts; those of the sheet are added.
+    Raises:
+        Exception: whatever openpyxl raises of a damaged workbook.
+    """
+    import openpyxl
+    from openpyxl.drawing.spreadsheet_drawing import SpreadsheetDrawing
+    from openpyxl.packaging.relationship import get_dependents, get_rels_path
+    from openpyxl.xml.functions import fromstring
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        relations = get_rels_path(openpyxl.load_workbook(workbook, read_only=True)[sheet]._worksheet_path)
+    pictures = []
+    with zipfile.ZipFile(workbook) as parts, zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if relations not in parts.namelist():
+            return []
+        drawings = [r.target for r in get_dependents(parts, relations) if r.Type.endswith("/drawing")]
+        for drawing in drawings:
+            targets = get_dependents(parts, get_rels_path(drawing))
+            for blip in SpreadsheetDrawing.from_tree(fromstring(parts.read(drawing)))._blip_rels:
+                part = archive.getinfo(targets.get(blip.embed).target)
+                if part.filename not in unpacked:
+                    if part.file_size + sum(map(len, unpacked.values())) > _MOST_BYTES:
+                        raise FileFormatError(f"they unpack to more than {_MOST_BYTES / 1e6:g} MB")
+                    unpacked[part.filename] = read_part(archive, part)
+                corner = blip.anchor._from
+                pictures.append(SheetPicture(corner.row, corner.col, unpacked[part.filename]))
+    return pictures
+
+
+def picture_values(content: bytes) -> Array:
+    """Decode a picture to linear sRGB, shape (H, W, 3): the instrument's codes are linear.
+
+    Raises:
+        FileFormatError: it is no PNG or JPEG, too large, or damaged; without a file's name, which the caller knows.
+    """
+    try:
+        return pixels.decode(content) / 255.0
+    except FileFormatError as error:
+        raise FileFormatError(f"{error}; export the workbook again") from None
+
+
+def add_picture(sheet: Any, cell: str, content: bytes) -> None:
+    """Add a picture to a sheet of a workbook that openpyxl writes.
+
+    Raises:
+        FileFormatError: it is no PNG or JPEG.
+    """
+    from openpyxl.drawing.image import Image
+
+    if pixels.kind_of(content) is None:
+        raise FileFormatError(f"the picture of cell {cell} is no PNG or JPEG; leave it out")
+    sheet.add_image(Image(io.BytesIO(content)), cell)
+
+
+def picture_geometry(caption: str) -> tuple[float, float] | None:
+    """Angles of camera and lamp in degrees, the lamp's positive on the mirror's side, NaN for diffuse light; or None.
+
+    >>> picture_geometry("15as-45"), picture_geometry("15as80"), picture_geometry("15d")
+    ((15.0, 60.0), (15.0, -65.0), (15.0, nan))
+    """
+    if (diffuse := _DIFFUSE.fullmatch(caption.strip())) is not None:
+        return float(diffuse[1]), np.nan
+    angles = parse_geometry(caption)
+    return None if angles is None or angles[2] else (angles[0], angles[0] - angles[1])
+
+
+def picture_directions(camera_deg: float, lamp_deg: float) -> tuple[Array, Array]:
+    """wi (3,) and wo (3,) of a picture's geometry, those of the reading of its name."""
+    return aspecular_pair(camera_deg, camera_deg - lamp_deg)

@@ -1,0 +1,53 @@
+"""Pixels of PNG and JPEG pictures as they are stored; no other module opens a picture by Pillow.
+
+Pillow finds out by itself what a picture is, whatever its name says, and starts Ghostscript for an EPS. So only what
+begins as PNG or JPEG is given to it.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import Literal
+
+import numpy as np
+
+from manifold.errors import FileFormatError
+from manifold.records import Array
+
+_MOST_PIXELS = 16_000_000
+_MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG"}
+_MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits
+
+
+def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB") -> Array:
+    """Decode a PNG or JPEG picture of 8 bits to its codes, shape (H, W, 3) or (H, W, 4).
+
+    Raises:
+        FileFormatError: it is another picture, too large, or damaged; the message has no name, which the caller knows.
+    """
+    from PIL import Image
+
+    kind = kind_of(content)
+    if kind is None:
+        raise FileFormatError(f"begins with {content[:8]!r}, expected PNG or JPEG")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures, which are refused below
+            image = Image.open(io.BytesIO(content), formats=(kind,))
+        with image:
+            if image.width * image.height > _MOST_PIXELS:
+                size = f"{image.width} x {image.height}"
+                raise FileFormatError(f"has {size} pixels, expected at most {_MOST_PIXELS / 1e6:g} million")
+            if image.mode not in _MODES:
+                raise FileFormatError(f"has pixels of mode {image.mode}, expected RGB or grey of 8 bits")
+            return np.asarray(image.convert(mode))
+    except FileFormatError:  # which is a ValueError
+        raise
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise FileFormatError(f"cannot be decoded ({' '.join(str(error).split())[:80]})") from None
+
+
+def kind_of(content: bytes) -> str | None:
+    """Return PNG or JPEG by the first bytes of a picture, else None."""
+    return next((kind for magic, kind in _MAGIC.items() if content.startswith(magic)), None)

@@ -22,6 +22,7 @@ from manifold.model.expected_error import BELOW_TWICE
 from manifold.records import Array, Bands, Mask
 
 _KINDS = ("ball", "cube_root", "linear")
+_MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
 _PRIOR = 0.1  # strength of the prior that errors do not depend on an indicator, in units of its variance
 
 
@@ -65,15 +66,24 @@ class Calibration:
         return Errors(*self._line(indicators, np.ones(len(self.indicators), bool)).tolist())
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
-        """A note where the residual of the readings is larger than that of any left-out material."""
-        residual, largest = indicators_of(completion)[0], self.indicators[:, 0].max()
-        if residual <= largest:
+        """A note if the residual of the readings is larger than that of every left-out material."""
+        residual = float(indicators_of(completion)[0])
+        if not self.is_beyond(residual):
             return ()
         return (
-            f"the residual of the readings is {100.0 * residual:.0f} %, that of left-out materials at most "
-            f"{100.0 * largest:.0f} %: they may be of two samples, in other units or directions, or of a kind of "
-            "material that the library lacks; errors may be larger than expected",
+            f"the residual of the readings is {100.0 * residual:.3g} %, that of left-out materials at most "
+            f"{100.0 * self.largest_residual:.3g} %: they may be of two samples, in other units or directions, or of a "
+            "kind of material that the library lacks; errors may be larger than expected",
         )
+
+    @property
+    def largest_residual(self) -> float:
+        """The largest residual of a left-out material."""
+        return float(self.indicators[:, 0].max())
+
+    def is_beyond(self, residual: float) -> bool:
+        """Whether a residual is larger than that of every left-out material, by more than `_MARGIN`."""
+        return residual > _MARGIN * self.largest_residual
 
     @property
     def left_out(self) -> Errors[Array]:

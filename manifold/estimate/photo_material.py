@@ -109,18 +109,18 @@ class PhotoMaterial:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the light cannot tell, and whether light and photographs go together, in sentences."""
-        most = float(self.calibration.indicators[:, 0].max())
         notes = self.unlit
         if self.strength > 0.0:
             notes += (
                 f"the light is clipped: by the pixels its spots are {1.0 + self.strength:.3g} times as bright as in "
                 "its picture; expected errors take that as known",
             )
-        if self.residual <= max(_UNEXPLAINED, most):
+        if self.residual <= _UNEXPLAINED or not self.calibration.is_beyond(self.residual):
             return notes
         return (
-            f"nothing explains the pixels (residual {self.residual:.0%}, of left-out materials at most {most:.0%}): is "
-            "the light that of the photograph, turned and exposed alike, and the circle that of the ball?",
+            f"nothing explains the pixels (residual {100.0 * self.residual:.3g} %, of left-out materials at most "
+            f"{100.0 * self.calibration.largest_residual:.3g} %): is the light that of the photograph, turned and "
+            "exposed alike, and the circle that of the ball?",
             *notes,
         )
 

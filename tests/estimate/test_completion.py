@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -477,10 +478,21 @@ def test_errors_of_bands_that_are_not_read_are_expected(atoms):
 
 
 def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibration, rng):
-    own = leave_out(atoms, 2, atoms.at(*DIRECTIONS), readings(np.ones((12, 3))))
+    most = int(calibration.indicators[:, 0].argmax())
+    own = leave_out(atoms, most, atoms.at(*DIRECTIONS), readings(np.ones((12, 3))))
     assert calibration.notes(own) == ()
     (note,) = calibration.notes(Completion.of(atoms, readings(np.exp(2.0 * rng.standard_normal((12, 3))))))
     assert "other units or directions" in note
+
+
+@pytest.mark.parametrize(
+    ("excess", "words"), [(1e-12, None), (0.04, None), (0.06, "is 10.6 %, .* at most 10 %")]
+)
+def test_a_residual_that_is_the_largest_but_for_rounding_is_not_noted(excess, words):
+    calibration = Calibration(Errors(*np.ones((3, 4))), np.array([[0.02, 0.1]] * 3 + [[0.1, 0.1]]))
+    read = SimpleNamespace(residual_of_readings=0.1 * (1.0 + excess), residual_of_mixtures=0.0, spread=0.1)
+    notes = calibration.notes(read)
+    assert re.search(words, notes[0]) if words else notes == ()
 
 
 def test_expected_errors_are_the_line_of_their_logarithms(rng):

@@ -2,7 +2,7 @@
 
 A file marks cells that were not measured by zeros in all bands, or in `valid`. Below the horizon zero is the right
 value; above it, a prediction would show the empty cells of all its materials as dark spots, magnified where weights are
-large. Files are not changed: a prediction at a training latent is the file, unmeasured cells included.
+large. Files are not changed.
 """
 
 from __future__ import annotations

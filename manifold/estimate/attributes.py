@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from manifold import progress
 from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF, values_at
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import luminance, srgb_to_xyz, to_xyz, xyz_weights
@@ -356,7 +357,7 @@ def find(
     differs = None if material is None else _difference_from(material)
     found = []
     for k, name in enumerate(library.names):
-        brdf = MeasuredBRDF(library.read(name))
+        brdf = MeasuredBRDF(fill_unmeasured(library.read(name)))
         own, units = lab_of(brdf), gloss_units(brdf, gloss or (60.0,))
         difference = None if lab is None else float(delta_e_2000_lab(np.asarray(lab), own))
         if differs is not None:

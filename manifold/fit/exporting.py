@@ -15,6 +15,7 @@ from manifold.batch import Batch, Command, Content, Outcome
 from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
 from manifold.colour.panel import JUDGED
 from manifold.errors import UsageError
@@ -143,7 +144,7 @@ def subject_of_prediction(
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
     """The material of a file, fitted, with plain values that say where it comes from."""
     fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
-    return Subject(file.name, source, fit, MeasuredBRDF(file), f"{file.origin} file")
+    return Subject(file.name, source, fit, MeasuredBRDF(fill_unmeasured(file)), f"{file.origin} file")
 
 
 def subject_in_library(library: Library, name: str) -> Subject:

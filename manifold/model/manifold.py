@@ -127,7 +127,9 @@ class Manifold(LatentMap):
         return MAPPINGS[self.settings.mapping]
 
     def material(self, name: str) -> MeasuredBRDF:
-        """A measured material, as in its file.
+        """A measured material as predictions use it: with its unmeasured cells filled, see docs/explanation/gplvm.md.
+
+        The file itself is `library.read(name)`.
 
         Raises:
             UsageError: the model has no such material.
@@ -157,7 +159,7 @@ class Manifold(LatentMap):
         self, x: Sequence[Array] | Sequence[Sequence[float]], colours: Array | None = None,
     ) -> list[PredictedBRDF]: ...  # fmt: skip
     def predict(self, x: Any, colours: Array | None = None) -> PredictedBRDF | list[PredictedBRDF]:
-        """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit. A list at latents (M, Q).
+        """The BRDF at a latent x (Q,); at a training latent `material`, bit for bit. A list at latents (M, Q).
 
         Args:
             x: latent, the name of a material, or `FROM:TO:T` on the walk between two, which `interpolate` makes

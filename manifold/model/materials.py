@@ -52,8 +52,7 @@ class MaterialCache:
         self._filled: dict[str, MeasuredBRDF] = _Latest()
         self._in_bands: tuple[tuple[int, ...], dict[str, MeasuredBRDF]] = (), _Latest()
         self._unmeasured_shares: dict[str, float] = {}
-        self._changed: set[str] = set()  # names of materials with cells that were filled or cut
-        self._cut: set[str] = set()  # those of which negative values were taken for 0
+        self._cut: set[str] = set()  # names of materials of which negative values were taken for 0
         self._turned: dict[str, float] = {}  # azimuths by which those with a direction lie turned
 
     def __repr__(self) -> str:
@@ -76,11 +75,11 @@ class MaterialCache:
         return self.names.index(name)
 
     def measured(self, name: str) -> MeasuredBRDF:
-        """A material as its file has it."""
+        """A material with its unmeasured cells filled; negative values are kept."""
         self.index(name)
         if name not in self._measured:
-            is_same = name in self._filled and name not in self._changed
-            self._measured[name] = self._filled[name] if is_same else MeasuredBRDF(self.library.read(name))
+            is_same = name in self._filled and name not in self._cut
+            self._measured[name] = self._filled[name] if is_same else MeasuredBRDF(self.measured_file(name))
         return self._measured[name]
 
     def filled(self, names: Iterable[str] | None = None) -> list[MeasuredBRDF]:
@@ -92,7 +91,7 @@ class MaterialCache:
         names = self.names if names is None else names
         filled = self.filled(names)
         return [
-            MeasuredBRDF(fill_unmeasured(self.library.read(name))) if name in self._cut else material
+            MeasuredBRDF(self.measured_file(name)) if name in self._cut else material
             for name, material in zip(names, filled, strict=True)
         ]
 
@@ -122,25 +121,27 @@ class MaterialCache:
             yield from read
             progress.report(first + len(some), len(self.names), some[-1])
 
-    def filled_file(self, name: str) -> BsdfFile:
-        """A material's file as predictions combine it."""
+    def measured_file(self, name: str) -> BsdfFile:
+        """A material's file with its unmeasured cells filled."""
         file = self.library.read(name)
         cells = unmeasured_cells(file)
         self._unmeasured_shares[name] = unmeasured_share(file, cells)
         if (rotation := rotation_of(file)) is not None:
             self._turned[name] = rotation - file.rotation_rad
-        filled = fill_unmeasured(file, cells, copy=False)
-        if self.is_nonnegative and filled.spectra.min() < 0:
-            filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
+        return fill_unmeasured(file, cells, copy=False)
+
+    def filled_file(self, name: str) -> BsdfFile:
+        """A material's file as predictions combine it: `measured_file`, of blends without negative values."""
+        file = self.measured_file(name)
+        if self.is_nonnegative and file.spectra.min() < 0:
             self._cut.add(name)
-        if filled is not file:
-            self._changed.add(name)
-        return filled
+            return replace(file, spectra=np.maximum(file.spectra, 0))
+        return file
 
     def unmeasured_share(self, name: str) -> float:
         """Share of the cells above the horizon that a file has no measurement for."""
         if name not in self._unmeasured_shares:
-            self.filled_file(name)
+            self.measured_file(name)
         return self._unmeasured_shares[name]
 
     @property

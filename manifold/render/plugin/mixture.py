@@ -100,7 +100,7 @@ class FixedLatent:
         return replace(self, latent=self.model.place(exact.tolist()).latent, colours=colours)
 
     def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
-        """The prediction; at a training latent the measured file. Tables of one `before`, of the same model, serve
+        """The prediction; at a training latent the measured material. Tables of one `before`, of the same model, serve
         again where they hold all materials that are needed.
         """
         model, x, colours = self.model, self.latent, self.colours
@@ -109,7 +109,7 @@ class FixedLatent:
         if combination.source is not None:
             bands, seen = _seen_bands(model.bands)
             name, one = model.names[combination.source], np.ones(1)
-            tables = packed_tables.pack([model.library.read(name)], seen)
+            tables = packed_tables.pack([model.materials.measured_file(name)], seen)
             return Mixture((name,), tables, model.mapping, bands, one, one, is_clipped=False)
         S = model.space.arrays.get("S") if sample_bands is None else None
         if self.tolerance != 0.0 and S is None:

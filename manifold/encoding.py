@@ -11,7 +11,7 @@ import scipy
 
 from manifold.gpr import GaussianProcess
 from manifold.mapping import ValueMapping
-from manifold.metrics import relative_error
+from manifold.metrics import cube_root_error, relative_error
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
@@ -134,8 +134,15 @@ class Decoder:
 
     def decode(self, latents: Array) -> Array:
         """Values f in 1/sr at latents (R, Q), at least 0, shape (R, P)."""
-        mapped = (self.gp.weights(latents) @ self.mapped)[..., None]
-        return np.maximum(self.mapping.inverse(mapped, self._row_cosines(len(mapped)))[..., 0], 0.0)
+        return self._values(self.gp.weights(latents) @ self.mapped)
+
+    def nearest_sample(self, f: Array) -> tuple[int, float]:
+        """The training sample that is nearest to values f (P,) in cube roots, and its cube-root error."""
+        errors = [
+            cube_root_error(f[:, None], own[:, None], self.cosines) for own in self._values(self.mapped)
+        ]
+        nearest = int(np.argmin(errors))
+        return nearest, errors[nearest]
 
     def combine(self, V: Array) -> tuple[Array, Array]:
         """Values (R, P) of weights V (R, n), possibly negative, and their derivatives by the mapped values, (R, P)."""
@@ -150,6 +157,11 @@ class Decoder:
     def relative_error(self, latents: Array, f: Array) -> float:
         """Error of the values decoded at latents (R, Q) against f (R, P); see `metrics.relative_error`."""
         return relative_error(f.T, self.decode(latents).T, self.cosines)
+
+    def _values(self, mapped: Array) -> Array:
+        """Values f, at least 0, of mapped values, same shape (R, P)."""
+        rows = self._row_cosines(len(mapped))
+        return np.maximum(self.mapping.inverse(mapped[..., None], rows)[..., 0], 0.0)
 
     def _row_cosines(self, rows: int) -> Array:
         return np.broadcast_to(self.cosines, (rows, self.cosines.size))

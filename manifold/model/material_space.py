@@ -17,6 +17,7 @@ from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
 from manifold.records import AnyArray, Array, Indices, evenly_spaced
 
+_SAME = 1e-2  # cube-root error below which a file is that material; compact libraries keep it by default
 _EMBEDDING_BANDS = 20  # bands of a whole material that serve to embed it, evenly spaced
 
 
@@ -72,8 +73,16 @@ class MaterialSpace(LatentSpace):
         return mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1])
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
-        """The latent of a material with values f (B, P) in all bands."""
+        """The latent of a material with values f (B, P) in all bands.
+
+        A material of the library has its own latent, where the delta of the kernel makes the prediction its data; a
+        search along the smooth posterior cannot end there.
+        """
         values = f[self.embedding_bands(len(f))].reshape(-1)
+        own, error = decoder.nearest_sample(np.maximum(values, 0.0))
+        if error <= _SAME:
+            error = decoder.relative_error(self.X[own][None], values[None])
+            return Embedded(self.X[own], None, error, error)
         latent = Encoder.of_decoder(decoder, settings.prior).by_values(decoder, values)
         error = decoder.relative_error(latent[None], values[None])
         return Embedded(latent, None, error, error)

@@ -3,6 +3,6 @@
 FROM python:3.13-slim-trixie
 RUN apt-get update -qq && apt-get install -y -qq --no-install-recommends libllvm19 && rm -rf /var/lib/apt/lists/*
 COPY . /source
-RUN pip install --no-cache-dir /source && rm -r /source
+RUN pip install --no-cache-dir "/source[all]" && rm -r /source
 WORKDIR /data
 ENTRYPOINT ["manifold"]

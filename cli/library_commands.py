@@ -267,9 +267,11 @@ def info(
         bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
     ] = False,
     model: options.ModelOption = options.DEFAULT_MODEL,
-    renderer: Annotated[
-        bool, typer.Option("--renderer", help="Show the backend of Mitsuba instead, and test it again.")
+    system: Annotated[
+        bool,
+        typer.Option("--system", help="Show versions, extras and the renderer of this installation instead."),
     ] = False,
+    renderer: Annotated[bool, typer.Option("--renderer", hidden=True)] = False,
     library: options.MovedLibraryOption = None,
     json: options.JsonOption = None,
 ) -> None:
@@ -278,15 +280,21 @@ def info(
     Files may be RGL files, or those of other programs and instruments, recognised by their content:
     {manifold.formats.registry.FORMATS}.
     """
+    results = terminal.Results(json)
+    if renderer:
+        terminal.note_old_spelling("--renderer", "--system")
+    if system or renderer:
+        from manifold.system import describe
+
+        installation, document = describe()
+        results.rows("This installation", installation)
+        results.document(document)
+        return
     from manifold import info
 
-    results = terminal.Results(json)
     with progress.shown("Verifying" if verify else "Reading"):
-        if renderer:
-            shown = info.inspect_renderer()
-        else:
-            source = options.material_source(path, model, library)
-            shown = info.inspect_source(source, library=library, verify=verify)
+        source = options.material_source(path, model, library)
+        shown = info.inspect_source(source, library=library, verify=verify)
     results.rows(shown.title, shown.rows)
     for columns, rows in shown.tables:
         if rows:

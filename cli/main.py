@@ -15,6 +15,7 @@ import typer
 
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError, in_words
+from manifold.extras import missing
 from manifold.names import printable
 from manifold.progress import display_with
 
@@ -117,6 +118,8 @@ def _message(error: Exception) -> str:
         command = getattr(error.ctx, "command_path", "manifold")
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
         return f"{found}; see `{command} --help`"
+    if isinstance(error, ModuleNotFoundError):
+        error = missing(error) or error
     return in_words(error)
 
 

@@ -18,10 +18,10 @@ from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from manifold.errors import ManifoldError, UsageError
+from manifold.extras import require
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -43,8 +43,7 @@ def workers(address: str) -> Iterator[Executor]:
     Dask runs the tasks of lost workers again. Tasks run in the folder of this process, in which relative paths mean the
     same there.
     """
-    if find_spec("distributed") is None:
-        raise UsageError(f"{address}: needs Dask, which is not installed; pip install brdf-manifold[cluster]")
+    require("distributed")
     from distributed import KilledWorker
 
     with _connected(address) as client:

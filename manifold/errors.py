@@ -18,6 +18,7 @@ such a case:
 | `UsageError` | `ValueError` | a value given by the user cannot be used |
 | `MissingFileError` | `UsageError`, `FileNotFoundError` | there is no such file |
 | `UnknownNameError` | `UsageError`, `KeyError` | nothing has such a name |
+| `MissingPackageError` | `ImportError` | an optional package is not installed |
 | `LatentError` | `UsageError`, `ShapeError` | a latent has the wrong number of values, or values that are not finite |
 """
 
@@ -68,6 +69,10 @@ class NumericalError(ManifoldError, ArithmeticError):
 
 class RendererError(ManifoldError, RuntimeError):
     """Mitsuba, which rendering and fitting need, is missing, or lacks the backend that a method needs."""
+
+
+class MissingPackageError(ManifoldError, ImportError):
+    """An optional package is not installed; the message names the extra that installs it."""
 
 
 class UsageError(ManifoldError, ValueError):

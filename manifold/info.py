@@ -23,7 +23,6 @@ from manifold.formats.workbook_pictures import picture_directions, picture_geome
 from manifold.io_rgl import read_bsdf
 from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
 from manifold.records import Bands, BsdfFile
-from manifold.render import backend
 
 _MOST_SAMPLES = 40  # listed one by one
 
@@ -213,20 +212,6 @@ def inspect_source(source: MaterialSource, *, library: Path | None, verify: bool
     with source_file(source) as path:
         found = inspect(path, verify=verify)
     return replace(found, title=f"{source}: RGL material", document=found.document | {"path": str(source)})
-
-
-def inspect_renderer() -> Inspection:
-    """Mitsuba's backend on this machine."""
-    backend.mitsuba()  # which says where it cannot be used
-    chosen = backend.choose()
-    rows: dict[str, object] = {
-        "Mitsuba": backend.mitsuba_version(),
-        "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
-        "libLLVM": chosen.library or "none",
-    }
-    if chosen.advice is not None:
-        rows["advice"] = chosen.advice
-    return Inspection("Renderer", rows, chosen.to_json())
 
 
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:

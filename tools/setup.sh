@@ -1,7 +1,7 @@
 #!/bin/sh
 # Make the virtual environment .venv and install manifold into it.
 #
-#   tools/setup.sh          what running the program needs
+#   tools/setup.sh          what running the program needs, all extras included
 #   tools/setup.sh dev      what its tests and checks need as well
 #   tools/setup.sh engines  Blender's module and MaterialX's renderer, into .venv-engines; what `make engines` needs
 #
@@ -84,8 +84,7 @@ if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_mod
         echo "setup: three and gltf-validator could not be installed; tests of glTF files by them are skipped" >&2
 fi
 
-target=.
-[ -z "$extra" ] || target=".[$extra]"
+target=".[${extra:-all}]"
 # Python compiles what is imported when it is first imported: half of the installation's time would go to what never is.
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable "$target"
 touch ".venv/ready$extra"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -92,6 +93,11 @@ def colour_science() -> ModuleType:
         warnings.simplefilter("ignore")
         import colour
         import colour.quality
+    # Without Matplotlib it leaves mocks behind, which later imports would take for the package.
+    mocks = [name for name, module in sys.modules.items() if type(module).__name__ == "MagicMock"]
+    for name in mocks:
+        if name.partition(".")[0] == "matplotlib":
+            del sys.modules[name]
     return colour
 
 

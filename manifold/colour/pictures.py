@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.conversion import decode_srgb
-from manifold.errors import FileFormatError, MissingFileError, UsageError
+from manifold.errors import FileFormatError, MissingFileError
+from manifold.extras import require
 from manifold.records import Array, Mask
 
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
@@ -79,7 +80,7 @@ def read_picture(path: Path) -> Image:
 
 
 def _read(path: Path, kind: str) -> Image:
-    import OpenImageIO
+    OpenImageIO = require("OpenImageIO")
 
     OpenImageIO.attribute("threads", 1)  # processes that are forked have no threads
     config = OpenImageIO.ImageSpec()
@@ -128,13 +129,7 @@ def _read(path: Path, kind: str) -> Image:
 
 def _read_raw(path: Path) -> Image:
     """A raw file, developed without curves."""
-    try:
-        import rawpy
-    except ImportError as error:
-        raise UsageError(
-            f"{path}: a camera's raw file, which rawpy reads: pip install 'brdf-manifold[raw]', or develop it to a "
-            "linear 16-bit TIFF"
-        ) from error
+    rawpy = require("rawpy")
     try:
         with rawpy.imread(str(path)) as raw:
             n_bytes = 12 * raw.sizes.iheight * raw.sizes.iwidth

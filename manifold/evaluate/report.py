@@ -47,7 +47,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
-from manifold.plots import figures, map_figure
 from manifold.records import Array, Indices, evenly_spaced, plain
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
@@ -157,6 +156,8 @@ def make_report(
         ManifoldError: a worker was lost.
     """
     if picture is not None:
+        from manifold.plots import figures, map_figure
+
         figures.require_writable(picture)
     file = model if isinstance(model, Path) else None
     model = Manifold.load(model, library) if isinstance(model, Path) else model

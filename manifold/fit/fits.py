@@ -24,7 +24,6 @@ from manifold.estimate.sources import (
     source_file,
 )
 from manifold.fit import fit_samples
-from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import METHODS, fit_bsdf
 from manifold.formats import registry
@@ -165,6 +164,8 @@ def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictu
         settings = replace(settings, sample=source.sample)
         content, _ = _fitted(source.name, source.source, target, settings)
     if with_pictures:
+        from manifold.fit.comparison import picture_of_fit
+
         with source_file(source.source) as file:
             if is_rgl(file):
                 picture_of_fit(target, file, target.with_suffix(".png"))

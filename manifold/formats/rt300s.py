@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical
+from manifold.extras import require
 from manifold.formats.readings import Readings, mean_of_repeats
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
@@ -68,7 +69,7 @@ def read(path: Path) -> list[Readings]:
 
 def _table(path: Path, context: ErrorContext) -> Array:
     """Azimuth, Incidence, Receive and RT of all measurements, shape (4, P)."""
-    import xlrd
+    xlrd = require("xlrd")
 
     data = read_bytes(path, _LARGEST)
     try:

@@ -9,16 +9,18 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 from urllib.parse import quote, urlsplit
-
-import pooch
-import requests
 
 from manifold import __version__, progress
 from manifold.errors import FetchError, FileFormatError, UnknownNameError, UsageError
+from manifold.extras import require
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import require_outside_libraries
 from manifold.names import first_few, names_like
+
+if TYPE_CHECKING:
+    import pooch
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ def fetch(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FetchError(f"{folder}: {error.strerror}; choose another folder") from error
+    pooch, requests = require("pooch"), require("requests")
     pooch.get_logger().setLevel("ERROR")
     files = pooch.create(
         path=folder,

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jsonschema import Draft202012Validator
-
 from manifold.colour.lights import ENVIRONMENTS
 from manifold.colour.pictures import SUFFIXES
 from manifold.colour.reflectances import ReflectanceSpectrum
@@ -23,6 +21,7 @@ from manifold.errors import UsageError
 from manifold.estimate.inputs import FIT
 from manifold.estimate.sightings import PhotoRequest
 from manifold.estimate.sources import FileSource, PlaceSource
+from manifold.extras import require
 from manifold.fit.exports import TARGETS
 from manifold.model.colours import ColourChoice
 from manifold.model.places import parse_walk
@@ -73,7 +72,7 @@ class Command:
 
     def check(self, request: Request) -> None:
         """Raise UsageError unless a request has the fields of this command, of the right types and within range."""
-        for error in Draft202012Validator(self.schema).iter_errors(request):
+        for error in require("jsonschema").Draft202012Validator(self.schema).iter_errors(request):
             raise UsageError(f"request: {'.'.join(map(str, error.path))}: {error.message:.200}")
         if not isinstance(request["name"], str) or not _NAME.fullmatch(request["name"]):
             raise UsageError("name: expected letters, digits, - and _, 60 at most, a letter or digit first")

@@ -9,6 +9,7 @@ from typing import Any
 
 from manifold import disk
 from manifold.errors import UsageError
+from manifold.extras import require
 from manifold.fit.exports import TARGETS
 from manifold.library.identity import require_outside_libraries
 from manifold.model.blend_space import require_blends
@@ -52,6 +53,7 @@ def server(
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder")
+    require("jsonschema")  # requests are checked with it
     require_outside_libraries(folder, into=True)
     loaded = _load(model, library)
     context = Context(

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
 from manifold.brdf.measured import BRDF
@@ -109,6 +108,8 @@ def _flakes(drawn: DrawnFlakes) -> dict[str, Any]:
 
 def _reduced(values: Array) -> Array:
     """Values (S, S, C) averaged to at most `SIZE` pixels a side."""
+    from PIL import Image
+
     size = (min(len(values), SIZE),) * 2
     planes = [Image.fromarray(plane.astype(np.float32)) for plane in np.moveaxis(values, -1, 0)]
     return np.stack([np.asarray(plane.resize(size, Image.Resampling.BOX)) for plane in planes], axis=-1)
@@ -116,6 +117,8 @@ def _reduced(values: Array) -> Array:
 
 def _picture(values: Array, kind: str) -> str:
     """Values in [0, 1], (S, S, 3), as a picture in text."""
+    from PIL import Image
+
     stream = io.BytesIO()
     picture = Image.fromarray(np.round(255.0 * values).astype(np.uint8))
     picture.save(stream, kind, quality=_QUALITY, method=6, optimize=True)

@@ -1,4 +1,4 @@
-"""The page as a notebook widget, through anywidget (`pip install brdf-manifold[notebook]`)."""
+"""The page as a notebook widget, through anywidget."""
 
 from __future__ import annotations
 
@@ -9,21 +9,17 @@ from urllib.parse import parse_qs
 
 import numpy as np
 
-try:
-    import anywidget
-    import traitlets
-except ImportError as error:
-    message = f"the map as a widget needs anywidget, which is missing ({error}); pip install brdf-manifold[notebook]"
-    raise ImportError(message) from None
-
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
+from manifold.extras import require
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
 from manifold.page.page import widget_module
 from manifold.page.page_data import tabulate, to_document
 from manifold.surface.written import read_surface
+
+anywidget, traitlets = require("anywidget"), require("traitlets")
 
 
 class MapWidget(anywidget.AnyWidget):

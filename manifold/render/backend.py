@@ -131,8 +131,8 @@ def imported() -> Any:
         import mitsuba
     except ImportError as error:
         raise RendererError(
-            f"rendering and fitting need Mitsuba, which is missing ({error}); pip install mitsuba, on a platform that "
-            "it has a wheel for"
+            f"rendering and fitting need Mitsuba, which is not installed ({error}); pip install "
+            "'brdf-manifold[render]', on a platform for which Mitsuba has wheels"
         ) from error
     # Before the current folder, where `plugins/diffuse.so` would be loaded in place of Mitsuba's own.
     mi: Any = mitsuba

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from manifold import __version__, disk
 from manifold.errors import FileFormatError, UsageError
+from manifold.extras import require
 from manifold.render.bsdf_evaluation import bsdf_dict, load_bsdf
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter
 from manifold.render.plugin_names import holds_none, require_plugins, types_of
@@ -36,9 +37,8 @@ def schema() -> dict[str, Any]:
 @lru_cache(maxsize=2)
 def _validator(part: str | None) -> Any:
     """Of the schema, or of one entry; numbers are finite and fit a float, and 1.0 is no integer."""
-    from jsonschema import Draft202012Validator as Draft
-    from jsonschema.validators import extend
-
+    jsonschema = require("jsonschema")
+    Draft = jsonschema.Draft202012Validator
     checker = Draft.TYPE_CHECKER.redefine_many(
         {
             "number": lambda _, value: is_number(value),
@@ -46,7 +46,7 @@ def _validator(part: str | None) -> Any:
         }
     )
     wanted = schema() if part is None else schema()["properties"][part]
-    return extend(Draft, type_checker=checker)(wanted)
+    return jsonschema.validators.extend(Draft, type_checker=checker)(wanted)
 
 
 def is_number(value: Any) -> bool:

@@ -12,6 +12,7 @@ from manifold.colour.conversion import decode_srgb, encode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000, delta_e_itp
 from manifold.colour.pictures import Image, read_picture
 from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.extras import require
 from manifold.records import Array
 from manifold.render import backend
 
@@ -135,7 +136,7 @@ def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PE
     """FLIP between display values in [0, 1], shapes (H, W, 3): 0 alike to 1 as different as can be, shape (H, W).
     Source: Andersson et al. 2020, DOI 10.1145/3406183; its authors' program, for a low dynamic range.
     """
-    from flip_evaluator import evaluate  # only comparisons need it
+    evaluate = require("flip_evaluator").evaluate  # only comparisons need it
 
     require_pictures(reference, test)
     pictures = (np.clip(p, 0.0, 1.0).astype(np.float32) for p in (reference, test))

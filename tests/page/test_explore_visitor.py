@@ -421,7 +421,7 @@ def test_a_tab_that_is_shown_again_lists_the_jobs_of_another(browser, served, se
 def test_a_widget_without_its_package_is_one_clear_line():
     script = "import sys; sys.modules['anywidget'] = None; import manifold.page.widget"
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert "pip install brdf-manifold[notebook]" in run.stderr.splitlines()[-1]
+    assert "pip install 'brdf-manifold[page]'" in run.stderr.splitlines()[-1]
     assert "During handling" not in run.stderr
 
 

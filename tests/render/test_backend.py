@@ -84,21 +84,21 @@ def test_render_finishes_with_a_picture_and_one_line_of_advice_without_llvm(tmp_
 
 def test_a_named_library_that_cannot_be_used_is_one_clear_error(tmp_path):
     done = subprocess.run(
-        [*PROGRAM, "info", "--renderer"], capture_output=True, text=True, check=False,
+        [*PROGRAM, "info", "--system"], capture_output=True, text=True, check=False,
         env=os.environ | {backend.LIBRARY_VARIABLE: "/nonexist/libLLVM-19.so"},
     )  # fmt: skip
-    assert done.returncode == 1
-    assert done.stderr.splitlines()[-1].startswith("manifold: Dr.Jit cannot use /nonexist/libLLVM-19.so")
+    assert done.returncode == 0
+    assert "Dr.Jit cannot use /nonexist/libLLVM-19.so" in " ".join(done.stdout.split())
 
 
 def test_info_tells_the_renderer(tmp_path):
     done = subprocess.run(
-        [*PROGRAM, "info", "--renderer", "--json", "-"],
+        [*PROGRAM, "info", "--system", "--json", "-"],
         capture_output=True, text=True, env=os.environ | {backend.RENDERER_VARIABLE: "scalar"}, check=True,
     )  # fmt: skip
     document = json.loads(done.stdout)
-    assert document["kind"] == "scalar"
-    assert document["mitsuba"] == backend.mitsuba_version()
+    assert document["renderer"]["kind"] == "scalar"
+    assert document["extras"]["render"]["mitsuba"] == backend.mitsuba_version()
 
 
 def test_kinds_of_colour_that_do_not_exist_are_refused():

@@ -2,18 +2,17 @@
 BIN := .venv/bin
 OUT ?= demo
 # Tests are shared out among processes, file by file, long files first; SHARED= runs them one after the other.
-# BLAS and Numba have one thread in each: where every core has a process, more threads only turn idly.
+# BLAS and compiled loops have one thread in each: where every core has a process, more threads only turn idly.
 SHARED ?= -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 SEED ?= 0
 MINUTES ?= 10
 # Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo kernels test test-slow test-lowest check attack bench golden engines docs clean help
+.PHONY: demo test test-slow test-lowest check attack bench golden engines docs clean help
 
 help:
 	@echo "make demo        run the main job on the built-in corpus, into $(OUT)/"
-	@echo "make kernels     compile what Numba would compile at first use"
 	@echo "make test        run the tests, all but the slow ones"
 	@echo "make test-slow   run the slow ones"
 	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
@@ -24,25 +23,24 @@ help:
 	@echo "make engines     exports as Cycles, MaterialX and three.js draw them, into benchmarks/results/engines.json"
 	@echo "make golden      which numbers of commands and calls moved since they were kept: KEEP=1 keeps them, ONLY=words"
 
-.venv/ready: pyproject.toml tools/setup.sh
+# What the compiled loops are built from: a change installs the package again, which builds them.
+LOOPS := setup.py $(wildcard cpp/*)
+
+.venv/ready: pyproject.toml tools/setup.sh $(LOOPS)
 	tools/setup.sh
 
-.venv/readydev: pyproject.toml tools/setup.sh
+.venv/readydev: pyproject.toml tools/setup.sh $(LOOPS)
 	tools/setup.sh dev
 	@touch .venv/ready
 
-.venv/readydocs: pyproject.toml tools/setup.sh
+.venv/readydocs: pyproject.toml tools/setup.sh $(LOOPS)
 	tools/setup.sh docs
 
 demo: .venv/ready
 	$(BIN)/manifold demo $(OUT)
 
-# Before the tests, or each of their processes would compile for itself.
-kernels: .venv/readydev
-	$(BIN)/python tools/kernels.py
-
-test: kernels
-	OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
+test: .venv/readydev
+	OPENBLAS_NUM_THREADS=1 MANIFOLD_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
 
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow
@@ -51,7 +49,7 @@ test-lowest: .venv/readydev
 	$(BIN)/python -m venv .venv-lowest
 	$(BIN)/python tools/lowest.py > .venv-lowest/lowest.txt
 	.venv-lowest/bin/pip install --quiet --constraint .venv-lowest/lowest.txt --editable ".[dev]"
-	OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 .venv-lowest/bin/python -m pytest -m "not slow" $(SHARED)
+	OPENBLAS_NUM_THREADS=1 MANIFOLD_NUM_THREADS=1 .venv-lowest/bin/python -m pytest -m "not slow" $(SHARED)
 
 check: .venv/readydev
 	$(BIN)/ruff check .
@@ -66,13 +64,13 @@ bench: .venv/readydev
 	$(BIN)/python benchmarks/run_all.py
 
 # One thread a process: two processes share the steps.
-golden: kernels
-	OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python tools/golden $(if $(ONLY),--only "$(ONLY)") $(if $(KEEP),--keep)
+golden: .venv/readydev
+	OPENBLAS_NUM_THREADS=1 MANIFOLD_NUM_THREADS=1 $(BIN)/python tools/golden $(if $(ONLY),--only "$(ONLY)") $(if $(KEEP),--keep)
 
 .venv-engines/ready: tools/setup.sh
 	tools/setup.sh engines
 
-engines: kernels .venv-engines/ready
+engines: .venv/readydev .venv-engines/ready
 	$(BIN)/python tools/engines
 
 docs: .venv/readydocs

@@ -2,7 +2,7 @@
 
     python benchmarks/bench_commands.py FOLDER [--only WORD] [--json FILE]
 
-FOLDER holds the `.bsdf` files. What Numba compiles at first use is not part of it: run the commands once before.
+FOLDER holds the `.bsdf` files. Run the commands once before.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ COMMANDS = {
 
 def seconds_of(arguments: str, folder: Path) -> float:
     """Processor seconds of a command and its children."""
-    threads = {"OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    threads = {"OPENBLAS_NUM_THREADS": "1", "MANIFOLD_NUM_THREADS": "1"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
         [sys.executable, "-m", "manifold", *arguments.split()],

@@ -82,7 +82,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         cases: list[tuple[str, dict[str, str], list[str]]] = [("this one", {}, [])]
         cases += [(f"OPENBLAS_CORETYPE={core}", {"OPENBLAS_CORETYPE": core}, []) for core in CORE_TYPES]
-        cases += [("compiled afresh", {"NUMBA_CACHE_DIR": f"{folder}/numba"}, [])]
         cases += [
             (f"values differ by 1e-12, seed {seed}", {}, ["--seed", seed]) for seed in given.noise.split(",")
         ]

@@ -11,7 +11,6 @@ import os
 import pickle
 import queue
 import re
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from manifold.errors import ManifoldError, UsageError
 from manifold.extras import require
+from manifold.threads import VARIABLE
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_PACKAGES = ("brdf-manifold", "numpy", "scipy", "numba", "mitsuba")  # on which results depend
+_PACKAGES = ("brdf-manifold", "numpy", "scipy", "mitsuba")  # on which results depend
 _CONNECT_S = 8.0
 _ADDRESS = re.compile(r"inproc://\S+|((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.%]+\]|[^\s:/\[\]]+):\d{1,5}")
 # Of workers with several threads: the folder and the renderer are the process's.
@@ -128,8 +128,7 @@ def _run(folder: str, expected: dict[str, str], task: bytes) -> Any:
                 f"worker {worker.address}: found {package} {known}, expected {expected.get(package)}; install the same "
                 "versions everywhere"
             )
-    if "numba" not in sys.modules:
-        os.environ.setdefault("NUMBA_NUM_THREADS", str(worker.state.nthreads))
+    os.environ.setdefault(VARIABLE, str(worker.state.nthreads))
     with _one_at_a_time:
         try:
             with contextlib.chdir(folder):

@@ -1,6 +1,6 @@
 """Contents of a file, a library or a model, as rows and tables for `manifold info`.
 
-What only one of them needs (zarr, Numba, models) is imported where it is used.
+What only one of them needs (zarr, models) is imported where it is used.
 """
 
 from __future__ import annotations

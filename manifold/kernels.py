@@ -14,7 +14,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numba as nb
 import numpy as np
 
 from manifold.errors import UsageError
@@ -145,7 +144,7 @@ class Matern52(Kernel):
         return (1.0 + a + a * a / 3.0) * decay, (-5.0 / 6.0) * (1.0 + a) * decay
 
 
-_COMPILED = (SquaredExponential, Matern32, Matern52)  # in the order of `radial_of_pair`
+_COMPILED = (SquaredExponential, Matern32, Matern52)  # in the order of `radial_of_pair` in cpp/models.cpp
 KERNELS: Registry[type[Kernel]] = Registry("kernel", ((kernel.family, kernel) for kernel in _COMPILED))
 """What `kernel_named` takes."""
 
@@ -159,15 +158,6 @@ def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float
     if isinstance(name, type) and issubclass(name, Kernel):
         return name(mu, length_scale)
     return KERNELS[name](mu, length_scale)
-
-
-@nb.njit(cache=True)
-def radial_of_pair(family: int, squared: float) -> float:
-    """g of one squared distance in length scales, for compiled loops: `Kernel.radial` by `Kernel.numbers`."""
-    if family == 0:
-        return math.exp(-0.5 * squared)
-    a = math.sqrt((3.0 if family == 1 else 5.0) * squared)
-    return (1.0 + a if family == 1 else 1.0 + a + a * a / 3.0) * math.exp(-a)
 
 
 def require_mu(mu: float) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numba as nb
 import numpy as np
 
+from manifold.compiled import loops
 from manifold.directions import from_rusinkiewicz, require_directions, rotate_z
 from manifold.errors import ShapeError, UsageError
 from manifold.names import Registry
@@ -23,67 +23,6 @@ Symmetry = tuple[bool, int, float]
 """What `Pairs.located` takes."""
 
 
-@nb.njit(cache=True, inline="always")
-def elevation(x, y, z):
-    """Angle from the normal, stable near it."""
-    d = np.sqrt(x * x + y * y + (z - 1.0) * (z - 1.0))
-    return 2.0 * np.arcsin(min(0.5 * d, 1.0))
-
-
-@nb.njit(cache=True, inline="always")
-def theta_to_u(theta):
-    """Unit-square coordinate of an elevation in radians."""
-    return np.sqrt(theta * (2.0 / np.pi))
-
-
-@nb.njit(cache=True, inline="always")
-def phi_to_u(phi):
-    """Unit-square coordinate of an azimuth in radians."""
-    return (phi + np.pi) / (2.0 * np.pi)
-
-
-@nb.njit(cache=True, inline="always")
-def signs(reduction, wx, wy):
-    """Signs that move an incident direction into the measured range of azimuths of a symmetric file."""
-    if reduction < 2:
-        return 1.0, 1.0
-    sy = -1.0 if wy >= 0.0 else 1.0
-    if reduction == 4:
-        return (-1.0 if wx >= 0.0 else 1.0), sy
-    return sy, sy
-
-
-@nb.njit(cache=True)
-def locate(wi, wo, isotropic, reduction):
-    """Angles of the incident direction and unit-square coordinates of the half vector."""
-    sx, sy = signs(reduction, wi[0], wi[1])
-    ix, iy, iz = wi[0] * sx, wi[1] * sy, wi[2]
-    mx, my, mz = ix + wo[0] * sx, iy + wo[1] * sy, iz + wo[2]
-    norm = np.sqrt(mx * mx + my * my + mz * mz)
-    mx, my, mz = mx / norm, my / norm, mz / norm
-    theta_i = elevation(ix, iy, iz)
-    phi_i = np.arctan2(iy, ix)
-    theta_m = elevation(mx, my, mz)
-    phi_m = np.arctan2(my, mx)
-    ux = theta_to_u(theta_m)
-    uy = phi_to_u(phi_m - phi_i if isotropic else phi_m)
-    uy -= np.floor(uy)
-    cos_im = ix * mx + iy * my + iz * mz
-    return theta_i, phi_i, ux, uy, theta_m, cos_im
-
-
-@nb.njit(cache=True, nogil=True)
-def _locate_all(wi, wo, isotropic, reduction, out):
-    for k in range(wi.shape[0]):
-        if wi[k, 2] > LEVEL and wo[k, 2] > LEVEL:
-            out[k, 0], out[k, 1], out[k, 2], out[k, 3], _theta_m, _c = locate(
-                wi[k], wo[k], isotropic, reduction
-            )
-            out[k, 4] = wo[k, 2]
-        else:
-            out[k, 4] = 0.0
-
-
 def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
     """Directions (..., 3) and uniform variates (..., 2) as contiguous (K, 3) and (K, 2), and what they broadcast to."""
     wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
@@ -93,8 +32,7 @@ def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
         shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
     except ValueError as error:
         raise ShapeError(f"wi has shape {wi.shape} and u {u.shape}; they do not broadcast") from error
-    # Copies, because a view is read-only, and read-only arrays are another type to compile for.
-    flat_wi, flat_u = (np.broadcast_to(a, (*shape, a.shape[-1])).copy() for a in (wi, u))
+    flat_wi, flat_u = (np.ascontiguousarray(np.broadcast_to(a, (*shape, a.shape[-1]))) for a in (wi, u))
     return flat_wi.reshape(-1, 3), flat_u.reshape(-1, 2), shape
 
 
@@ -118,8 +56,7 @@ class Pairs:
             wi, wo = np.broadcast_arrays(wi, wo)
         except ValueError as error:
             raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}; they do not broadcast") from error
-        # No pairs at all are a view that must not be written, another type to compile for.
-        flat = [np.ascontiguousarray(w.reshape(-1, 3)) if w.size else np.empty((0, 3)) for w in (wi, wo)]
+        flat = [np.ascontiguousarray(w).reshape(-1, 3) for w in (wi, wo)]
         self.wi, self.wo, self.shape = flat[0], flat[1], wi.shape[:-1]
         self._located: dict[Symmetry, Array] = {}
 
@@ -176,7 +113,7 @@ class Pairs:
         key = (isotropic, reduction, rotation_rad)
         if key not in self._located:
             out = np.empty((len(self), 5))
-            _locate_all(*self.turned(rotation_rad), isotropic, reduction, out)
+            loops.locate_pairs(*self.turned(rotation_rad), isotropic, reduction, out)
             self._located[key] = out
         return self._located[key]
 

@@ -1,59 +1,119 @@
-"""Thread control: compiled parallel kernels, and the threads of BLAS."""
+"""Thread control: work that is shared out among threads, and the threads of BLAS."""
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
-from functools import lru_cache, wraps
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from functools import lru_cache
 from importlib import import_module
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
-P = ParamSpec("P")
-R = TypeVar("R")
+from manifold.errors import UsageError
 
-_turn = threading.Lock()
-_has_threads = False  # whether a kernel has run, and Numba's threads with it
-_has_lost_threads = False  # whether this process is a fork of one that had them
+T = TypeVar("T")
+
+VARIABLE = "MANIFOLD_NUM_THREADS"
+_PER_THREAD = 4  # blocks of rows: some take longer than others
+
+_mutex = threading.Lock()
+_pool: tuple[int, ThreadPoolExecutor] | None = None  # with the number of its threads
+_limit: int | None = None
+_here = threading.local()  # `is_shared`: whether this thread runs a part of `share_out`
 
 
 def _after_fork() -> None:
-    global _turn, _has_lost_threads
-    _turn = threading.Lock()  # the old one may be held by a thread that is not here
-    _has_lost_threads = _has_lost_threads or _has_threads
+    global _mutex, _pool, _here
+    _mutex, _pool, _here = threading.Lock(), None, threading.local()  # the parent's threads do not exist here
 
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-@lru_cache
-def _in_one_thread(kernel: Any) -> Any:
-    if not hasattr(kernel, "py_func"):
-        return kernel
-    from numba import njit
+def thread_count() -> int:
+    """Return how many threads share out work: `MANIFOLD_NUM_THREADS`, or one per core that this process may use.
 
-    return njit(kernel.py_func)
-
-
-def serialised(kernel: Callable[P, R]) -> Callable[P, R]:
-    """A kernel that is parallel in itself, entered by one thread at a time.
-
-    Where neither OpenMP nor TBB is installed, Numba runs such kernels on a pool of its own, which ends the process
-    when two threads enter it. With one of them it would start more threads than there are cores. In a fork of a
-    process that had these threads they are gone, and Numba ends it or waits for ever: there kernels have one thread.
+    Raises:
+        UsageError: the variable is no positive integer.
     """
+    if _limit is not None:
+        return _limit
+    text = os.environ.get(VARIABLE, "")
+    if not text:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not text.isdecimal() or int(text) < 1:
+        raise UsageError(f"{VARIABLE} is {text!r}, expected a number of threads, 1 or more")
+    return int(text)
 
-    @wraps(kernel)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        global _has_threads
-        with _turn:
-            _has_threads = True
-            return (_in_one_thread(kernel) if _has_lost_threads else kernel)(*args, **kwargs)
 
-    return call
+@contextmanager
+def limit_threads(count: int) -> Iterator[None]:
+    """Share out work among at most `count` threads, in the whole process."""
+    global _limit
+    before, _limit = _limit, count
+    try:
+        yield
+    finally:
+        _limit = before
+
+
+def share_out(work: Callable[[T], object], parts: Sequence[T]) -> None:
+    """Call `work` with each part, on `thread_count()` threads including the calling one.
+
+    Calls within `work` stay on its thread. An exception drops the parts that have not begun, and is raised when all
+    threads have stopped.
+    """
+    count = min(thread_count(), len(parts))
+    if count <= 1 or getattr(_here, "is_shared", False):
+        for part in parts:
+            work(part)
+        return
+    rest, turn = list(reversed(parts)), threading.Lock()
+
+    def take() -> None:
+        _here.is_shared = True
+        try:
+            while True:
+                with turn:
+                    if not rest:
+                        return
+                    part = rest.pop()
+                work(part)
+        except BaseException:
+            rest.clear()
+            raise
+        finally:
+            _here.is_shared = False
+
+    pool = _threads(count - 1)
+    others = [pool.submit(take) for _ in range(count - 1)]
+    try:
+        take()
+    finally:
+        wait([other for other in others if not other.cancel()])
+    for other in others:
+        if not other.cancelled():
+            other.result()
+
+
+def share_rows(work: Callable[[slice], object], count: int, least: int) -> None:
+    """Call `work` with blocks of `count` rows, of at least `least` rows each, on `thread_count()` threads."""
+    size = max(least, -(-count // (_PER_THREAD * thread_count())))
+    share_out(work, [slice(start, start + size) for start in range(0, count, size)])
+
+
+def _threads(count: int) -> ThreadPoolExecutor:
+    """Threads that stay, at least `count` of them."""
+    global _pool
+    with _mutex:
+        if _pool is None or _pool[0] < count:
+            _pool = count, ThreadPoolExecutor(count, thread_name_prefix="manifold")
+        return _pool[1]
 
 
 @lru_cache(maxsize=1)

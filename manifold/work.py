@@ -20,7 +20,7 @@ from typing import TypeVar
 
 from manifold import progress
 from manifold.errors import ManifoldError
-from manifold.threads import one_blas_thread
+from manifold.threads import VARIABLE, one_blas_thread
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -62,7 +62,7 @@ def processes(count: int | None = None) -> AbstractContextManager[Executor | Non
     count = count or cores
     if count == 1:
         return nullcontext()
-    # Spawned, not forked: threads of compiled code do not survive a fork. They start when there are tasks for them.
+    # Spawned, not forked: locks that threads held would stay locked. They start when there are tasks for them.
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(count, context, _begin, (max(cores // count, 1),))
 
@@ -82,8 +82,8 @@ def _begin(threads: int) -> None:
     """Leave Ctrl-C and the other cores to the other processes, and end with the one that started this."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(variable, str(threads))  # read when NumPy and Numba are loaded
+    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", VARIABLE):
+        os.environ.setdefault(variable, str(threads))  # the first three are read when NumPy is loaded
 
 
 def _end_with_parent() -> None:

@@ -6,8 +6,8 @@
 #   tools/setup.sh engines  Blender's module and MaterialX's renderer, into .venv-engines; what `make engines` needs
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
-# libllvm19 lets Mitsuba run its fast variants. It is installed where it is missing and apt may be used;
-# without it everything works, slower. The tests of pages need Debian's chromium, which `dev` installs likewise; those of
+# g++ compiles the loops of cpp/, and libllvm19 lets Mitsuba run its fast variants: without it everything works, slower.
+# Both are installed where they are missing and apt may be used. The tests of pages need Debian's chromium, which `dev` installs likewise; those of
 # glTF files by other programs need three.js and Khronos' validator, which `dev` installs into .venv where npm is there.
 set -eu
 cd "$(dirname "$0")/.."
@@ -69,6 +69,18 @@ if [ ! -x .venv/bin/python ] || ! .venv/bin/python -m pip --version >/dev/null 2
             exit 1
         }
     fi
+fi
+
+# The compiled loops: a compiler, and the headers of Debian's own Python.
+can_compile() {
+    command -v "${CXX:-c++}" >/dev/null 2>&1 &&
+        [ -f "$("$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h" ]
+}
+
+if ! can_compile; then
+    version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+    apt_install g++ "python$version-dev" || apt_install g++ python3-dev ||
+        echo "setup: a C++ compiler or Python's headers are missing and could not be installed; install g++ and python3-dev" >&2
 fi
 
 if ! has_llvm; then

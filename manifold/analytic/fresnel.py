@@ -8,10 +8,12 @@ unless they say otherwise.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from manifold.compiled import loops
 from manifold.records import Array
-from manifold.threads import serialised
+from manifold.threads import share_rows
+
+_FEW = 512  # cosines of a block: fewer take less time than starting a thread
 
 
 def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
@@ -54,7 +56,12 @@ def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Ar
     if not np.any(k):
         return _dielectric(cos_theta, eta)
     eta, k = _same_shape(eta, k)
-    parallel, perpendicular = _polarised(np.ascontiguousarray(cos_theta, float), eta, k)
+    parallel, perpendicular = np.empty((2, len(cos_theta), len(eta)))
+    share_rows(
+        lambda i: loops.reflect_conductor(cos_theta[i], eta, k, parallel[i], perpendicular[i]),
+        len(cos_theta),
+        _FEW,
+    )
     return parallel, perpendicular
 
 
@@ -70,63 +77,11 @@ def fresnel_thin_film(
     """
     wavelengths, film, eta, k = _same_shape(wavelengths_nm, film_eta, eta, k)
     phase = 2.0 * np.pi * thickness_nm / wavelengths
-    return np.asarray(_thin_film(np.ascontiguousarray(cos_theta, float), phase, film, eta + 1j * k))
+    out = np.empty((len(cos_theta), len(eta)))
+    share_rows(lambda i: loops.reflect_film(cos_theta[i], phase, film, eta, k, out[i]), len(cos_theta), _FEW)
+    return out
 
 
 def _same_shape(*values: Array) -> list[Array]:
-    """Values per band, (B,) or (1,), all as contiguous arrays (B,): the loops below do not broadcast. They are copies:
-    a view is read-only, and read-only arrays are another type to compile for.
-    """
-    return [np.array(a, float, order="C") for a in np.broadcast_arrays(*map(np.atleast_1d, values))]
-
-
-@serialised
-@njit(cache=True, parallel=True)
-def _polarised(cos_theta, eta, k):
-    parallel = np.empty((cos_theta.size, eta.size))
-    perpendicular = np.empty((cos_theta.size, eta.size))
-    for i in prange(cos_theta.size):
-        c = min(max(cos_theta[i], 0.0), 1.0)
-        c2 = c * c
-        s2 = 1.0 - c2
-        for b in range(eta.size):
-            t0 = eta[b] * eta[b] - k[b] * k[b] - s2
-            a2b2 = np.sqrt(t0 * t0 + 4.0 * eta[b] * eta[b] * k[b] * k[b])
-            t1 = a2b2 + c2
-            t2 = 2.0 * c * np.sqrt(max(0.5 * (a2b2 + t0), 0.0))
-            if t1 + t2 == 0.0:  # index 1 at grazing: the limit is an interface that is not there
-                parallel[i, b] = perpendicular[i, b] = 1.0
-                continue
-            rs = (t1 - t2) / (t1 + t2)
-            t3 = c2 * a2b2 + s2 * s2
-            t4 = t2 * s2
-            perpendicular[i, b] = rs
-            parallel[i, b] = rs * (t3 - t4) / (t3 + t4) if t3 + t4 > 0.0 else rs
-    return parallel, perpendicular
-
-
-@serialised
-@njit(cache=True, parallel=True)
-def _thin_film(cos_theta, phase, film, base):
-    """`phase` is 2 pi thickness / wavelength, (B,); `film` at least 1; `base` the complex index, (B,)."""
-    out = np.empty((cos_theta.size, film.size))
-    for i in prange(cos_theta.size):
-        c0 = min(max(cos_theta[i], 0.0), 1.0)
-        s2 = 1.0 - c0 * c0
-        for b in range(film.size):
-            e1, e2 = film[b] * film[b], base[b] * base[b]
-            # q is index times cosine of refraction, with the decaying branch (imaginary part >= 0).
-            q1 = np.sqrt(max(e1 - s2, 0.0))
-            q2 = np.sqrt(e2 - s2)
-            if q2.imag < 0.0:
-                q2 = -q2
-            turn = complex(np.cos(2.0 * phase[b] * q1), np.sin(2.0 * phase[b] * q1))
-            s01 = (c0 - q1) / (c0 + q1) if c0 + q1 > 0.0 else -1.0
-            p01 = (e1 * c0 - q1) / (e1 * c0 + q1) if c0 + q1 > 0.0 else -1.0
-            s12 = (q1 - q2) / (q1 + q2) * turn
-            p12 = (e2 * q1 - e1 * q2) / (e2 * q1 + e1 * q2) * turn
-            rs = (s01 + s12) / (1.0 + s01 * s12)
-            rp = (p01 + p12) / (1.0 + p01 * p12)
-            mean = 0.5 * (rs.real**2 + rs.imag**2 + rp.real**2 + rp.imag**2)
-            out[i, b] = min(mean, 1.0)
-    return out
+    """Values per band, (B,) or (1,), all as contiguous arrays (B,)."""
+    return [np.ascontiguousarray(a, float) for a in np.broadcast_arrays(*map(np.atleast_1d, values))]

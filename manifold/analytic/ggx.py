@@ -18,13 +18,13 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numba import njit, prange
 
 from manifold.analytic.base import choose_lobe
+from manifold.compiled import loops
 from manifold.directions import gauss_legendre, half_vector, hemisphere_quadrature, normalize
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Indices
-from manifold.threads import serialised
+from manifold.threads import share_rows
 
 # Sizes of the table of directional albedo; with these it is within 5e-4 of the exact integral for
 # roughness 0.02 to 1 (tests/analytic/test_microfacet.py).
@@ -326,50 +326,8 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
     around = (
         np.pi * (np.arange(v.size if isotropic else 2 * v.size) + 0.5) / v.size
     )  # half of it mirrors the other
-    moments = _integrate_caps(
-        stretched.reshape(-1, 3),
-        alpha_x,
-        alpha_y,
-        1.0 - v * v,
-        weights * v,
-        np.cos(around),
-        np.sin(around),
-        _N_COSINES,
-    ).reshape(z.size, phi.size, _N_COSINES)
+    flat, moments = stretched.reshape(-1, 3), np.empty((z.size * phi.size, _N_COSINES))
+    cap = (1.0 - v * v, weights * v, np.cos(around), np.sin(around))
+    share_rows(lambda k: loops.integrate_caps(flat[k], alpha_x, alpha_y, *cap, moments[k]), len(flat), 8)
     moments.setflags(write=False)
-    return np.asarray(moments)
-
-
-@serialised
-@njit(cache=True, parallel=True)
-def _integrate_caps(stretched, alpha_x, alpha_y, heights, weights, cos_phi, sin_phi, n_cosines):
-    """Moments (n, n_cosines) of G2 / G1 over visible normals, for stretched directions (n, 3)."""
-    out = np.zeros((stretched.shape[0], n_cosines))
-    for i in prange(stretched.shape[0]):
-        wx, wy, zi = stretched[i, 0], stretched[i, 1], stretched[i, 2]
-        # The direction itself: M w', normalised.
-        length = np.sqrt((wx / alpha_x) ** 2 + (wy / alpha_y) ** 2 + zi**2)
-        ix, iy, iz = wx / alpha_x / length, wy / alpha_y / length, zi / length
-        for a in range(heights.size):
-            cz = (1.0 - heights[a]) * (1.0 + zi) - zi
-            cr = np.sqrt(max(1.0 - cz * cz, 0.0))
-            for b in range(cos_phi.size):
-                # M^-T h with M = diag(1 / alpha)
-                hx = (cr * cos_phi[b] + wx) * alpha_x
-                hy = (cr * sin_phi[b] + wy) * alpha_y
-                hz = cz + zi
-                h = np.sqrt(hx * hx + hy * hy + hz * hz)
-                if h == 0.0:
-                    continue
-                cosine = (ix * hx + iy * hy + iz * hz) / h
-                oz = 2.0 * cosine * hz / h - iz
-                if oz <= 0.0:
-                    continue
-                ox, oy = 2.0 * cosine * hx / h - ix, 2.0 * cosine * hy / h - iy
-                zo = oz / np.sqrt((alpha_x * ox) ** 2 + (alpha_y * oy) ** 2 + oz * oz)
-                value = zo * (1.0 + zi) / (zi + zo) * weights[a] / cos_phi.size  # G2 / G1(wi)
-                position = min(max(cosine, 0.0), 1.0) * (n_cosines - 1)
-                k = min(int(position), n_cosines - 2)
-                out[i, k] += value * (k + 1 - position)
-                out[i, k + 1] += value * (position - k)
-    return out
+    return moments.reshape(z.size, phi.size, _N_COSINES)

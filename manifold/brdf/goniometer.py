@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from manifold.brdf.measured import BRDF, require_brdf
 from manifold.brdf.unmeasured_cells import Cells, cells_of
-from manifold.brdf.warp import Warp, bilinear, interpolate
+from manifold.brdf.warp import Warp, interpolate
 from manifold.colour.conversion import luminance as luminance_of
+from manifold.compiled import loops
 from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
 from manifold.errors import UsageError
 from manifold.records import Array, BsdfFile, Mask
@@ -128,18 +128,6 @@ def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
     return D, sigma / sigma[0]
 
 
-@nb.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _projected(w, m, area):
-    """Areas (M,) of facets with normals m (3, M) as seen from w (N, 3), summed: shape (N,)."""
-    out = np.empty(w.shape[0])
-    for i in range(w.shape[0]):
-        total = 0.0
-        for k in range(m.shape[1]):
-            total += max(w[i, 0] * m[0, k] + w[i, 1] * m[1, k] + w[i, 2] * m[2, k], 0.0) * area[k]
-        out[i] = total
-    return out
-
-
 def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
     """Normal distribution and projected area, each (rows = phi, columns = theta), WARP_NODES^2."""
     u = np.linspace(0.0, 1.0, WARP_NODES)
@@ -156,8 +144,9 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
     facing, cosine = np.ascontiguousarray(m.T), m[:, 2] * measure.reshape(-1)
 
     def projected_area(D: Array) -> Array:
-        table = _projected(w, facing, (measure * D).reshape(-1)).reshape(33, 33)
-        return np.asarray(interpolate(table, nodes).reshape(WARP_NODES, WARP_NODES))
+        table = np.empty((33, 33))
+        loops.project_facets(w, facing, (measure * D).reshape(-1), table.reshape(-1))
+        return interpolate(table, nodes).reshape(WARP_NODES, WARP_NODES)
 
     D = np.ones((WARP_NODES, WARP_NODES))
     for _ in range(_POWER_ITERATIONS):
@@ -329,13 +318,12 @@ def _at_nodes(
     brdf: BRDF, ndf: Array, sigma: Array, cells: list[Cells], phi_i: Array, theta_i: Array
 ) -> tuple[Floats, Mask]:
     """Stored values (P, T, n, n, B) and which of them were measured (P, T, n, n)."""
-    ndf, sigma = ndf.astype(float), sigma.astype(float)  # kernels are compiled for one precision only
     shape = (len(phi_i), len(theta_i), *cells[0].is_above.shape)
     spectra, measured = np.zeros((*shape, brdf.bands.count), dtype=np.float32), np.empty(shape, dtype=bool)
     for (p, t), one in zip(np.ndindex(shape[:2]), cells, strict=True):
         phi, theta, above = float(phi_i[p]), float(theta_i[t]), one.is_above
         D = interpolate(ndf, one.points[above])
-        area = bilinear(sigma, np.sqrt(theta * 2.0 / np.pi), (phi + np.pi) / (2.0 * np.pi))
+        area = interpolate(sigma, np.array([[np.sqrt(theta * 2.0 / np.pi), (phi + np.pi) / (2.0 * np.pi)]]))
         scale = np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)
         spectra[p, t, above] = brdf.eval_cos(one.wi, one.wo[above]) * scale[:, None]
         measured[p, t] = above
@@ -357,33 +345,8 @@ def _compensate(spectra: Floats, measured: Mask, phi_i: Array, theta_i: Array) -
             factor = -1.0 / 12.0 * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
             ahead[axis, 1 : len(h)], behind[axis, 1 : len(h)] = factor / h[1:], factor / h[:-1]
     out = np.zeros_like(spectra)
-    _add_shift(spectra, measured, ahead, behind, out)
+    loops.add_shift(spectra, measured, ahead, behind, out)
     return out
-
-
-@nb.njit(cache=True, nogil=True)
-def _add_shift(spectra, measured, ahead, behind, out):
-    """Measured values, shifted by their differences to the next and the previous ones times weights (axis, node)."""
-    P, T, H, W, B = spectra.shape
-    for p, t, i, j in np.ndindex((P, T, H, W)):
-        if not measured[p, t, i, j]:
-            continue
-        here = spectra[p, t, i, j]
-        p_0, p_1 = spectra[max(p - 1, 0), t, i, j], spectra[min(p + 1, P - 1), t, i, j]
-        t_0, t_1 = spectra[p, max(t - 1, 0), i, j], spectra[p, min(t + 1, T - 1), i, j]
-        i_0, i_1 = spectra[p, t, max(i - 1, 0), j], spectra[p, t, min(i + 1, H - 1), j]
-        j_0, j_1 = spectra[p, t, i, max(j - 1, 0)], spectra[p, t, i, min(j + 1, W - 1)]
-        for b in range(B):
-            f = here[b]
-            shift = ahead[0, p] * (p_1[b] - f) - behind[0, p] * (f - p_0[b])
-            shift += ahead[1, t] * (t_1[b] - f)
-            shift -= behind[1, t] * (f - t_0[b])
-            shift += ahead[2, i] * (i_1[b] - f)
-            shift -= behind[2, i] * (f - i_0[b])
-            shift += ahead[3, j] * (j_1[b] - f)
-            shift -= behind[3, j] * (f - j_0[b])
-            limit = np.float32(0.2) * f
-            out[p, t, i, j, b] = f + min(max(shift, -limit), limit)
 
 
 def pack_valid(measured: Mask, version: tuple[int, ...]) -> NDArray[np.uint8]:

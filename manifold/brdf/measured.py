@@ -9,15 +9,16 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from manifold.brdf import lookup
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.warp import Warp
+from manifold.compiled import loops
 from manifold.directions import require_directions, rotate_z
 from manifold.errors import UsageError
 from manifold.pairs import Pairs, Symmetry, flat_samples
 from manifold.records import Array, Bands, BsdfFile
+from manifold.threads import share_rows
 
-_FEW = 1024  # pairs of directions, up to which to start threads takes longer than they save
+_FEW = 512  # pairs of directions of a block: fewer take less time than starting a thread
 
 
 class EvaluableBRDF(Protocol):
@@ -89,7 +90,8 @@ class MeasuredBRDF(NotebookPicture):
         is_isotropic: whether the file depends on the difference of the azimuths only.
         symmetry: the arguments of `Pairs.located`: whether it is isotropic, how often azimuths repeat, and
             the azimuth by which the sample lay turned.
-        tables: what `manifold.brdf.lookup` reads.
+        spectra: the stored values, single precision, shape (P * T, H, W, B).
+        tables: what compiled loops read.
     Source: Dupuy & Jakob 2018, section 5; f * cos(theta_o) = spectra * ndf / (4 sigma).
     """
 
@@ -107,21 +109,30 @@ class MeasuredBRDF(NotebookPicture):
         repeats, rotation_rad = (1, 0.0) if self.is_isotropic else (file.azimuth_repeats, file.rotation_rad)
         self.symmetry: Symmetry = (self.is_isotropic, repeats, rotation_rad)
         self._stored_luminance = file.luminance
-        warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+        self._warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
         band_last = np.moveaxis(file.spectra, 2, -1)  # (P, T, H, W, B)
-        spectra = np.ascontiguousarray(band_last).reshape(-1, *band_last.shape[2:])
-        ndf, sigma = (np.ascontiguousarray(a, dtype=np.float64) for a in (file.ndf, file.sigma))
-        self.tables = (
-            file.jacobian, ndf, sigma, warp.data, warp.conditional, warp.marginal, warp.phi_nodes, warp.theta_nodes,
-            spectra,
-        )  # fmt: skip
+        self.spectra = np.ascontiguousarray(band_last, np.float32).reshape(-1, *band_last.shape[2:])
+        self._scale = (bool(file.jacobian), np.asarray(file.ndf, float), np.asarray(file.sigma, float))
+        self.tables = self._tables()
+
+    def _tables(self) -> loops.Tables:
+        warp = self._warp
+        return loops.Tables(
+            *self._scale,
+            warp.data,
+            warp.conditional,
+            warp.marginal,
+            warp.phi_nodes,
+            warp.theta_nodes,
+            self.spectra,
+        )
 
     @cached_property
     def _luminance(self) -> Warp:
         """The density that is sampled: RGB files have a few values just below zero, black ones only zeros."""
         density = np.maximum(self._stored_luminance, 0.0)  # [P, T, H, W]
         black = density.sum(axis=(2, 3), keepdims=True) <= 0
-        return Warp.from_values(np.where(black, 1.0, density), *self.tables[6:8])
+        return Warp.from_values(np.where(black, 1.0, density), self._warp.phi_nodes, self._warp.theta_nodes)
 
     def __repr__(self) -> str:
         return f"MeasuredBRDF({self.name!r}, {self.bands})"
@@ -140,7 +151,8 @@ class MeasuredBRDF(NotebookPicture):
             raise UsageError(f"bands {list(bands)} of an RGB material, expected all three")
         selected = copy.copy(self)
         selected.bands = self.bands.select(bands)
-        selected.tables = (*self.tables[:-1], np.ascontiguousarray(self.tables[-1][..., list(bands)]))
+        selected.spectra = np.ascontiguousarray(self.spectra[..., list(bands)])
+        selected.tables = selected._tables()
         return selected
 
     def turned(self, angle_rad: float) -> MeasuredBRDF:
@@ -156,10 +168,14 @@ class MeasuredBRDF(NotebookPicture):
         out = pairs.results(self.bands.count, out)
         isotropic, repeats, rotation = self.symmetry
         rows = out.reshape(len(pairs), self.bands.count)
-        if len(pairs) <= _FEW:
-            lookup.eval_located(pairs.located(*self.symmetry), divide, self.tables, rows)
-        else:
-            lookup.eval_pairs(*pairs.turned(rotation), isotropic, repeats, divide, self.tables, rows)
+        flat_wi, flat_wo = pairs.turned(rotation)
+        share_rows(
+            lambda k: loops.eval_pairs(
+                flat_wi[k], flat_wo[k], isotropic, repeats, divide, self.tables, rows[k]
+            ),
+            len(pairs),
+            _FEW,
+        )
         return out
 
     def eval_at(self, pairs: Pairs) -> Array:
@@ -168,7 +184,7 @@ class MeasuredBRDF(NotebookPicture):
         For callers that distribute materials or blocks of pairs over threads.
         """
         out = np.empty((len(pairs), self.bands.count))
-        lookup.eval_located(pairs.located(*self.symmetry), True, self.tables, out)
+        loops.eval_located(pairs.located(*self.symmetry), True, self.tables, out)
         return out
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
@@ -192,8 +208,13 @@ class MeasuredBRDF(NotebookPicture):
         pairs = Pairs(wi, wo)
         out = np.empty(len(pairs))
         isotropic, repeats, rotation = self.symmetry
-        lookup.pdf_of_pairs(
-            *pairs.turned(rotation), isotropic, repeats, self.tables, self._luminance.data, out
+        density, (flat_wi, flat_wo) = self._luminance.data, pairs.turned(rotation)
+        share_rows(
+            lambda k: loops.pdf_of_pairs(
+                flat_wi[k], flat_wo[k], isotropic, repeats, self.tables, density, out[k]
+            ),
+            len(out),
+            _FEW,
         )
         return out.reshape(pairs.shape)
 
@@ -213,7 +234,13 @@ class MeasuredBRDF(NotebookPicture):
         pdf = np.empty(flat_wi.shape[0])
         warp = self._luminance
         luminance = (warp.data, warp.conditional, warp.marginal)
-        lookup.sample_directions(flat_wi, flat_u, isotropic, repeats, self.tables, luminance, wo, pdf)
+        share_rows(
+            lambda k: loops.sample_directions(
+                flat_wi[k], flat_u[k], isotropic, repeats, self.tables, *luminance, wo[k], pdf[k]
+            ),
+            len(pdf),
+            _FEW,
+        )
         wo = rotate_z(wo, -rotation) if rotation else wo
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
@@ -229,5 +256,5 @@ class MeasuredBRDF(NotebookPicture):
         isotropic, repeats, rotation = self.symmetry
         flat = np.ascontiguousarray(rotate_z(wi, rotation).reshape(-1, 3))
         sums = np.empty((flat.shape[0], resolution, self.bands.count))
-        lookup.integrate(flat, isotropic, repeats, self.tables, sums)
+        share_rows(lambda k: loops.integrate(flat[k], isotropic, repeats, self.tables, sums[k]), len(flat), 1)
         return np.asarray((sums.sum(axis=1) / resolution**2).reshape(*wi.shape[:-1], sums.shape[2]))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numba as nb
 import numpy as np
 import scipy
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.compiled import loops
 from manifold.directions import (
     from_spherical,
     gauss_legendre,
@@ -27,8 +27,6 @@ LAYOUT_AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
 REACH_DEG = 20.0
 """Largest angle of profiles from the mirror direction."""
 _DARK = 1e-9  # 1/sr
-_TINY = float(np.finfo(float).tiny)
-_SHARPNESS = 32  # power of the weights in smooth maxima; `_squared_each` multiplies it out
 
 
 def profile_pairs(
@@ -53,25 +51,8 @@ def valley_depth(f: Array) -> Array:
     """
     f = np.asarray(f, dtype=np.float64)
     depth = np.empty(f.shape[:-1])
-    _deepest(f.reshape(-1, f.shape[-1]), depth.reshape(-1))
+    loops.valley_depths(f.reshape(-1, f.shape[-1]), _DARK, depth.reshape(-1))
     return depth[()]
-
-
-@nb.njit(cache=True)
-def _deepest(f, depth):
-    """`valley_depth` of profiles (K, D), into depth (K,): running maxima of short rows are slow in numpy."""
-    left = np.empty(f.shape[1])  # the highest value up to each direction
-    for k in range(f.shape[0]):
-        highest = f[k, 0]
-        for d in range(f.shape[1]):
-            highest = np.maximum(highest, f[k, d])
-            left[d] = highest
-        highest, deepest = f[k, -1], 0.0
-        for d in range(f.shape[1] - 1, -1, -1):
-            highest = np.maximum(highest, f[k, d])
-            side = min(left[d], highest)
-            deepest = np.maximum(deepest, (side - f[k, d]) / max(side, _DARK))
-        depth[k] = deepest
 
 
 def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
@@ -111,62 +92,9 @@ def _squared(roots: Array, allowed: Array) -> tuple[Array, Indices, Array, Array
     (k,), and the gradients of these by their roots, (k, I D B), and by what is allowed, (k,).
     """
     value, by_allowed, by_roots = np.zeros(len(roots)), np.zeros(len(roots)), np.empty_like(roots)
-    _squared_each(roots, allowed, value, by_roots, by_allowed)
+    loops.squared_valleys(roots, allowed, _DARK, value, by_roots, by_allowed)
     k = np.flatnonzero(value)
     return value, k, by_roots[k].reshape(len(k), by_roots[0].size), by_allowed[k]
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _squared_each(roots, allowed, value, by_roots, by_allowed):
-    """Value, and gradients where it is not zero: blend by blend, which stays in cache."""
-    K, I, D, B = roots.shape
-    f, depth = np.empty((I, D)), np.empty(I)
-    less, power, by_f, slopes = np.empty(D), np.empty(D), np.empty(D), np.empty((2, D))
-    sums, means = np.empty((2, D)), np.empty((2, D))  # sums and means to the left, and to the right
-    for k in range(K):
-        for i in range(I):
-            for d in range(D):
-                total = 0.0
-                for b in range(B):
-                    total += roots[k, i, d, b] ** 3
-                f[i, d] = total / B
-        _deepest(f, depth)
-        if depth.max() <= allowed[k]:  # weighted means are no larger than maxima
-            continue
-        for i in range(I):
-            row = f[i]
-            top = max(row.max(), _DARK)
-            for d in range(D):
-                ratio = row[d] / top
-                fourth = ratio * ratio * ratio * ratio
-                less[d] = fourth**7 * ratio * ratio * ratio
-                power[d] = less[d] * ratio
-            for side in range(2):
-                total, weighted = _TINY, _TINY
-                for step in range(D):
-                    d = step if side == 0 else D - 1 - step
-                    total += power[d]
-                    weighted += power[d] * row[d]
-                    sums[side, d], means[side, d] = total, weighted / total
-            for d in range(D):
-                lower = 0 if means[0, d] <= means[1, d] else 1
-                height = max(means[lower, d], _DARK)
-                excess = max(1.0 - row[d] / height - allowed[k], 0.0)
-                value[k] += excess**2
-                by_allowed[k] -= 2.0 * excess
-                by_f[d] = -2.0 * excess / height
-                slopes[lower, d] = 2.0 * excess * row[d] / height**2 / sums[lower, d]
-                slopes[1 - lower, d] = 0.0
-            for side in range(2):
-                total, weighted = 0.0, 0.0
-                for step in range(D):
-                    d = D - 1 - step if side == 0 else step
-                    total += slopes[side, d]
-                    weighted += slopes[side, d] * means[side, d]
-                    by_f[d] += (_SHARPNESS + 1) * power[d] * total - _SHARPNESS * less[d] / top * weighted
-            for d in range(D):
-                for b in range(B):
-                    by_roots[k, i, d, b] = 3.0 / B * by_f[d] * roots[k, i, d, b] ** 2
 
 
 Evaluate = Callable[[Array, Array], Array]

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
-import numba as nb
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -16,6 +15,7 @@ from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
+from manifold.threads import limit_threads
 
 REFERENCE = "syn_satin_gold"
 REFERENCE_PAIRS = 8192
@@ -56,7 +56,7 @@ class Stopwatch:
         self._brdf = MeasuredBRDF(corpus.measure(material))
         self._pairs = some_pairs(REFERENCE_PAIRS)
         self._runs: list[float] = []
-        self.lap(lambda: None)  # compiles
+        self.lap(lambda: None)  # the first run fills caches
         self._runs.clear()
 
     def lap(self, work: Callable[[], Made]) -> tuple[Made, float]:
@@ -83,13 +83,8 @@ class Stopwatch:
 @contextmanager
 def one_core() -> Iterator[None]:
     """Compiled loops and BLAS on one core, whose time depends least on what else runs."""
-    threads = nb.get_num_threads()
-    nb.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        nb.set_num_threads(threads)
+    with limit_threads(1), threadpool_limits(1):
+        yield
 
 
 def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> Pairs:

@@ -14,44 +14,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from manifold.compiled import loops
 from manifold.library import visible_normals
 from manifold.library.identity import Accuracy
 from manifold.library.layout import compressed_bytes, pack
 from manifold.records import AnyArray
-
-
-@nb.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def dequantise(coefficients, basis, least, values):
-    """Cubes of sums of multiples of basis spectra (K, B), written to values (S, H, W, B), both in single precision.
-
-    Coefficients are multiples as differences along rows and columns, int32, (K, S, H, W); `least` is that of the sums.
-    """
-    n_slices, height, width, n_bands = values.shape
-    row = np.empty(n_bands, np.float32)
-    for s in range(n_slices):
-        multiples = np.zeros((width, basis.shape[0]), np.int32)
-        for i in range(height):
-            for k in range(basis.shape[0]):
-                left = np.int32(0)
-                for j in range(width):
-                    left += coefficients[k, s, i, j]
-                    multiples[j, k] += left
-            for j in range(width):
-                row[:] = 0.0
-                for k in range(basis.shape[0]):
-                    if multiples[j, k] != 0:
-                        multiple = np.float32(multiples[j, k])
-                        for b in range(n_bands):
-                            row[b] += multiple * basis[k, b]
-                to = values[s, i, j]
-                for b in range(n_bands):
-                    root = max(row[b], least)
-                    to[b] = root * root * root
-
 
 EXTRA = "extra "
 """Before the names of fields that this package does not interpret."""
@@ -96,7 +66,7 @@ def decode(coefficients: NDArray[np.int32], tables: Mapping[str, AnyArray]) -> d
     slices = visible_normals.Slices(*(tables.pop(name) for name in visible_normals.Slices._fields))
     difference, step = tables.pop("vndf_difference"), tables.pop("step")
     basis = (tables.pop("basis") * step).astype(np.float32)
-    least = np.float32(0.0 if tables.pop("is_nonnegative")[0] else -np.inf)
+    least = 0.0 if tables.pop("is_nonnegative")[0] else -np.inf
     if coefficients.ndim != 5 or basis.ndim != 2 or len(coefficients) != len(basis) or basis.shape[1] < 2:
         raise ValueError(
             f"coefficients {coefficients.shape} with a basis {basis.shape}, expected (K, P, T, H, W) with (K, B + 1)"
@@ -106,8 +76,8 @@ def decode(coefficients: NDArray[np.int32], tables: Mapping[str, AnyArray]) -> d
         raise ValueError(f"{math.prod(shape) * n_bands} values, expected at most {_MOST_VALUES}")
     slices_of = np.ascontiguousarray(coefficients, np.int32).reshape(count, -1, *shape[2:])
     spectra, luminance = (np.empty((*slices_of.shape[1:], n), np.float32) for n in (n_bands, 1))
-    dequantise(slices_of, np.ascontiguousarray(basis[:, :-1]), least, spectra)
-    dequantise(slices_of, np.ascontiguousarray(basis[:, -1:]), np.float32(0.0), luminance)
+    loops.dequantise(slices_of, basis[:, :-1], least, spectra)
+    loops.dequantise(slices_of, basis[:, -1:], 0.0, luminance)
     extra = {name: tables.pop(name) for name in list(tables) if name.startswith(EXTRA)}
     return {
         **tables,

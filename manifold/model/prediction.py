@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import cast
 
-import numba as nb
 import numpy as np
 
 from manifold.analytic.base import choose_lobe, cosine_hemisphere
@@ -25,7 +23,7 @@ from manifold.mapping import CubeRoot, Identity, ValueMapping
 from manifold.model.combination import Combination
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands
-from manifold.threads import one_blas_thread
+from manifold.threads import one_blas_thread, share_out
 
 
 class LobeSampling:
@@ -177,8 +175,8 @@ class PredictedBRDF(NotebookPicture):
         blocks = [(block, values[rows]) for rows, block in pairs.blocks(size)]
         if len(blocks) > 1 and all(isinstance(material, MeasuredBRDF) for material in self._materials):
             # Every thread multiplies matrices of its own: a second level of threads costs more than it does.
-            with one_blas_thread, ThreadPoolExecutor(nb.get_num_threads()) as pool:
-                list(pool.map(self._combine, *zip(*blocks, strict=True)))
+            with one_blas_thread:
+                share_out(lambda block: self._combine(*block), blocks)
         else:  # other materials may have parallel loops of their own
             for block, of_block in blocks:
                 self._combine(block, of_block)

@@ -125,7 +125,7 @@ def test_only_bands_that_return_too_much_are_scaled():
 @pytest.mark.parametrize(("enough", "expected"), [(8, (4, 8)), (12, (8, 12)), (24, (12, 24))])
 def test_grids_are_refined_until_the_file_is_reciprocal_at_most_threefold(enough, expected, monkeypatch):
     def found(brdf):
-        return Plausibility(0.0, 0.04 if brdf.tables[-1].shape[1] >= enough else 0.07, 0.5, 0.0)
+        return Plausibility(0.0, 0.04 if brdf.spectra.shape[1] >= enough else 0.07, 0.5, 0.0)
 
     monkeypatch.setattr(physical, "plausibility", found)
     file = physical_file(*measured(Tampered(0.0, 0.0), resolution=8, n_theta_i=4))

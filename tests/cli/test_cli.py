@@ -440,7 +440,7 @@ def test_an_interruption_that_compiled_code_wraps_is_an_interruption(run, monkey
     def interrupt(**_):
         try:
             raise KeyboardInterrupt
-        except KeyboardInterrupt as interruption:  # as CPython does where Numba loads a compiled function
+        except KeyboardInterrupt as interruption:  # as CPython does in compiled code
             raise SystemError("returned a result with an exception set") from interruption
 
     monkeypatch.setattr("manifold.cli.application.Application.only", lambda *_: interrupt)

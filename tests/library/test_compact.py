@@ -133,7 +133,7 @@ def test_errors_are_those_of_reports_and_within_the_tolerance(tolerance: float) 
 def spectral_file() -> BsdfFile:
     """A material in 60 bands."""
     brdf, file = spectral_materials()[-1], measured("syn_satin_gold")
-    spectra = np.moveaxis(brdf.tables[-1].reshape(1, *brdf.tables[-1].shape), -1, 2)
+    spectra = np.moveaxis(brdf.spectra.reshape(1, *brdf.spectra.shape), -1, 2)
     return replace(file, spectra=spectra, wavelengths_nm=np.array(brdf.bands.wavelengths_nm, np.float32))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import Cells
-from manifold.brdf.warp import Warp, bilinear, interpolate
+from manifold.brdf.warp import Warp, interpolate
 from manifold.colour.conversion import interpolation_matrix, sensor_responses
 from manifold.colour.illuminants import Illuminant
 from manifold.directions import HORIZON
@@ -85,12 +85,9 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
         above = cells.is_above
         f_cos = brdf.eval_cos(cells.wi, cells.wo[above])
         if file.jacobian:
-            D = interpolate(np.asarray(file.ndf, float), np.ascontiguousarray(cells.points[above]))
-            area = bilinear(
-                file.sigma,
-                np.sqrt(min(theta_i_rad, HORIZON) * 2.0 / np.pi),
-                (phi_i_rad + np.pi) / (2.0 * np.pi),
-            )
+            D = interpolate(file.ndf, cells.points[above])
+            u = np.sqrt(min(theta_i_rad, HORIZON) * 2.0 / np.pi)
+            area = interpolate(file.sigma, np.array([[u, (phi_i_rad + np.pi) / (2.0 * np.pi)]]))
             f_cos *= np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)[:, None]
         values[p, t, above], measured[p, t] = np.maximum(f_cos, 0.0), above
     reduced = replace(

@@ -1,0 +1,53 @@
+"""Build the compiled loops of `cpp/`; everything else is in `pyproject.toml`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import nanobind
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.errors import CCompilerError, ExecError, PlatformError
+
+BINDING = Path(nanobind.include_dir()).parent
+FLAGS = {
+    # What does not change a value: no errno, no traps, and multiplications fused with additions where processors can.
+    "unix": ["-std=c++17", "-O3", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast",
+             "-fno-strict-aliasing", "-g0"],
+    "msvc": ["/std:c++17", "/O2", "/EHsc", "/fp:contract"],
+}  # fmt: skip
+
+
+class BuildLoops(build_ext):
+    """`build_ext` that says in one line what is missing."""
+
+    def build_extensions(self) -> None:
+        """Compile with the flags of the compiler at hand."""
+        for extension in self.extensions:
+            extension.extra_compile_args = FLAGS["msvc" if self.compiler.compiler_type == "msvc" else "unix"]
+        try:
+            super().build_extensions()
+        except (CCompilerError, ExecError, PlatformError) as error:
+            sys.exit(
+                f"manifold: its loops could not be compiled ({error}); install a C++17 compiler and Python's headers "
+                "(Debian: apt install g++ python3-dev), or install a wheel"
+            )
+
+
+setup(
+    ext_modules=[
+        Extension(
+            "manifold._compiled",
+            [
+                *sorted(str(path) for path in Path("cpp").glob("*.cpp")),
+                str(BINDING / "src" / "nb_combined.cpp"),
+            ],
+            include_dirs=[nanobind.include_dir(), str(BINDING / "ext" / "robin_map" / "include")],
+            depends=sorted(str(path) for path in Path("cpp").glob("*.hpp")),
+            define_macros=[("NDEBUG", None)],
+            language="c++",
+        )
+    ],
+    cmdclass={"build_ext": BuildLoops},
+)

@@ -7,6 +7,8 @@ scaled so that a white diffuser that lies on the floor has the radiance 1: what 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -103,7 +105,7 @@ def material_ball(
             "to_world": transform().scale([_FLOOR_RADIUS, _FLOOR_RADIUS, 1]),
             "bsdf": _grey(FLOOR_REFLECTANCE),
         },
-        "pedestal": _mesh(mi, *pedestal(), _grey(PEDESTAL_REFLECTANCE)),
+        "pedestal": mesh(mi, *pedestal(), bsdf=_grey(PEDESTAL_REFLECTANCE)),
         "ball": {"type": "sphere", "center": list(BALL_CENTRE), "radius": 1.0, "material": material},
     }
 
@@ -154,15 +156,22 @@ def _grey(reflectance: float) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "uniform", "value": reflectance}}
 
 
-def _mesh(mi: Any, vertices: Array, triangles: Array, bsdf: Mapping[str, Any]) -> Any:
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(dict(bsdf))
-    mesh = mi.Mesh("pedestal", len(vertices), len(triangles), properties, True)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = vertices.ravel()
-    parameters["faces"] = triangles.ravel()
-    parameters.update()
-    return mesh
+def mesh(mi: Any, vertices: Array, triangles: Array, **properties: Any) -> Any:
+    """Return a mesh of vertices (V, 3) and triangles (T, 3), which has normals at its vertices.
+
+    It is loaded from a PLY file: Mitsuba 3.10 changes the constructor and the attributes of meshes.
+    """
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, triangles
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "mesh.ply"
+        path.write_bytes(head.encode() + np.asarray(vertices, dtype="<f4").tobytes() + faces.tobytes())
+        return mi.load_dict({"type": "ply", "filename": str(path), **properties})
 
 
 def ball_interior(size: int, margin: float = 0.0) -> Mask:

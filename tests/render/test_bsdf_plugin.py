@@ -13,13 +13,14 @@ from helpers.chi_square import chi_square_p_value
 from helpers.small_library import measured, small_library
 from scipy import stats
 
+from manifold import mitsuba as plugin
 from manifold.analytic import corpus
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf import goniometer
 from manifold.colour.illuminants import Illuminant
 from manifold.directions import from_spherical, normalize
-from manifold.errors import UsageError
+from manifold.errors import LatentError, MissingModelError, UnknownNameError, UsageError
 from manifold.estimate import predictions
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -490,3 +491,27 @@ def test_importing_render_registers_the_plugin_in_every_variant(models):
         scene = f'<bsdf version="3.0.0" type="manifold"><string name="model" value="{models[model]}"/>'
         bsdf = mi.load_string(scene + '<string name="latent" value="0.0,0.1"/></bsdf>')
         assert "materials" in str(bsdf)
+
+
+def test_a_latent_may_be_a_list_a_point_or_an_array(models, rng):
+    mi = backend.mitsuba("rgb")
+    by_list = plugin.bsdf(models["rgb"], [0.1, -0.2])
+    by_point = {"type": "manifold", "model": str(models["rgb"]), "latent": mi.ScalarPoint2f(0.1, -0.2)}
+    wi, wo = from_spherical(0.5, 0.0), random_directions(rng, 50)
+    first, second = (InMitsuba(mi, properties).eval_pdf(wi, wo)[0] for properties in (by_list, by_point))
+    np.testing.assert_allclose(first, second, rtol=1e-5)  # points are single precision
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (("nothing.h5", [0, 0]), MissingModelError),
+        ((None, [0, 0, 0]), LatentError),
+        ((None, "nobody"), UnknownNameError),
+    ],
+)
+def test_the_dictionary_of_a_bsdf_is_refused_in_one_line(models, arguments, error):
+    model, latent = arguments
+    with pytest.raises(error) as caught:
+        plugin.bsdf(model or models["rgb"], latent)
+    assert "\n" not in str(caught.value)

@@ -1,6 +1,6 @@
 """The BSDF plugin `manifold`: a prediction evaluated from the measured materials, without a `.bsdf` file.
 
-Scenes name it after `import manifold.render.render`, in LLVM variants (scalar ones would interpret it):
+Scenes name it after `import manifold.mitsuba`, in LLVM variants (scalar ones would interpret it):
 
     {"type": "manifold", "model": "model.h5", "latent": "-0.3,1.2"}
 
@@ -12,7 +12,7 @@ is that of the nearest band where bands are at most 5 nm apart, and linear betwe
 Properties:
     model: path of the model.
     library: where its library is, if it has moved.
-    latent: coordinates with commas between, or the name of a material that lies there, or
+    latent: coordinates with commas between, a point, an array of Dr.Jit, or the name of a material that lies there, or
     latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
     like, reflectance, srgb: the colour, as in `manifold predict`.
     tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
@@ -172,10 +172,13 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         raise UsageError(
             f"plugin manifold: no latent; give `latent` as 'x,y' or a material, or textures {', '.join(names)}"
         )
-    place = model.place(str(properties["latent"]))
+    given_latent = properties["latent"]
+    if not isinstance(given_latent, str):  # a point, or an array of Dr.Jit
+        given_latent = ",".join(repr(float(value)) for value in np.ravel(np.array(given_latent)))
+    place = model.place(given_latent)
     if place.walk is not None:
         raise UsageError(
-            f"plugin manifold: latent is '{properties['latent']}', a step of a walk, which no latent makes; write it "
+            f"plugin manifold: latent is '{given_latent}', a step of a walk, which no latent makes; write it "
             "to a file with `manifold predict`"
         )
     colour = ColourChoice(

@@ -15,16 +15,17 @@ import numpy as np
 from manifold.errors import FileFormatError
 from manifold.records import Array
 
-_MOST_PIXELS = 16_000_000
+_MOST_PIXELS = 1 << 26
 _MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG"}
 _MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits
 
 
-def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB") -> Array:
+def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB", *, most_pixels: int = _MOST_PIXELS) -> Array:
     """Decode a PNG or JPEG picture of 8 bits to its codes, shape (H, W, 3) or (H, W, 4).
 
     Raises:
-        FileFormatError: it is another picture, too large, or damaged; the message has no name, which the caller knows.
+        FileFormatError: it is another picture, has more pixels, or is damaged; the message has no name, which the
+            caller knows.
     """
     from PIL import Image
 
@@ -36,9 +37,9 @@ def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB") -> Array:
             warnings.simplefilter("ignore")  # of large pictures, which are refused below
             image = Image.open(io.BytesIO(content), formats=(kind,))
         with image:
-            if image.width * image.height > _MOST_PIXELS:
+            if image.width * image.height > most_pixels:
                 size = f"{image.width} x {image.height}"
-                raise FileFormatError(f"has {size} pixels, expected at most {_MOST_PIXELS / 1e6:g} million")
+                raise FileFormatError(f"has {size} pixels, expected at most {most_pixels / 1e6:.2g} million")
             if image.mode not in _MODES:
                 raise FileFormatError(f"has pixels of mode {image.mode}, expected RGB or grey of 8 bits")
             return np.asarray(image.convert(mode))

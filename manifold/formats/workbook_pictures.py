@@ -20,6 +20,7 @@ from manifold.formats.readings import aspecular_pair
 from manifold.records import Array
 
 _MOST_BYTES = 200_000_000  # of the pictures of a workbook, unpacked
+_MOST_PIXELS = 2_000_000  # of a picture; those of an MA-T12 have 172,800
 _DIFFUSE = re.compile(r"r?_?(\d+)d", re.IGNORECASE)  # light from everywhere: `15d`
 
 
@@ -83,13 +84,13 @@ def pictures_in(
 
 
 def picture_values(content: bytes) -> Array:
-    """Decode a picture to linear sRGB, shape (H, W, 3): the instrument's codes are linear.
+    """Decode an instrument's picture to linear sRGB, shape (H, W, 3): its codes are linear.
 
     Raises:
         FileFormatError: it is no PNG or JPEG, too large, or damaged; without a file's name, which the caller knows.
     """
     try:
-        return pixels.decode(content) / 255.0
+        return pixels.decode(content, most_pixels=_MOST_PIXELS) / 255.0
     except FileFormatError as error:
         raise FileFormatError(f"{error}; export the workbook again") from None
 

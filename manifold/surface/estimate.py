@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import dct, dst, idctn
 
 from manifold.brdf.measured import EvaluableBRDF
 from manifold.records import Array, Mask
@@ -20,6 +21,7 @@ _SURROUNDINGS_PX = 9
 _MIDDLE_COSINE = np.cos(np.deg2rad(50.0))  # lamps farther from the normal make relief sparkle, too
 _ROUNDS = 3  # in which what no smooth relief explains is left out
 _OUTLIER = 3.0  # standard deviations
+_BLOCK_ROWS = 128  # that are fitted at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +92,15 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
     gain = 1.0 if brdf is None else gain_of(brdf, pictures)
     response = Response.of_pictures(pictures, gain)
     values = pictures.values
-    logs = np.log(values / values.mean(axis=(1, 2), keepdims=True))
+    log_means = np.log(values.mean(axis=(1, 2)))
     prior = 1.0 / np.array([SLOPE_STD / gain, SLOPE_STD / gain, THIRD_STD]) ** 2
-    trusted = np.ones(values.shape[:3])
+    trusted = np.full(values.shape[:3], True)
     for _ in range(_ROUNDS):
-        state, albedo, covariance = _fitted(logs, response, trusted, prior)
-        residual = (logs - albedo - (state @ response.factors.T).transpose(2, 0, 1)[..., None]).mean(axis=-1)
-        spread = 1.4826 * np.median(np.abs(residual), axis=(1, 2), keepdims=True) + 1e-6
-        trusted = np.where(np.abs(residual) > _OUTLIER * spread, 0.0, 1.0)
-        trusted[:, np.sum(trusted, axis=0) < 3] = 1.0  # of what is left, a point needs three
+        state, albedo, residual, covariance = _fitted(values, log_means, response, trusted, prior)
+        spread = [1.4826 * np.median(np.abs(picture)) + 1e-6 for picture in residual]
+        for picture, is_trusted, s in zip(residual, trusted, spread, strict=True):
+            is_trusted[...] = np.abs(picture) <= _OUTLIER * s
+        trusted[:, np.count_nonzero(trusted, axis=0) < 3] = True  # of what is left, a point needs three
     made = np.exp(albedo)
     factors = pictures.factors
     is_diffuse = pictures.is_diffuse
@@ -111,8 +113,30 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
     )  # fmt: skip
 
 
-def _fitted(logs: Array, response: Response, trusted: Array, prior: Array) -> tuple[Array, Array, Array]:
-    """Slopes and third factor (H, W, 3), log albedo (H, W, 3), and the mean covariance of the former (3, 3).
+def _fitted(
+    values: Array, log_means: Array, response: Response, trusted: Mask, prior: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Fit the logs of pictures (J, H, W, 3), each less that of its mean (J, 3), point by point.
+
+    Returns:
+        Slopes and third factor (H, W, 3), log albedo (H, W, 3), what the fit leaves of each picture in the mean over
+        its channels (J, H, W), and the mean covariance of slopes and third factor (3, 3).
+    """
+    J, H, W, _ = values.shape
+    state, albedo, residual = np.empty((H, W, 3)), np.empty((H, W, 3)), np.empty((J, H, W))
+    normal = np.zeros((3, 3))
+    for first in range(0, H, _BLOCK_ROWS):
+        rows = slice(first, first + _BLOCK_ROWS)
+        logs = np.log(values[:, rows]) - log_means[:, None, None]
+        state[rows], albedo[rows], own = _fitted_block(logs, response, trusted[:, rows], prior)
+        modelled = np.moveaxis(state[rows] @ response.factors.T, 2, 0) + albedo[rows].mean(axis=-1)
+        residual[:, rows] = logs.mean(axis=-1) - modelled
+        normal += own / (H * W)
+    return state, albedo, residual, np.linalg.inv(normal)
+
+
+def _fitted_block(logs: Array, response: Response, trusted: Mask, prior: Array) -> tuple[Array, Array, Array]:
+    """Slopes and third factor (H, W, 3), log albedo (H, W, 3), and the sum of normal matrices over points (3, 3).
 
     The albedo of each channel is eliminated: what is left are normal equations of three unknowns a point. Points at
     which the same pictures are trusted share one linear map from logs to unknowns.
@@ -120,9 +144,9 @@ def _fitted(logs: Array, response: Response, trusted: Array, prior: Array) -> tu
     J, H, W, _ = logs.shape
     by_point = np.moveaxis(logs, 0, 2).reshape(H * W, 3 * J)
     patterns, which, counts = np.unique(
-        np.packbits(trusted.reshape(J, H * W) > 0.0, axis=0), axis=1, return_inverse=True, return_counts=True
+        np.packbits(trusted.reshape(J, H * W), axis=0), axis=1, return_inverse=True, return_counts=True
     )
-    found, mean_normal = np.empty((H * W, 6)), np.zeros((3, 3))
+    found, sum_normal = np.empty((H * W, 6)), np.zeros((3, 3))
     for k, pattern in enumerate(np.unpackbits(patterns, axis=0, count=J).T):
         weights = response.weights * pattern[:, None]  # [J, channel]
         shares = weights / weights.sum(axis=0)
@@ -133,9 +157,9 @@ def _fitted(logs: Array, response: Response, trusted: Array, prior: Array) -> tu
         of_albedo -= shares.T @ response.factors @ of_state
         at = which == k
         found[at] = by_point[at] @ np.concatenate([of_state, of_albedo]).T
-        mean_normal += counts[k] / (H * W) * normal
+        sum_normal += counts[k] * normal
     state, albedo = (part.reshape(H, W, 3) for part in np.split(found, 2, axis=1))
-    return state, albedo, np.linalg.inv(mean_normal)
+    return state, albedo, sum_normal
 
 
 def _glints(values: Array, residual: Array, pictures: SurfacePictures) -> Mask:
@@ -153,29 +177,26 @@ def _is_middle(pictures: SurfacePictures) -> Mask:
 
 
 def integrated(slope: Array, slope_std: Array) -> Array:
-    """Heights whose slopes agree best with given ones, by least squares in the Fourier domain.
+    """Heights whose slopes agree best with given ones, by least squares; the surface is mirrored at its edges.
 
     Args:
         slope: components of normals along x (columns) and y (against rows), shape (H, W, 2).
         slope_std: their standard deviations, shape (2,).
     Returns:
         Heights in pixels, of mean 0, shape (H, W); the normal leans towards where it falls.
-    Source: Frankot & Chellappa 1988, with weights.
+    Source: Frankot & Chellappa 1988, with weights; a mirrored surface is a sum of cosines, its slopes of sines.
     """
     h, w = slope.shape[:2]
-    padded = np.pad(slope - slope.mean(axis=(0, 1)), ((0, h), (0, w), (0, 0)), mode="symmetric")
-    padded[h:, :, 1] *= -1.0  # slopes of the mirrored surface
-    padded[:, w:, 0] *= -1.0
-    k_y = 2j * np.pi * np.fft.fftfreq(2 * h)[:, None]
-    k_x = 2j * np.pi * np.fft.rfftfreq(2 * w)[None, :]
+    k_y, k_x = np.pi * np.arange(h)[:, None] / h, np.pi * np.arange(w) / w
     weight_x, weight_y = 1.0 / np.asarray(slope_std) ** 2
-    along_x, along_y = (np.fft.rfft2(padded[..., axis]) for axis in range(2))
-    # A normal leans against the gradient: slope_x = -dh/dcolumn, slope_y = +dh/drow.
-    numerator = weight_x * np.conj(-k_x) * along_x + weight_y * np.conj(k_y) * along_y
-    denominator = weight_x * np.abs(k_x) ** 2 + weight_y * np.abs(k_y) ** 2
+    centred = slope - slope.mean(axis=(0, 1))
+    numerator = np.zeros((h, w))
+    # A normal leans against the gradient: slope_x = -dh/dcolumn, slope_y = +dh/drow. Sines begin at frequency 1.
+    numerator[:, 1:] = weight_x * k_x[1:] * dct(dst(centred[..., 0], axis=1), axis=0)[:, :-1]
+    numerator[1:] -= weight_y * k_y[1:] * dct(dst(centred[..., 1], axis=0), axis=1)[:-1]
+    denominator = weight_x * k_x**2 + weight_y * k_y**2
     denominator[0, 0] = 1.0
-    heights = np.fft.irfft2(numerator / denominator, s=(2 * h, 2 * w))[:h, :w]
-    return np.asarray(heights - heights.mean())
+    return np.asarray(idctn(numerator / denominator))
 
 
 def _slopes_of(height: Array) -> Array:

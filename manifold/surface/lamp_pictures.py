@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +20,8 @@ from manifold.records import Array, Mask
 
 _LEAST_LAMPS = 3
 _LEAST_SIZE = 32  # pixels a side
+_MOST_PIXELS = 12_000_000  # of a picture
+_MOST_TOGETHER = 64_000_000  # pixels of all pictures, of which an estimate takes 4 GB
 _DETAIL_PX = 3.0  # what is finer registers the colours
 _MOST_SHIFT_PX = 2.0
 _SHIFT_STEP_PX = 0.05
@@ -93,7 +95,7 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
             f"{path}: found {len(captions)} pictures with a geometry, expected at least {_LEAST_LAMPS} under lamps in "
             "a sheet 'Texture Images'; export the workbook with its pictures"
         )
-    values = _stack(path, [(c, _decoded(path, c, images[c])) for c in captions])
+    values = _stacked(path, (_decoded(path, c, images[c]) for c in captions), len(captions))
     means = [
         np.full(3, np.nan)
         if np.isnan(lamp)
@@ -130,11 +132,9 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
     directions = np.array([lamp.direction for lamp in found])
     if np.any(directions[:, 2] <= 0.0):
         raise UsageError(f"{lamps}: a lamp does not stand above the sample, expected z above 0")
-    read = [
-        (path.name, np.asarray(read_picture(path).values, dtype=np.float64) / lamp.colour)
-        for path, lamp in zip(pictures, found, strict=True)
-    ]
-    values = np.maximum(_stack(lamps, read), _HALF_CODE)
+    read = (read_picture(path).values / lamp.colour for path, lamp in zip(pictures, found, strict=True))
+    values = _stacked(lamps, read, len(pictures))
+    np.maximum(values, _HALF_CODE, out=values)
     return SurfacePictures(
         pictures[0].parent.resolve().name, values, directions, np.array([0.0, 0.0, 1.0]),
         tuple(path.name for path in pictures), np.full((len(found), 3), np.nan),
@@ -167,14 +167,25 @@ def _decoded(path: Path, caption: str, content: bytes) -> Array:
         raise FileFormatError(f"{path}: the picture {caption} {error}") from None
 
 
-def _stack(path: Path, pictures: Sequence[tuple[str, Array]]) -> Array:
-    shapes = {values.shape for _, values in pictures}
-    if len(shapes) != 1 or min(next(iter(shapes))[:2]) < _LEAST_SIZE:
-        sizes = ", ".join(sorted(f"{s[1]} x {s[0]}" for s in shapes))
-        raise FileFormatError(
-            f"{path}: found pictures of {sizes} pixels, expected one size of at least {_LEAST_SIZE} x {_LEAST_SIZE}"
-        )
-    return np.stack([values for _, values in pictures])
+def _stacked(path: Path, pictures: Iterable[Array], count: int) -> Array:
+    """Stack so many pictures of one size; none is read after one that does not fit."""
+    stack = np.empty((0, 0, 0, 3))
+    for j, picture in enumerate(pictures):
+        h, w = picture.shape[:2]
+        if j == 0:
+            if min(h, w) < _LEAST_SIZE or h * w > _MOST_PIXELS or count * h * w > _MOST_TOGETHER:
+                raise FileFormatError(
+                    f"{path}: found {count} pictures of {w} x {h} pixels, expected at least {_LEAST_SIZE} x "
+                    f"{_LEAST_SIZE}, at most {_MOST_PIXELS / 1e6:g} million each and {_MOST_TOGETHER / 1e6:g} million "
+                    "together; crop or scale all of them alike"
+                )
+            stack = np.empty((count, h, w, 3))
+        if picture.shape != stack.shape[1:]:
+            raise FileFormatError(
+                f"{path}: found pictures of {stack.shape[2]} x {stack.shape[1]} and {w} x {h} pixels, expected one size"
+            )
+        stack[j] = picture
+    return stack
 
 
 def _registered(values: Array) -> tuple[Array, tuple[str, ...]]:

@@ -18,6 +18,7 @@ from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.bsdf_parameters import principled
 from manifold.render.fitted_brdf import FittedBRDF
+from manifold.surface import estimate, lamp_pictures
 from manifold.surface.estimate import estimate_surface, integrated
 from manifold.surface.lamp_pictures import SurfacePictures, files_in, read_folder, read_workbook
 from manifold.surface.response import Response
@@ -111,6 +112,17 @@ def test_heights_are_those_that_the_slopes_came_from(rng):
     assert np.corrcoef(found.ravel(), height.ravel())[0, 1] > 0.98  # slopes are finite differences
     row_slope = np.gradient(found, axis=0)
     assert np.corrcoef(row_slope.ravel(), slope[..., 1].ravel())[0, 1] > 0.98
+
+
+def test_a_surface_does_not_depend_on_the_rows_that_are_fitted_at_once(rng, monkeypatch):
+    pictures, _ = photographed(rng, truth(rng)[1])
+    whole = estimate_surface(pictures)
+    monkeypatch.setattr(estimate, "_BLOCK_ROWS", 13)
+    blocks = estimate_surface(pictures)
+    for name in ("slope", "albedo", "third", "slope_std"):
+        np.testing.assert_allclose(
+            getattr(blocks, name), getattr(whole, name), atol=1e-9
+        )  # sums in other orders
 
 
 def test_glints_are_counted_under_the_lamps_that_show_them(rng):
@@ -254,4 +266,22 @@ def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
         read_folder(files, lamps)
     lamps.write_text("1 0 1\n0 1 1\n0 0 -1\n")
     with pytest.raises(UsageError, match="z above 0"):
+        read_folder(files, lamps)
+
+
+def test_pictures_that_are_too_large_together_are_refused_after_the_first(rng, tmp_path, monkeypatch):
+    files = [tmp_path / f"{k}.png" for k in range(3)]
+    Image.fromarray(rng.integers(60, 200, (40, 50, 3), dtype=np.uint8)).save(files[0])
+    lamps = tmp_path / "lamps.txt"
+    lamps.write_text("1 0 1\n0 1 1\n-1 0 1\n")
+    monkeypatch.setattr(lamp_pictures, "_MOST_TOGETHER", 5999)
+    with pytest.raises(
+        FileFormatError, match=r"found 3 pictures of 50 x 40 pixels, .* million together; crop"
+    ):
+        read_folder(files, lamps)  # the others do not exist
+    Image.fromarray(rng.integers(60, 200, (40, 51, 3), dtype=np.uint8)).save(files[1])
+    monkeypatch.undo()
+    with pytest.raises(
+        FileFormatError, match="found pictures of 50 x 40 and 51 x 40 pixels, expected one size"
+    ):
         read_folder(files, lamps)

@@ -108,8 +108,8 @@ def _read(path: Path, kind: str) -> Image:
     if 0.0 < (exposure := spec.get_float_attribute("hdr:exposure", 1.0)) < np.inf and exposure != 1.0:
         values /= np.float32(exposure)
     turn = spec.get_int_attribute("Orientation", 1)
-    is_grey = colours[0] == colours[1] or bool(
-        np.array_equal(values[..., :2], values[..., 1:], equal_nan=True)
+    is_grey = colours[0] == colours[1] or all(
+        np.array_equal(row[:, :2], row[:, 1:], equal_nan=True) for row in values
     )
     notes: tuple[str, ...] = ()
     if is_encoded:
@@ -277,7 +277,11 @@ def _linear(stored: Array, is_encoded: bool, is_float: bool) -> tuple[Array, Mas
     if not is_encoded:
         return np.array(stored, dtype=np.float32), clipped
     if full > 1:
-        return decode_srgb(np.arange(full + 1) / full).astype(np.float32)[stored], clipped
+        table = decode_srgb(np.arange(full + 1) / full).astype(np.float32)
+        values = np.empty(stored.shape, np.float32)
+        for row, codes in zip(values, stored, strict=True):  # as an index, a code takes eight bytes
+            row[...] = table[codes]
+        return values, clipped
     return decode_srgb(stored).astype(np.float32), clipped
 
 

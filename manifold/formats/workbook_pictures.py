@@ -1,6 +1,7 @@
 """Pictures in the workbooks of instruments: read from a sheet, decoded, and written into one.
 
-openpyxl's own image loader gives Pillow any part of a workbook, see `manifold.pixels`. So parts are read here as bytes.
+openpyxl's own image loader gives Pillow any part of a workbook, see `manifold.picture_bytes`. So parts are read here
+as bytes.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import pixels
+from manifold import picture_bytes
 from manifold.errors import FileFormatError
 from manifold.formats.geometries import parse_geometry
 from manifold.formats.readings import aspecular_pair
@@ -90,7 +91,7 @@ def picture_values(content: bytes) -> Array:
         FileFormatError: it is no PNG or JPEG, too large, or damaged; without a file's name, which the caller knows.
     """
     try:
-        return pixels.decode(content, most_pixels=_MOST_PIXELS) / 255.0
+        return picture_bytes.decode(content, most_pixels=_MOST_PIXELS) / 255.0
     except FileFormatError as error:
         raise FileFormatError(f"{error}; export the workbook again") from None
 
@@ -103,7 +104,7 @@ def add_picture(sheet: Any, cell: str, content: bytes) -> None:
     """
     from openpyxl.drawing.image import Image
 
-    if pixels.kind_of(content) is None:
+    if picture_bytes.kind_of(content) is None:
         raise FileFormatError(f"the picture of cell {cell} is no PNG or JPEG; leave it out")
     sheet.add_image(Image(io.BytesIO(content)), cell)
 

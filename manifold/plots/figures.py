@@ -15,7 +15,7 @@ from matplotlib.font_manager import fontManager
 from matplotlib.patches import Circle
 from matplotlib.text import Annotation
 
-from manifold import disk, pixels
+from manifold import disk, picture_bytes
 from manifold.errors import UsageError
 from manifold.names import without_controls
 from manifold.records import Array
@@ -141,7 +141,7 @@ def contact_sheet(cells: Sequence[tuple[str, str, Path]], under: str | None) -> 
         axes.set_axis_off()
     for axes, (name, text, picture) in zip(grid, cells, strict=False):
         if picture.is_file():
-            axes.imshow(pixels.decode(picture.read_bytes(), "RGBA"), interpolation="antialiased")
+            axes.imshow(picture_bytes.decode(picture.read_bytes(), "RGBA"), interpolation="antialiased")
         else:
             axes.add_patch(Circle((0.5, 0.5), 0.5, fill=False, color="0.7", linestyle=":"))
             axes.set_aspect("equal")

@@ -14,7 +14,7 @@ from openpyxl import Workbook
 from openpyxl.chart import BarChart, Reference
 from PIL import EpsImagePlugin, Image
 
-from manifold import pixels
+from manifold import picture_bytes
 from manifold.analytic.virtual_instruments import MA_T12_BANDS, write_ma_t12
 from manifold.errors import FileFormatError
 from manifold.formats import ma_t12, registry
@@ -152,7 +152,7 @@ def test_pictures_of_other_kinds_and_sizes_are_refused(content, words):
 @pytest.mark.parametrize("mode", ["L", "RGB"])
 def test_png_and_jpeg_are_decoded_to_their_codes(kind, mode):
     image = Image.new(mode, (7, 5), 80 if mode == "L" else (80, 80, 80))
-    codes = pixels.decode(encoded(image, kind))
+    codes = picture_bytes.decode(encoded(image, kind))
     assert codes.shape == (5, 7, 3)
     assert (codes == 80).all()
 

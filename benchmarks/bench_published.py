@@ -22,7 +22,7 @@ from manifold.encoding import Encoder
 from manifold.evaluate.cross_validation import Encode
 from manifold.evaluate.errors import PredictionErrors
 from manifold.evaluate.latent_models import LatentProcess, fit_settings
-from manifold.evaluate.method_data import Data
+from manifold.evaluate.method_data import Data, band_shares
 from manifold.evaluate.methods import STANDARD
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
@@ -34,6 +34,7 @@ from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices
 
 STARTS = 5
+GRID = RusinkiewiczGrid.named("default")
 _JITTER = 0.2  # of the other starts, relative to the spread of the principal components
 
 
@@ -68,8 +69,7 @@ def measured(data: Data, balls: MaterialTable, find: Callable[[int], Combination
     errors = PredictionErrors([one.in_bands(data.bands) for one in made])
     for block in data.blocks():
         errors.add(block)
-    n_counted = data.f.shape[1] * len(data.bands) / data.n_bands
-    found = balls.looks(made) | errors.of_values(n_counted, data.n_bands)
+    found = balls.looks(made) | errors.of_values(GRID.n_pairs, band_shares(data.bands, data.n_bands))
     return {
         "ball": found.ball, "cube root": found.cube_root, "linear": found.linear,
         "eq. 22": found.rmse, "eq. 22, within 80 degrees": found.rmse_80,
@@ -85,7 +85,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     materials = [MeasuredBRDF(read_bsdf(path)) for path in sorted(asked.folder.glob("*.bsdf"))]
-    data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
+    data = Data.evaluate(materials, GRID)
     balls = MaterialTable(materials, data.bands)
     every = np.arange(len(materials))
     blend = fit_settings(STANDARD["blend_2"])

@@ -40,8 +40,9 @@ class PredictionErrors:
         """Take N predictions in the bands of the values to come."""
         self._combinations = combinations
         self._errors = RunningErrors()
-        self._bounded: Array | float = 0.0
-        self._weight, self._n_measured = 0.0, 1
+        self._squared: Array | float = 0.0  # sums over direction pairs, [N, B']
+        self._bounded: Array | float = 0.0  # the same within 80 degrees, weighted by cosines
+        self._weight = 0.0
         self._negative, self._count = 0, 0
         self.is_clipped = combinations[0].is_clipped
         self.seconds = 0.0
@@ -58,17 +59,22 @@ class PredictionErrors:
         self._errors.add(values.f, predicted, values.cosines, values.roots)
         is_far = np.minimum(values.wi[:, 2], values.wo[:, 2]) >= _HIGHEST_COSINE
         weight = np.where(is_far, values.cosines, 0.0)
-        self._bounded = self._bounded + np.einsum("p,npb->n", weight, (predicted - values.f) ** 2)
+        squared = np.square(predicted - values.f)
+        self._squared = self._squared + squared.sum(axis=1, dtype=np.float64)
+        self._bounded = self._bounded + np.einsum("p,npb->nb", weight, squared)
         self._weight += float(weight.sum())
-        self._n_measured = values.f.shape[2]
 
-    def of_values(self, n_pairs: float = 1.0, n_bands: int = 1) -> Errors[Array]:
-        """Cube-root and linear error and RMSE of every material, each (N,).
+    def of_values(self, n_pairs: float = 1.0, shares: Array | float = 1.0) -> Errors[Array]:
+        """Cube-root and linear error and both RMSE of every material, each (N,).
 
-        Eq. 22 divides its sum by `n_pairs`; in the RMSE within 80 degrees, the bands measured stand for `n_bands`.
+        The RMSE sum over bands, of which each that was measured stands for so many, (B',); eq. 22 divides its sum by
+        `n_pairs`.
         """
-        within_80 = np.sqrt(np.asarray(self._bounded) / self._weight * n_bands / self._n_measured)
-        return replace(self._errors.errors(n_pairs), rmse_80=within_80)
+        rmse, rmse_80 = (
+            np.sqrt(np.sum(shares * np.asarray(sums), axis=-1) / count)
+            for sums, count in ((self._squared, n_pairs), (self._bounded, self._weight))
+        )
+        return replace(self._errors.errors(), rmse=rmse, rmse_80=rmse_80)
 
     @property
     def negative_share(self) -> float:

@@ -18,7 +18,7 @@ from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
 from manifold.evaluate.errors import Result
-from manifold.evaluate.method_data import MAX_BANDS, Data
+from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
 from manifold.metrics import Errors
@@ -87,6 +87,7 @@ class HeldOut:
         tabulate = partial(Data.evaluate, materials, grid, bands)
         self.data = tabulate()
         self._tabulating = [self.watch.lap(tabulate)[1] for _ in range(_REPEATS)]
+        self._n_pairs, self._shares = grid.n_pairs, band_shares(bands, n_bands)
         self.pairs, self.balls = grid.pairs(), MaterialTable(materials, bands)
         self._block = some_pairs(_BLOCK_PAIRS, grid)
         # Settings that differ only in how files are stored, or in their threshold, share a fit.
@@ -126,7 +127,8 @@ class HeldOut:
     def errors(self, i: int, f: Array, f_ball: Array) -> Errors[float]:
         """Errors of predicted values of material i on grid and ball, (P, B') and (P_ball, B')."""
         data = self.data
-        rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
+        wide = np.sqrt(self._shares)  # each band stands for those around it
+        rmse = metrics.rmse(wide * data.f[i], wide * f, n_pairs=self._n_pairs)
         of_values = Errors.of_values(data.f[i], f, data.cosines)
         return replace(self.balls.look(i, f_ball) | of_values, rmse=rmse)
 

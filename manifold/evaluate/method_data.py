@@ -136,6 +136,12 @@ class Data(Values):
         return relative_error(self.f[i], predicted, self.cosines)
 
 
+def band_shares(bands: Indices, n_bands: int) -> Array:
+    """How many of all bands each of some, increasing (B',), stands for: those that are nearest to it, shape (B',)."""
+    edges = np.concatenate([[-0.5], 0.5 * (bands[1:] + bands[:-1]), [n_bands - 0.5]])
+    return np.diff(edges)
+
+
 def block_pairs(n_materials: int, n_bands: int) -> int:
     """Direction pairs of a block of values."""
     return int(np.clip(_BLOCK_VALUES // (n_materials * n_bands), 64, 16384))

@@ -33,7 +33,7 @@ from manifold.evaluate.errors import (
     standardised_error,
 )
 from manifold.evaluate.latent_models import SAMPLE_BANDS
-from manifold.evaluate.method_data import MAX_BANDS, Data, block_pairs
+from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares, block_pairs
 from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.seen_fits import seen_principled
@@ -58,6 +58,8 @@ class MethodResult(Result):
     """What a report says of one method.
 
     Attributes: those of `Result`, and
+        rmse_uncertainty: relative error of both RMSE, estimated from every second of the measured bands; 0 if all were
+            measured.
         numbers: that describe one material.
         bytes: of all measured values that predictions need, and of the numbers of all materials.
         fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
@@ -69,6 +71,7 @@ class MethodResult(Result):
         rms_standardised_error: root mean square of z; about 1 where the method's variance is right.
     """
 
+    rmse_uncertainty: float
     numbers: int
     bytes: int
     fit_seconds: float
@@ -196,10 +199,8 @@ def make_report(
         physical = plausibility_results(materials, data.bands, predictions)
         colours = colour_errors(materials, predictions)
         table = MaterialTable(materials, data.bands)
-        # Eq. 22 sums over bands: those measured stand for all.
-        n_counted = grid.n_pairs * len(bands) / model.bands.count
         return tuple(
-            _result(model, data, *each, table, n_counted)
+            _result(model, data, *each, table, bands, grid.n_pairs)
             for each in zip(chosen, encoded, errors, physical, colours, strict=True)
         )
 
@@ -258,11 +259,14 @@ def _measured_blocks(
 
 def _result(
     model: Manifold, data: Data, method: Method, encoded: Encoded, errors: PredictionErrors,
-    physical: Sequence[Plausibility], colours: Errors[Array], table: MaterialTable, n_counted: float,
+    physical: Sequence[Plausibility], colours: Errors[Array], table: MaterialTable, bands: Indices, n_pairs: int,
 ) -> MethodResult:  # fmt: skip
     """All that is measured of one method."""
     n_bands, negative = model.bands.count, errors.negative_share
-    of_values = errors.of_values(n_counted, n_bands)
+    of_values = errors.of_values(n_pairs, band_shares(bands, n_bands))
+    fewer = np.zeros(len(bands))  # every second of the bands stands for all
+    fewer[::2] = band_shares(bands[::2], n_bands)
+    is_estimate = len(bands) < n_bands
     return MethodResult(
         key=method.key,
         title=method.title,
@@ -273,12 +277,23 @@ def _result(
         encode_seconds=sum(encoded.encode_times) / data.n_materials,
         predict_seconds=errors.seconds / data.n_materials,
         errors=table.looks(encoded.combinations) | of_values | colours,
+        rmse_uncertainty=_difference(errors.of_values(n_pairs, fewer), of_values) if is_estimate else 0.0,
         negative_share=0.0 if errors.is_clipped else negative,
         clipped_share=negative if errors.is_clipped else 0.0,
         reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical])),
         max_albedo=float(np.nanmax([p.max_albedo for p in physical])),
         **_calibration(data, method, encoded),
     )
+
+
+def _difference(coarse: Errors[Array], fine: Errors[Array]) -> float:
+    """Relative difference of the RMSE of materials, (N,) each: of the medians, or in the median if that is larger."""
+    found = 0.0
+    for a, b in ((coarse.rmse, fine.rmse), (coarse.rmse_80, fine.rmse_80)):
+        medians = np.array([[np.median(a)], [np.median(b)]])
+        for x, y in ((a, b), medians):
+            found = max(found, float(np.median(np.abs(x - y) / np.where(y > 0.0, y, 1.0))))
+    return found
 
 
 def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int:

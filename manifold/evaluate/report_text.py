@@ -155,7 +155,7 @@ def format_report(report: Report) -> str:
         "",
         *_section("method", methods, _ERRORS, _ERROR_NOTE),
         *_section("light", methods, _LIGHTS, _LIGHTS_NOTE),
-        *_section("values", methods, _PLAUSIBILITY, _PLAUSIBILITY_NOTE),
+        *_section("values", methods, _PLAUSIBILITY, _PLAUSIBILITY_NOTE + _uncertainty(report)),
         *_section("colour", methods, colours, _COLOUR_NOTE),
         *_section("cost", methods, _COSTS, _COST_NOTE),
         *(_section("calibration", calibrated, _CALIBRATION, _CALIBRATION_NOTE) if calibrated else []),
@@ -164,6 +164,17 @@ def format_report(report: Report) -> str:
         *_closing(report),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _uncertainty(report: Report) -> str:
+    """How well the bands that were measured tell the RMSE of all."""
+    if report.n_error_bands == report.n_bands:
+        return ""
+    most = max(m.rmse_uncertainty for m in report.methods)
+    return (
+        f"\nBoth RMSE are estimated from {report.n_error_bands} of {report.n_bands} bands, with an error of up to "
+        f"about {most:.0%};\n--all-bands computes them."
+    )
 
 
 def _section(title: str, methods: Sequence[MethodResult], columns: Columns, note: str) -> list[str]:

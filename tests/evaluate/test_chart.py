@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import small_library
+from helpers import reference, small_library
 from matplotlib.colors import to_rgb
 from typer.testing import CliRunner
 
 from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.cli.main import app
 from manifold.errors import UsageError
 from manifold.evaluate import chart_figure, held_out, methods, seen_fits, storage_forms
@@ -156,6 +157,16 @@ def test_one_slow_tabulation_does_not_change_the_time_of_fits(monkeypatch):
     fit = HeldOut(FILES, GRID, [nearest]).measure(nearest).fit
     assert fit.median == 1.0 + 3.0
     assert next(tabulating, None) is None
+
+
+def test_eq_22_counts_all_bands_and_all_direction_pairs():
+    files = list(small_library.spectral_files().values())[:2]
+    held, (wi, wo, above) = HeldOut(files, GRID, [chart_methods(60)[0]]), GRID.directions()
+    f, f_star = (MeasuredBRDF(fill_unmeasured(file)).eval(wi[above], wo[above]) for file in files)
+    assert held.data.f.shape[2] < f.shape[1] == 60
+    expected = reference.rmse(f, f_star) * np.sqrt(above.sum() / GRID.n_pairs)
+    found = held.errors(0, held.data.f[1], held.balls.on_ball.f[1]).rmse
+    assert found == pytest.approx(expected, rel=0.01)  # these spectra are linear between three bands
 
 
 def test_small_weights_are_dropped_and_the_others_keep_their_proportions_and_the_sum_of_all():

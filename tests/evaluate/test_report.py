@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import reference
 from helpers.reference import left_out
-from helpers.small_library import NAMES, measured, small_library
+from helpers.small_library import NAMES, measured, small_library, spectral_files
 from matplotlib.transforms import Bbox
 
 from manifold import pairs
@@ -209,6 +210,32 @@ def test_other_grids_are_walked_in_blocks(models, monkeypatch):
         predicted = np.tensordot(left_out(linear, data, i).weights, f, axes=1)
         expected = rmse(f[i], predicted, n_pairs=grid.n_pairs)
         assert method(made, "linear").errors.rmse[i] == pytest.approx(expected, rel=1e-9)
+
+
+def test_eq_22_is_that_of_all_bands_within_the_error_that_is_printed(tmp_path):
+    for name, file in spectral_files().items():
+        write_bsdf(tmp_path / f"{name}_spec.bsdf", file)
+    import_files(tmp_path / "library.zarr", sorted(tmp_path.glob("*.bsdf")))
+    settings = Settings("material", mapping="identity")
+    model = Manifold.fit(tmp_path / "library.zarr", settings, calibrate=False)
+    some, every = (report.make_report(model, all_bands=all_bands) for all_bands in (False, True))
+    assert (some.n_error_bands, every.n_error_bands, every.n_bands) == (23, 60, 60)
+    grid, materials = RusinkiewiczGrid.named("default"), model.materials.filled()
+    wi, wo, above = grid.directions()
+    f = [material.eval(wi[above], wo[above]) for material in materials]
+    data = Data.evaluate(materials, grid)
+    for i, found in enumerate(method(every, "nearest").errors.rmse):
+        nearest = left_out(standard_methods()[0], data, i).source
+        expected = reference.rmse(f[i], f[nearest]) * np.sqrt(above.sum() / grid.n_pairs)
+        assert found == pytest.approx(expected, rel=1e-5)  # weighted sums are in single precision
+    for estimate, exact in zip(some.methods, every.methods, strict=True):
+        assert exact.rmse_uncertainty == 0.0
+        for name in ("rmse", "rmse_80"):
+            a, b = getattr(estimate.median, name), getattr(exact.median, name)
+            assert abs(a - b) <= estimate.rmse_uncertainty * b
+            assert a == pytest.approx(b, rel=0.01)  # these spectra are linear between three bands
+    assert "estimated from 23 of 60 bands, with an error of up to about" in format_report(some)
+    assert "estimated from" not in format_report(every)
 
 
 def test_standardised_errors_are_given_where_a_method_has_a_variance(made):

@@ -4,8 +4,9 @@
     python benchmarks/bench_expected_error.py LIBRARY --materials 4,6,8 [--draws K] [--held-out M]
 
 Every material is held out once, with others of its fold: the rest is embedded and calibrated without it, it is located
-there from its data, predicted, and compared with its file. With --materials, random sets of so many are embedded
-instead, and at most M of the others are held out. Figures of docs/explanation/expected-errors.md.
+there from its data, predicted in its own colours and, at the same place, in blended ones, and compared with its file.
+With --materials, random sets of so many are embedded instead, and at most M of the others are held out. Figures of
+docs/explanation/expected-errors.md.
 """
 
 from __future__ import annotations
@@ -34,12 +35,16 @@ PLACES = 2000  # inside the convex hull, of which some are not supported
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A material that a model had not seen: errors as expected and as they were, ball and cube root."""
+    """A material that a model had not seen: errors as expected and as they were, of `KINDS_OF_ERRORS`."""
 
     name: str
-    expected: tuple[float, float]
-    true: tuple[float, float]
+    expected: tuple[float, ...]
+    true: tuple[float, ...]
     is_extrapolation: bool
+
+
+KINDS_OF_ERRORS = ("ball", "cube_root", "blended_ball", "blended_cube_root")
+"""In the colours of the material, and in colours blended from the surrounding ones."""
 
 
 def hold_out(
@@ -53,11 +58,15 @@ def hold_out(
         place = model.embed(truth)
         expected = model.expected_error(place.latent, place.colours, place.residual)
         assert expected is not None
+        assert model.left_out is not None
+        # Of the place alone: at a material's own place, the model expects no error of that material.
+        blended = model.left_out.expected(place.latent, is_colour_known=False)
         found.append(
             HeldOut(
                 truth.name,
-                (float(expected.ball), float(expected.cube_root)),
-                errors(truth, model.predict(place.latent, place.colours)),
+                tuple(float(e) for both in (expected, blended) for e in (both.ball, both.cube_root)),
+                errors(truth, model.predict(place.latent, place.colours))
+                + errors(truth, model.predict(place.latent)),
                 bool(model.is_extrapolation(place.latent, place.colours)),
             )
         )
@@ -102,7 +111,7 @@ def few_row(library: Library, settings: Settings, size: int, draws: int, most: i
         held_out, used = names[size : size + most].tolist(), sorted(names[:size].tolist())
         drawn.append(hold_out(library, settings, held_out, used))
     lines = []
-    for k, name in enumerate(("ball CIEDE2000", "cube root")):
+    for k, name in enumerate(KINDS_OF_ERRORS):
         of_sets = [np.array([(one.expected[k], one.true[k]) for one in found]).T for found in drawn]
         rank = np.mean([spearmanr(*each)[0] for each in of_sets])
         expected, true = np.hstack(of_sets)
@@ -141,7 +150,7 @@ def main() -> None:
     folds = np.array_split(shuffled, given.folds or len(shuffled))
     found = [one for fold in folds for one in hold_out(library, settings, fold.tolist())]
     for one in found:
-        errors_of = zip(("ball", "cube root"), one.expected, one.true, strict=True)
+        errors_of = zip(KINDS_OF_ERRORS, one.expected, one.true, strict=True)
         words = [f"{name} {expected:.3f}, was {true:.3f}" for name, expected, true in errors_of]
         print(f"{one.name:32s} {'; '.join(words)}" + "; not supported" * one.is_extrapolation)
     expected, true = (np.array([getattr(one, name) for one in found]) for name in ("expected", "true"))
@@ -149,7 +158,7 @@ def main() -> None:
         "\n| error | true, median / 90th percentile | expected | rank correlation | below twice the expected |"
     )
     print("|---|---|---|---|---|")
-    rows = {name: summary(expected[:, k], true[:, k]) for k, name in enumerate(("ball", "cube_root"))}
+    rows = {name: summary(expected[:, k], true[:, k]) for k, name in enumerate(KINDS_OF_ERRORS)}
     for name, found_row in rows.items():
         pairs = [
             " / ".join(f"{e:.2f}" for e in pair)  # type: ignore[attr-defined]

@@ -21,8 +21,10 @@ from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.io_rgl import read_bsdf
+from manifold.metrics import BALL, Errors
+from manifold.model.expected_error import NOT_CALIBRATED
 from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
-from manifold.records import Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile
 
 _MOST_SAMPLES = 40  # listed one by one
 
@@ -259,6 +261,8 @@ def _inspect_fit(path: Path) -> Inspection:
     of = source["file"] or "a BRDF"
     if source["latent"] is not None:
         of = f"the prediction of {source['model']} at latent {_words(source['latent'])}"
+    elif source.get("walk") is not None:
+        of = f"the prediction of {source['model']} {source['walk']}"
     rows: dict[str, object] = {
         "material": source["name"],
         "fitted to": of,
@@ -274,6 +278,15 @@ def _inspect_fit(path: Path) -> Inspection:
         content | {"path": str(path)},
         [((head, "value"), [(k, _words(v)) for k, v in found.items()]) for head, found in tables.items()],
     )
+
+
+def _quantiles(errors: Errors[Array]) -> list[str]:
+    """Medians and 90th percentiles of errors of several materials."""
+    median, p90 = errors.median, errors.p90
+    return [
+        f"median {median.ball:.1f}, 90th percentile {p90.ball:.1f} {BALL}",
+        f"{median.cube_root:.0%}, {p90.cube_root:.0%} cube-root error",
+    ]
 
 
 def _words(value: float | list[float]) -> str:
@@ -369,13 +382,13 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         (name, *space.printed(row)) for name, row in zip(stored.names, space.X, strict=True)
     ]
     errors = None
-    if left_out is not None:
-        median, p90 = left_out.errors.median, left_out.errors.p90
-        rows["left-out errors"] = [
-            f"median {median.ball:.1f}, 90th percentile {p90.ball:.1f} CIEDE2000 of the ball",
-            f"{median.cube_root:.0%}, {p90.cube_root:.0%} cube-root error",
-            "the places of the others kept (reports fit them anew)",
-        ]
+    if left_out is None:
+        rows["left-out errors"] = list(NOT_CALIBRATED)
+    else:
+        kept = "the places of the others kept (reports fit them anew)"
+        rows["left-out errors"] = [*_quantiles(left_out.errors), kept]
+        if left_out.blended is not None:
+            rows["if the colour is blended"] = _quantiles(left_out.blended)
         columns += ["left out: ball", "cube root"]
         both = left_out.errors.ball.tolist(), left_out.errors.cube_root.tolist()
         each = zip(left_out.materials.tolist(), *both, strict=True)

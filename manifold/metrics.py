@@ -11,6 +11,9 @@ import numpy as np
 from manifold.errors import ShapeError
 from manifold.records import Array, plain
 
+BALL = "CIEDE2000 of the ball (mean of five lights)"
+"""In words, the error `Errors.ball`; the lights are those of `colour.panel.JUDGED`."""
+
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
 _UNKNOWN: Any = float("nan")
 
@@ -144,9 +147,8 @@ class Errors(Generic[Number]):
     @property
     def words(self) -> list[str]:
         """What was measured of the ball and the values of one BRDF, for a terminal."""
-        mean = f" in the mean of {len(self.lights)} lights" if self.lights else ""
         of_all = {
-            "ball": f"{self.ball:.1f} CIEDE2000 of the ball{mean}",
+            "ball": f"{self.ball:.1f} {BALL}",
             "worst": f"{self.worst:.1f} in the worst of them, {self.worst_light}",
             "cube_root": f"{self.cube_root:.0%} cube-root error",
             "linear": f"{self.linear:.0%} linear",

@@ -9,7 +9,8 @@ import numpy as np
 
 from manifold.colour.panel import JUDGED
 from manifold.evaluate.report import MethodResult, Report
-from manifold.model.expected_error import GUARANTEED, LEVEL
+from manifold.metrics import BALL
+from manifold.model.expected_error import GUARANTEED, LEVEL, NOT_CALIBRATED
 from manifold.names import counted
 from manifold.text_tables import table_lines
 
@@ -113,10 +114,16 @@ _CALIBRATION_NOTE = f"""\
 z: error of the mapped values in the standard deviations the method expected;
 calibrated: root mean square from {_LOWEST_RMS} to {_HIGHEST_RMS:g}."""
 
-_EXPECTED_NOTE = """\
+_EXPECTED_NAMES = {
+    "ball": "ball", "cube_root": "cube root",
+    "blended_ball": "ball, blended", "blended_cube_root": "cube root, blended",
+}  # fmt: skip
+_EXPECTED_NOTE = f"""\
 Of materials left out of the map, the others kept where they are, and errors
-expected without them; rank corr.: of expected with true errors; below 2x: true
-errors that are below twice the expected."""
+expected without them, in the colours of the material or in colours blended from
+the surrounding materials; ball: {BALL}; rank
+corr.: of expected with true errors; below 2x: true errors that are below twice
+the expected."""
 
 
 def lead(report: Report) -> str:
@@ -218,12 +225,11 @@ def _fixed(error: float) -> str:
 def _expected_errors(report: Report) -> list[str]:
     """Calibration of the expected errors."""
     if report.expected_errors is None:
-        return ["No expected errors: not calibrated; embed again, with four materials or more.", ""]
-    digits = {"ball": 2, "cube_root": 3}
+        return [f"No expected errors: {NOT_CALIBRATED[0]};", f"{NOT_CALIBRATED[1]}.", ""]
     rows = [
         (
-            name.replace("_", " "),
-            *(f"{value:.{digits[name]}f}" for value in (*c.true, *c.expected)),
+            _EXPECTED_NAMES[name],
+            *(f"{value:.{2 if name.endswith('ball') else 3}f}" for value in (*c.true, *c.expected)),
             f"{c.rank_correlation:.2f}",
             f"{c.below_twice:.0%}",
             "-" if c.bound is None else f"{c.bound:.1f}",

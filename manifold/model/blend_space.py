@@ -153,6 +153,13 @@ class BlendSpace(LatentSpace):
         """Shares of the materials at places X (M, Q), whatever their colours, shape (M, N)."""
         return blend_weights(X, self.X, self.kernel.length_scale)
 
+    def weights_without(self, i: int, x: Array) -> Array:
+        """Shares of the materials at x (Q,) if material i is left out, shape (N,)."""
+        others = np.delete(np.arange(len(self.X)), i)
+        u = np.zeros(len(self.X))
+        u[others] = blend_weights(x[None], self.X[others], self.kernel.length_scale)[0]
+        return u
+
     def training_index(self, x: Array, colours: Array | None) -> int | None:
         """The material at x (Q,), where the colours are its own; else None."""
         k = int(first_equal_row(x[None], self.X)[0])
@@ -204,11 +211,9 @@ class BlendSpace(LatentSpace):
 
         def find(i: int) -> tuple[Array, Combination, float]:
             x, colours, residual = search.find(roots[i], at, without=i)
-            others = np.delete(np.arange(N), i)
-            u = np.zeros(N)
-            u[others] = blend_weights(x[None], self.X[others], self.kernel.length_scale)[0]
             every = np.zeros((self.reflectances.shape[1], N * B))
-            every[table.bands] = self.paths.weights(u, colours[0]) * colours[1][:, None]
+            in_colours = self.paths.weights(self.weights_without(i, x), colours[0])
+            every[table.bands] = in_colours * colours[1][:, None]
             return x, Combination(CubeRoot(), every, self.bands), residual
 
         return find

@@ -59,11 +59,14 @@ class ColourPaths:
         return max(float(coordinates[-1]) for coordinates, _, _ in self.vertices)
 
     def weights(self, u: Array, coordinates: Array) -> Array:
-        """Weights of the samples where materials are blended by u (N,), at coordinates (B,), shape (B, n)."""
-        total = np.zeros((len(coordinates), len(self.reflectances)))
+        """Weights of the samples where materials are blended by u (N,), at coordinates (B,), or (N, B) if each material
+        has its own, shape (B, n).
+        """
+        total = np.zeros((coordinates.shape[-1], len(self.reflectances)))
+        each = np.broadcast_to(coordinates, (len(u), coordinates.shape[-1]))
         for i in np.flatnonzero(u).tolist():
             vertices, samples, W = self.vertices[i]
-            total[:, samples] += u[i] * interpolate(vertices, coordinates, W)
+            total[:, samples] += u[i] * interpolate(vertices, each[i], W)
         return total
 
     def subset(self, materials: Indices) -> ColourPaths:

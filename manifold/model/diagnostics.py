@@ -10,9 +10,9 @@ from manifold import __version__
 from manifold.brdf.measured import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
-from manifold.metrics import Errors
+from manifold.metrics import BALL, Errors
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
-from manifold.model.expected_error import COARSE_BELOW
+from manifold.model.expected_error import COARSE_BELOW, NOT_CALIBRATED
 from manifold.records import Array, plain
 
 if TYPE_CHECKING:
@@ -34,15 +34,19 @@ class DiagnosedPrediction:
     """A predicted material, with its expected error and diagnostics.
 
     Attributes:
-        latent: shape (Q,).
+        latent: shape (Q,); None of a step of a walk, which no latent makes.
         coordinates: the same, with the digits that reproduce the prediction.
+        walk: of a step of a walk, its two materials and t, in words; else None.
         colour: where the colour comes from, in words; None where the latent fixes it.
         reflectance_residual: largest difference over bands between the requested reflectance and the one reached.
         weights: the materials with the largest weights, by magnitude, in this colour; none of a step of a walk, which
             its two materials make.
-        nearest: the three nearest materials with their distances.
+        nearest: the three nearest materials with their distances; none of a step of a walk.
         materials: number of materials of the model, on whose left-out errors expected ones are based.
-        expected: None where the model is not calibrated.
+        expected: of a material that has the place, and the colour if that is known; None where the model is not
+            calibrated, and of a step of a walk.
+        expected_in_chosen_colour: what would be expected if the colour, which is blended from the surrounding
+            materials, were chosen; None where it is not blended.
         is_extrapolation: whether the data do not support the place.
         plausibility: measured on the prediction, or on the file that was written.
         diagnostics: defects found, as sentences.
@@ -55,14 +59,16 @@ class DiagnosedPrediction:
     """
 
     brdf: BRDF
-    latent: Array
+    latent: Array | None
     coordinates: tuple[str, ...]
+    walk: str | None
     colour: str | None
     reflectance_residual: float
     weights: list[tuple[str, float]]
     nearest: list[tuple[str, float]]
     materials: int
     expected: Errors[Array] | None
+    expected_in_chosen_colour: Errors[Array] | None
     is_extrapolation: bool
     plausibility: Plausibility
     diagnostics: tuple[str, ...]
@@ -84,11 +90,10 @@ class DiagnosedPrediction:
     @property
     def rows(self) -> dict[str, object]:
         """Labels and values for a terminal."""
-        rows: dict[str, object] = {
-            "expected error": ["none: not supported by the data"]
-            if self.is_extrapolation
-            else in_words(self.expected, self.materials),
-            "nearest": [f"{name} ({distance:.2f})" for name, distance in self.nearest],
+        rows: dict[str, object] = {"expected error": self._expected_in_words}
+        if self.nearest:
+            rows["nearest"] = [f"{name} ({distance:.2f})" for name, distance in self.nearest]
+        rows |= {
             "reciprocity error": f"{self.plausibility.reciprocity_error:.2%}",
             "largest albedo": f"{self.plausibility.max_albedo:.3f}",
         }
@@ -96,6 +101,14 @@ class DiagnosedPrediction:
             off = f"at most {self.mirror_difference:.1%} from the prediction"
             rows["file"] = f"{off} within 5 degrees of mirror directions"
         return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
+
+    @property
+    def _expected_in_words(self) -> list[str]:
+        if self.walk is not None:
+            return ["none: a step of a walk has no place on the map"]
+        if self.is_extrapolation:
+            return ["none: not supported by the data"]
+        return in_words(self.expected, self.materials, self.expected_in_chosen_colour)
 
 
 def predict_and_diagnose(
@@ -118,41 +131,62 @@ def diagnose(
     """Diagnostics and expected error of a prediction at a place, measured on the file that was written of it, with the
     share of negative values before they were cut to 0, or else on the prediction itself.
     """
-    colours = chosen.colours
+    colours, latent = chosen.colours, place.latent
     found = plausibility(brdf) if found is None else found
-    expected, nearest = model.expected_error(place, colours), model.nearest(place, 3)
+    is_step = place.is_step(colours)
     is_extrapolation = bool(model.is_extrapolation(place, colours))
-    why = f"the nearest material is {nearest[0][1]:.1f} length scales away"
-    if expected is not None:
-        why += f", expected error {expected.ball:.0f} CIEDE2000 of the ball"
     measured = found if negative_share is None else replace(found, negative_share=negative_share)
-    if model.space.training_index(place.latent, colours) is not None:
+    is_measured = not is_step and model.space.training_index(latent, colours) is not None
+    is_blended = colours is None and model.space.takes_colours and not is_step and not is_measured
+    in_chosen_colour = model.left_out.expected(latent) if is_blended and model.left_out is not None else None
+    if is_measured:
         sentences = of_measured(measured, brdf)
     else:
+        why = _reason(model, place) if is_extrapolation else ""
         sentences = of_prediction(is_extrapolation, measured, chosen.residual, why)
     return DiagnosedPrediction(
         brdf=brdf,
-        latent=place.latent,
-        coordinates=model.space.printed(place.latent),
+        latent=None if is_step else latent,
+        coordinates=() if is_step else model.space.printed(latent),
+        walk=place.walk_in_words if is_step else None,
         colour=chosen.words,
         reflectance_residual=chosen.residual,
-        weights=model.largest_weights(place, 5, colours) if place.walk is None or colours is not None else [],
-        nearest=nearest,
+        weights=[] if is_step else model.largest_weights(place, 5, colours),
+        nearest=[] if is_step else model.nearest(place, 3),
         materials=len(model.names),
-        expected=expected,
+        expected=model.expected_error(place, colours),
+        expected_in_chosen_colour=in_chosen_colour,
         is_extrapolation=is_extrapolation,
         plausibility=found,
-        diagnostics=sentences + of_unmeasured(model.unmeasured_share(place)) + model.notes,
+        diagnostics=sentences + of_unmeasured(model.unmeasured_share(place, colours)) + model.notes,
     )
 
 
-def in_words(expected: Errors[Array] | None, materials: int) -> list[str]:
-    """An expected error for a terminal, of a model of `materials` materials."""
+def _reason(model: Manifold, place: Place) -> str:
+    """Why the data do not support a place."""
+    away = f"the nearest material is {model.nearest(place)[0][1]:.1f} length scales away"
+    if model.left_out is None:
+        return away
+    ball = model.left_out.expected(place.latent).ball
+    return f"{away}, expected error {ball:.0f} {BALL} even if the colour is known"
+
+
+def in_words(
+    expected: Errors[Array] | None, materials: int, in_chosen_colour: Errors[Array] | None = None
+) -> list[str]:
+    """An expected error for a terminal, of a model of `materials` materials; with that in a chosen colour if it is of a
+    blended one.
+    """
     if expected is None:
-        return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
+        return [f"unknown: {NOT_CALIBRATED[0]}", NOT_CALIBRATED[1]]
     if expected.ball < 0.05 and expected.cube_root < 0.005:  # both are printed as 0
         return ["none: a measured material"]
     words = [*expected.words, "90 % of errors below twice these"]
+    if in_chosen_colour is not None:
+        words.append(
+            f"in a chosen colour {in_chosen_colour.ball:.1f} and {in_chosen_colour.cube_root:.0%}: this one is blended "
+            "from the surrounding materials"
+        )
     return words + [f"coarse: known from {materials} materials"] * (materials < COARSE_BELOW)
 
 

@@ -23,10 +23,15 @@ from manifold.model.landmarks import LandmarkSearch, combined, farthest_samples
 from manifold.model.latent_space import LatentSpace, LeftOutSearch, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
-from manifold.records import Array, Indices, Mask, evenly_spaced
+from manifold.records import AnyArray, Array, Indices, Mask, evenly_spaced
 
 LEAST_MATERIALS = 4
 """With fewer, left-out errors predict nothing."""
+
+NOT_CALIBRATED = (
+    "the model has no expected errors, or those of an earlier version",
+    f"embed the library again, with {LEAST_MATERIALS} materials or more",
+)
 
 BELOW_TWICE = 0.9
 """Share of the left-out errors that are below twice the expected."""
@@ -153,8 +158,10 @@ class Reliability:
 
 
 _BANDS = 12  # bands in which errors are measured, evenly spaced, beside those of the samples
-# Files of 0.2.0 hold errors in the studio alone, by "left_out_": they are not calibrated.
-_PREFIX, _ARRAYS = "left_out_in_lights_", ("places", "ball", "cube_root", "residual", "materials")
+# Arrays of files; those of 0.2.0 have errors in the studio alone, by "left_out_", and are not used.
+_PREFIX = "left_out_in_lights_"
+_ARRAYS = ("places", "ball", "cube_root", "residual", "materials")
+_BLENDED = "blended_"
 _SAMPLE = 200  # materials that are left out where not all were laid out: spread evenly over the map
 _MOST_BALL = 10.0  # CIEDE2000: the appearance of another material
 _LEAST = {"ball": 0.05, "cube_root": 1e-3}  # errors below cannot be seen
@@ -166,7 +173,8 @@ class LeftOut:
 
     Attributes:
         places: shape (n, Q).
-        errors: of the ball, and of cube roots on the encoding grid, each (n,).
+        errors: in the colours of the material, of the ball, and of cube roots on the encoding grid, each (n,).
+        blended: the same in colours blended from the surrounding materials; None where latents fix the colours.
         residual: of the search, see `Embedded`, shape (n,).
         materials: which they are: all, or some of those of a map by landmarks, shape (n,).
     """
@@ -174,35 +182,58 @@ class LeftOut:
     space: LatentSpace
     places: Array
     errors: Errors[Array]
+    blended: Errors[Array] | None
     residual: Array
     materials: Indices
 
     @property
-    def arrays(self) -> dict[str, Array]:
+    def arrays(self) -> dict[str, AnyArray]:
         """The arrays that a file stores, by name."""
-        known = vars(self) | {name: getattr(self.errors, name) for name in _LEAST}
-        return {_PREFIX + name: known[name] for name in _ARRAYS}
+        arrays: dict[str, AnyArray] = {
+            "places": self.places, "residual": self.residual, "materials": self.materials,
+            **self._by_name(self.errors),
+        }  # fmt: skip
+        if self.blended is not None:
+            arrays |= {_BLENDED + name: values for name, values in self._by_name(self.blended).items()}
+        return {_PREFIX + name: values for name, values in arrays.items()}
 
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
-        """Those of a file's arrays; None where the model was not calibrated."""
-        if _PREFIX + "residual" not in stored:  # nor those of older files, which do not have it
+        """Those of a file's arrays; None where the model was not calibrated, or by an earlier version."""
+        names = _ARRAYS + tuple(_BLENDED + name for name in _LEAST if space.takes_colours)
+        if not {_PREFIX + name for name in names} <= set(stored):
             return None
         count = len(stored[_PREFIX + "materials"])
         shapes = {
-            _PREFIX + name: (count, space.X.shape[1]) if name == "places" else (count,) for name in _ARRAYS
+            _PREFIX + name: (count, space.X.shape[1]) if name == "places" else (count,) for name in names
         }
-        places, ball, cube_root, residual, materials = require_shapes(stored, shapes)
+        places, ball, cube_root, residual, materials, *blended = require_shapes(stored, shapes)
         if not np.all(np.diff(materials) > 0) or materials.min() < 0 or materials.max() >= len(space.X):
             raise ValueError("left-out materials are not those of the map")
-        return cls(space, places, Errors(ball, cube_root), residual, materials.astype(np.int64))
+        in_blended = Errors(ball=blended[0], cube_root=blended[1]) if blended else None
+        indices = materials.astype(np.int64)
+        return cls(space, places, Errors(ball, cube_root), in_blended, residual, indices)
 
-    def expected(self, x: Array, residual: float | None = None) -> Errors[Array]:
-        """Expected errors at latents x (M, Q) or (Q,), of a material of a residual if that is known, (M,) or ().
+    @staticmethod
+    def _by_name(errors: Errors[Array]) -> dict[str, Array]:
+        return {name: getattr(errors, name) for name in _LEAST}
+
+    def expected(
+        self, x: Array, residual: float | None = None, *, is_colour_known: bool = True
+    ) -> Errors[Array]:
+        """Expected errors at latents x (M, Q) or (Q,), (M,) or ().
 
         The errors of nine in ten left-out materials are less than twice as large.
+
+        Args:
+            x: the latents.
+            residual: of a material that was located there, in its own colours; None if it is not known.
+            is_colour_known: whether the colours are those of the material, and not blended from the surrounding ones.
         """
-        calibrated = self._of_places if residual is None else self._of_residuals
+        calibrated = (
+            self._of_residuals if residual is not None else self._of_places if is_colour_known
+            else self._of_blended
+        )  # fmt: skip
         ball, cube_root = (each.at(np.atleast_2d(x), residual).reshape(x.shape[:-1]) for each in calibrated)
         return Errors(ball, cube_root)
 
@@ -218,17 +249,25 @@ class LeftOut:
         return is_far | (self.expected(x).ball > most)
 
     def reliability(self) -> dict[str, Reliability]:
-        """Expected errors of each material, by the others alone, against its true ones."""
-        (X, scale), found = self._calibrated, {}
-        for name, least in _LEAST.items():
-            errors = getattr(self.errors, name)
-            expected = np.empty_like(errors)
-            for i in range(len(X)):
-                others = np.delete(np.arange(len(X)), i)
-                fitted = ExpectedError.calibrate(X[others], self.places[others], errors[others], scale, least)
-                expected[i] = fitted.at(self.places[i : i + 1])[0]
-            found[name] = Reliability.of(errors, expected)
-        return found
+        """Expected errors of each material, by the others alone, against its true ones.
+
+        Keys are `ball` and `cube_root`, and, where colours may be blended, `blended_ball` and `blended_cube_root`.
+        """
+        of_kinds = {"": self.errors} | ({} if self.blended is None else {_BLENDED: self.blended})
+        return {
+            kind + name: self._reliability(values, _LEAST[name])
+            for kind, errors in of_kinds.items()
+            for name, values in self._by_name(errors).items()
+        }
+
+    def _reliability(self, errors: Array, least: float) -> Reliability:
+        X, scale = self._calibrated
+        expected = np.empty_like(errors)
+        for i in range(len(X)):
+            others = np.delete(np.arange(len(X)), i)
+            fitted = ExpectedError.calibrate(X[others], self.places[others], errors[others], scale, least)
+            expected[i] = fitted.at(self.places[i : i + 1])[0]
+        return Reliability.of(errors, expected)
 
     @property
     def _calibrated(self) -> tuple[Array, float]:
@@ -238,17 +277,21 @@ class LeftOut:
 
     @cached_property
     def _of_places(self) -> list[ExpectedError]:
-        return self._calibrate(None)
+        return self._calibrate(self.errors)
+
+    @cached_property
+    def _of_blended(self) -> list[ExpectedError]:
+        return self._of_places if self.blended is None else self._calibrate(self.blended)
 
     @cached_property
     def _of_residuals(self) -> list[ExpectedError]:
-        return self._calibrate(self.residual)
+        return self._calibrate(self.errors, self.residual)
 
-    def _calibrate(self, residuals: Array | None) -> list[ExpectedError]:
+    def _calibrate(self, errors: Errors[Array], residuals: Array | None = None) -> list[ExpectedError]:
         X, scale = self._calibrated
         return [
-            ExpectedError.calibrate(X, self.places, getattr(self.errors, name), scale, least, residuals)
-            for name, least in _LEAST.items()
+            ExpectedError.calibrate(X, self.places, values, scale, _LEAST[name], residuals)
+            for name, values in self._by_name(errors).items()
         ]
 
 
@@ -258,7 +301,8 @@ def leave_out(
     settings: Settings,
     samples: BlendSamples | None = None,
 ) -> LeftOut:
-    """Leave out materials of a space once, find their places from their data, and measure their predictions there.
+    """Leave out materials of a space once, find their places from their data, and measure their predictions there, in
+    their own colours, and, where colours can be chosen, in those blended from the surrounding materials.
 
     The places of the other materials are kept. Every material is left out, or, on a map by landmarks, 200; `samples`
     are those that such a map was fitted to.
@@ -272,12 +316,36 @@ def leave_out(
     else:
         table = MaterialTable(materials.with_negative_values(), bands)
         find, measure = space.left_out_search(table, materials, settings), table.errors
-    places, residual, errors = np.empty((len(chosen), space.X.shape[1])), np.empty(len(chosen)), []
+    places, residual = np.empty((len(chosen), space.X.shape[1])), np.empty(len(chosen))
+    errors: list[Errors[float]] = []
+    blended: list[Errors[float]] = []
     for k, i in progress.each(enumerate(chosen.tolist()), "left-out materials"):
         places[k], combination, residual[k] = find(i)
         errors.append(measure(i, combination))
-    found = Errors.of_several(errors)
-    return LeftOut(space, places, Errors(found.ball, found.cube_root), residual, chosen)
+        if isinstance(space, BlendSpace):
+            blended.append(measure(i, _blended(space, i, places[k], bands, samples)))
+    return LeftOut(
+        space, places, _of_several(errors), _of_several(blended) if blended else None, residual, chosen
+    )
+
+
+def _of_several(errors: list[Errors[float]]) -> Errors[Array]:
+    every = Errors.of_several(errors)
+    return Errors(every.ball, every.cube_root)
+
+
+def _blended(
+    space: BlendSpace, i: int, x: Array, bands: Indices, samples: BlendSamples | None
+) -> Combination:
+    """The prediction at x (Q,) without material i, in colours blended from the others.
+
+    On a map by landmarks only samples are at hand: others are taken where their colour paths have their own colours.
+    """
+    u = space.weights_without(i, x)
+    if samples is None:
+        return Combination(CubeRoot(), u)
+    weights = space.paths.weights(u, space.own_colours[:, bands])
+    return Combination(CubeRoot(), weights, np.searchsorted(bands, space.bands))
 
 
 def _landmark_left_out(
@@ -294,10 +362,7 @@ def _landmark_left_out(
         (brdf,) = materials.filled([materials.names[i]])
         target = roots_at([brdf.select_bands(bands.tolist())], pairs)
         x, colours, residual = search.find(target, at, without=i)
-        others = np.delete(np.arange(len(space.X)), i)
-        u = np.zeros(len(space.X))
-        u[others] = blend_weights(x[None], space.X[others], space.kernel.length_scale)[0]
-        weights = space.paths.weights(u, colours[0]) * colours[1][:, None]
+        weights = space.paths.weights(space.weights_without(i, x), colours[0]) * colours[1][:, None]
         return x, Combination(CubeRoot(), weights, at), residual
 
     def measure(i: int, combination: Combination) -> Errors[float]:

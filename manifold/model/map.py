@@ -106,9 +106,12 @@ class LatentMap:
     def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
         """Whether the data do not support predictions at a place (Q,) or latents x (M, Q): `LeftOut.is_unsupported`.
 
-        For a model that is not calibrated: whether the posterior variance exceeds half of the prior's.
+        For a model that is not calibrated: whether the posterior variance exceeds half of the prior's. Not of a step of
+        a walk.
         """
         left_out = self.left_out
+        if self._is_step(x, colours):
+            return np.zeros((), dtype=bool)
         if left_out is None:
             return self._at(x, colours, self.space.variance_fraction) > EXTRAPOLATION
         is_predicted = self._at(x, colours, self.space.training_indices) < 0
@@ -117,14 +120,16 @@ class LatentMap:
     def expected_error(
         self, x: ArrayLike | PlaceLike, colours: Array | None = None, residual: float | None = None
     ) -> Errors[Array] | None:
-        """Expected errors of predictions at a place (Q,) or latents x (M, Q); None if the model is not calibrated.
+        """Expected errors of predictions at a place (Q,) or latents x (M, Q), if a material that lies there has these
+        colours, or, without colours, if its colours are blended from the surrounding materials.
 
-        0 at a material's own latent, where the prediction is its file. `residual` is that of an `Embedded` material,
-        which tells more of its error than its place does.
+        0 at a material's own latent, where the prediction is its file; None if the model is not calibrated, and of a
+        step of a walk, in which the map has no part. `residual` is that of an `Embedded` material, which tells more of
+        its error than its place does.
         """
-        if self.left_out is None:
+        if self.left_out is None or self._is_step(x, colours):
             return None
-        found = self.left_out.expected(self._latents(x), residual)
+        found = self.left_out.expected(self._latents(x), residual, is_colour_known=colours is not None)
         if residual is not None:
             return found
         is_predicted = self._at(x, colours, self.space.training_indices) < 0
@@ -143,9 +148,18 @@ class LatentMap:
         order = np.argsort(-np.abs(weights), kind="stable")[:count]
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 
-    def unmeasured_share(self, x: PlaceLike) -> float:
-        """Share of unmeasured cells at a latent x (Q,): the materials' shares, averaged by magnitude of weight."""
-        weights = np.abs(self.weights(x))
+    def unmeasured_share(self, x: PlaceLike, colours: Array | None = None) -> float:
+        """Share of unmeasured cells at a latent x (Q,): the materials' shares, averaged by magnitude of weight; of a
+        step of a walk, which may begin and end at other materials than those of the model, by t.
+        """
+        place = self.place(x)
+        if place.walk is not None and place.is_step(colours):
+            start, end, t = place.walk
+            of_ends = [
+                self.materials.unmeasured_share(name) if name in self.names else 0.0 for name in (start, end)
+            ]
+            return (1.0 - t) * of_ends[0] + t * of_ends[1]
+        weights = np.abs(self.weights(place))
         shares = [self.materials.unmeasured_share(self.names[k]) for k in np.flatnonzero(weights)]
         return float(weights[weights > 0] @ shares / weights.sum())
 
@@ -166,7 +180,9 @@ class LatentMap:
             return Place(require_latent(x, self.settings.latent_dim))
         walk = parse_walk(x, self.names)
         if walk is not None:
-            return Place(self.between(*walk), walk)
+            start, end, t = walk
+            is_end = start == end or t in (0.0, 1.0)  # a material, which lies on the map
+            return Place(self.between(start, end, t), None if is_end else walk)
         if x in self.names:
             return Place(self.latent(x))
         coordinates = parse_coordinates(x)
@@ -176,6 +192,9 @@ class LatentMap:
                 "separated by commas, like -0.3,1.2, or FROM:TO:T between two materials"
             )
         return Place(require_latent(coordinates, self.settings.latent_dim))
+
+    def _is_step(self, x: ArrayLike | PlaceLike, colours: Array | None) -> bool:
+        return isinstance(x, Place | str) and self.place(x).is_step(colours)
 
     def _latents(self, x: ArrayLike | PlaceLike) -> Array:
         if isinstance(x, Place | str):

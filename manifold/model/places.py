@@ -19,7 +19,7 @@ class Place:
     """A place on a map of materials.
 
     Attributes:
-        latent: shape (Q,).
+        latent: shape (Q,); of a step of a walk, that on the straight line, where it is predicted in other colours.
         walk: the materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
         rotation_rad: azimuth by which an anisotropic sample lies turned there, against the materials of the map.
     """
@@ -27,6 +27,17 @@ class Place:
     latent: Array
     walk: tuple[str, str, float] | None = None
     rotation_rad: float = 0.0
+
+    def is_step(self, colours: Array | None) -> bool:
+        """Whether the prediction here is a step of the walk, which its two materials make and no latent does: not if it
+        has colours of its own.
+        """
+        return self.walk is not None and colours is None
+
+    @property
+    def walk_in_words(self) -> str:
+        """Where on its walk it is."""
+        return "" if self.walk is None else "between {} and {}, t = {:g}".format(*self.walk)
 
 
 PlaceLike = Place | Array | Sequence[float] | str

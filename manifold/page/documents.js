@@ -38,8 +38,9 @@ export const documents = {
     const { data } = this, error = this.error(look);
     const weights = Object.fromEntries(data.names.flatMap((name, k) => (prediction.u[k] > 0 ? [[name, prediction.u[k]]] : [])));
     return {
-      library: data.library, latent: look.x, material: look.at ?? null, path: isBetween(look) ? look.path : null,
+      library: data.library, latent: isBetween(look) ? null : look.x, material: look.at ?? null, path: isBetween(look) ? look.path : null,
       colour: this.choice(look), weights, [data.error?.what ?? "uncertainty"]: error,
+      unit: data.error?.unit ?? null, "colour is known": !this.hasBlendedColour(look),
       diagnostics: this.diagnostics(look, prediction),
     };
   },
@@ -47,7 +48,7 @@ export const documents = {
   coloursDocument() {
     const { state, data, prediction } = this;
     return {
-      library: data.library, latent: state.x, colour: this.choice(state), wavelengths_nm: data.wavelengths,
+      library: data.library, latent: isBetween(state) ? null : state.x, colour: this.choice(state), wavelengths_nm: data.wavelengths,
       reflectance: this.reflectance, colour_coordinates: prediction.coordinates,
     };
   },

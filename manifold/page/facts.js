@@ -2,6 +2,7 @@
 
 import { highlightValley, fieldAt } from "./numerics.js";
 import { fixed, percent } from "./elements.js";
+import { isBetween } from "./state.js";
 
 const NEAREST = 6;
 const SILENCE = 400; // ms without a change, after which screen readers announce the latent
@@ -10,12 +11,19 @@ const ANISOTROPIC = 0.01; // share of anisotropic materials
 const RESIDUAL = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
 export const facts = {
-  /** Expected error of a look, 0 at a material; null where it is unknown. */
-  error({ x, colour, guest, without } = this.state) {
-    if (without) return null;
+  /** Expected error of a look, 0 of a material in its own colours; null where it is unknown. */
+  error(look = this.state) {
+    const { x, colour, guest, like, without } = look, { error, names } = this.data;
+    if (without || isBetween(look)) return null;
     if (colour === "own") return this.guests[guest].expected?.ball ?? null;
-    const isMaterial = this.materials.materialAt(x) >= 0;
-    return isMaterial ? 0 : fieldAt(this.data.error, x);
+    const material = this.materials.materialAt(x);
+    if (material >= 0 && (colour === "blend" || (colour === "like" && like === names[material]))) return 0;
+    return fieldAt(error && { ...error, values: this.hasBlendedColour(look) ? error.blended : error.values }, x);
+  },
+
+  /** Whether colours are blended from the surrounding materials, and errors larger than of a known colour. */
+  hasBlendedColour({ colour } = this.state) {
+    return colour === "blend" && Boolean(this.data.error?.blended);
   },
 
   isUnsupported(x) {
@@ -23,9 +31,10 @@ export const facts = {
     return (fieldAt({ ...error, values: error.unsupported }, x) ?? 1) > 0.5;
   },
 
-  diagnostics({ x, colour, guest } = this.state, prediction = this.prediction) {
+  diagnostics({ x, colour, guest, path } = this.state, prediction = this.prediction) {
     const { data } = this, found = colour === "own" ? [...this.guests[guest].diagnostics] : [];
-    if (data.error && prediction.u[this.materials.materialAt(x)] !== 1 && this.isUnsupported(x)) {
+    const isPlace = data.error && !isBetween({ colour, path });
+    if (isPlace && prediction.u[this.materials.materialAt(x)] !== 1 && this.isUnsupported(x)) {
       found.push("not supported by the data; choose a latent nearer to the materials");
     }
     const isShown = prediction === this.prediction;
@@ -56,13 +65,15 @@ export const facts = {
   },
 
   errorText(error) {
-    const { unit } = this.data.error ?? {};
-    return error === 0 ? "none: a measured material" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit})`;
+    const { unit } = this.data.error ?? {}, colour = this.hasBlendedColour() ? "; its colour is blended" : "";
+    return error === 0 ? "none: a measured material" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit}${colour})`;
   },
 
   showFacts() {
     const { data, state } = this, error = this.error();
-    const beyond = state.without ? "none: predicted by the others, compare it with what was measured" : data.error ? "outside the map" : "not computed above three dimensions";
+    const beyond = state.without ? "none: predicted by the others, compare it with what was measured"
+      : isBetween(state) ? "none: a step of a walk has no place on the map"
+      : data.error ? "outside the map" : "not computed above three dimensions";
     this.byId("error-value").textContent = error === null ? beyond : this.errorText(error);
     const found = this.diagnostics();
     this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {

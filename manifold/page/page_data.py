@@ -26,6 +26,7 @@ from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_rusinkiewicz, from_spherical, normalize
 from manifold.errors import UsageError
 from manifold.estimate.gloss import RECEPTORS_DEG, SOURCE_DEG, black_glass
+from manifold.metrics import BALL
 from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.expected_error import COARSE_BELOW
@@ -156,8 +157,8 @@ _MOST_BALL = 15.0  # CIEDE2000 at which the ground of the map is darkest
 def error_field(model: Manifold) -> dict[str, Any] | None:
     """Values on a regular grid over the map, the last dimension running fastest; None above three dimensions.
 
-    Expected errors of the ball or, of a model that is not calibrated, the posterior over the prior standard deviation;
-    and where the data do not support predictions.
+    Expected errors of the ball if the colour is known, and, of blends, if it is `blended`; or, of a model that is not
+    calibrated, the posterior over the prior standard deviation; and where the data do not support predictions.
     """
     X = model.X
     Q = X.shape[1]
@@ -167,16 +168,19 @@ def error_field(model: Manifold) -> dict[str, Any] | None:
     low, high = X.min(axis=0) - _MARGIN * extent, X.max(axis=0) + _MARGIN * extent
     axes = [np.linspace(a, b, _NODES[Q]) for a, b in zip(low, high, strict=True)]
     places = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
-    expected = model.expected_error(places)
-    if expected is None:
+    words: dict[str, Any]
+    if model.left_out is None:
         words = {"what": "uncertainty", "unit": "posterior over prior standard deviation", "most": 1.0}
-        values = model.std(places)
+        values, blended = model.std(places), None
     else:
         coarse = f"; coarse, known from {len(X)} materials" if len(X) < COARSE_BELOW else ""
-        words = {"what": "expected error", "unit": f"CIEDE2000 of the ball{coarse}", "most": _MOST_BALL}
-        values = expected.ball
+        words = {"what": "expected error", "unit": f"{BALL}{coarse}", "most": _MOST_BALL}
+        values, blended = (
+            model.left_out.expected(places, is_colour_known=is_known).ball for is_known in (True, False)
+        )
     return words | {
         "low": low.tolist(), "high": high.tolist(), "nodes": _NODES[Q], "values": np.round(values, 3).tolist(),
+        "blended": None if blended is None else np.round(blended, 3).tolist(),
         "unsupported": model.is_extrapolation(places).astype(int).tolist(),
     }  # fmt: skip
 

@@ -12,6 +12,7 @@ from matplotlib.patheffects import withStroke
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.library.identity import origins_in_words
+from manifold.metrics import BALL
 from manifold.model.manifold import Manifold
 from manifold.plots.figures import fix_layout, new_figure, place_names, shortened
 from manifold.records import Array, Indices
@@ -86,25 +87,26 @@ def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
     margin = _MARGIN * (high - low)
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], _GRID) for k in (0, 1))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    expected = model.expected_error(points)
-    if expected is None:
+    left_out = model.left_out
+    if left_out is None:
         ground, norm, words = (
             model.std(points),
             Normalize(0.0, 1.0),
             "posterior over prior standard deviation",
         )
     else:
-        ground, norm = expected.ball, LogNorm(*_BALL_RANGE, clip=True)
-        words = "expected error of a prediction: mean CIEDE2000 of its ball"
+        ground, norm = left_out.expected(points).ball, LogNorm(*_BALL_RANGE, clip=True)
+        known = " if the colour is known" * model.space.takes_colours
+        words = f"expected error of a prediction{known}: {BALL}"
     image = axes.imshow(
         ground.reshape(_GRID, _GRID), extent=(x[0], x[-1], y[0], y[-1]), origin="lower", aspect="auto",
         interpolation="bilinear", cmap=_UNCERTAINTY, norm=norm,
     )  # fmt: skip
     bar = figure.colorbar(
-        image, ax=axes, pad=0.015, fraction=0.04, extend="neither" if expected is None else "both"
+        image, ax=axes, pad=0.015, fraction=0.04, extend="neither" if left_out is None else "both"
     )
     bar.set_label(words)
-    if expected is not None:
+    if left_out is not None:
         bar.set_ticks(_BALL_TICKS, labels=[f"{tick:g}" for tick in _BALL_TICKS])
     unsupported = model.is_extrapolation(points).reshape(_GRID, _GRID).astype(float)
     if unsupported.any():

@@ -70,3 +70,31 @@ def left_out(method, data, i):
     """The prediction of material i by an evaluation method: from the others, or by the one fit that serves all."""
     everything = np.arange(data.n_materials)
     return method.fit(data, np.delete(everything, i) if method.refits else everything)(i)
+
+
+def blend_shares(x, X, length_scale):
+    """Shares of samples at a place: `exp(-d^2 / (2 l^2)) / d^2`, less 3e-4 of the largest, of sum 1; 1 at a sample."""
+    squared = [sum((a - b) ** 2 for a, b in zip(x, row, strict=True)) / length_scale**2 for row in X]
+    if 0.0 in squared:
+        return np.eye(len(X))[squared.index(0.0)]
+    shares = np.array([math.exp(-s / 2) / s for s in squared])
+    shares = np.maximum(shares / shares.max() - 3e-4, 0.0)
+    return shares / shares.sum()
+
+
+def expected_error(x, X, places, errors, length_scale):
+    """The formulas of docs/explanation/expected-errors.md at a place: `c` fitted, then `e(x)`."""
+
+    def unscaled(at, materials):
+        own, e = X[materials], errors[materials]
+        m, power = np.exp(np.mean(np.log(e))), len(e) / (len(e) + 2)
+        d = min(np.linalg.norm(at - row) for row in own) / length_scale
+        around = np.prod((e / m) ** (power * blend_shares(at, own, length_scale)))
+        return m * around * (1 + d**2) ** (1 / 8), m, e.max(), d * length_scale
+
+    everything = list(range(len(X)))
+    ratios = [errors[i] / unscaled(places[i], [j for j in everything if j != i])[0] for i in everything]
+    c = math.exp(max(np.median(np.log(ratios)), np.quantile(np.log(ratios), 0.9) - math.log(2)))
+    e, m, most, d = unscaled(x, everything)
+    gap = max(min(np.linalg.norm(X[i] - X[j]) for j in everything if j != i) for i in everything)
+    return max(c * e, min(m * (d / gap) ** 2, max(most, m)))

@@ -6,11 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers import reference
 from helpers.small_library import small_library
 from scipy.stats import spearmanr
 
+from manifold.colour import panel
+from manifold.colour.colour_science import colour_science
+from manifold.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.metrics import Errors
+from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import in_words, predict_and_diagnose
 from manifold.model.expected_error import GUARANTEED, LEVEL, ExpectedError, LeftOut
 from manifold.model.manifold import Manifold
@@ -83,7 +88,7 @@ def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_ex
     errors = LeftOut(
         model.space, model.left_out.places,
         Errors(np.where(np.arange(len(model.names)) == k, 1e-6, left_out.ball), left_out.cube_root),
-        model.left_out.residual, model.left_out.materials,
+        None, model.left_out.residual, model.left_out.materials,
     )  # fmt: skip
     place = errors.expected(model.X[k])
     exact, other = (errors.expected(model.X[k], residual) for residual in (1e-9, 0.1))
@@ -107,7 +112,7 @@ def test_without_calibration_nothing_is_expected_and_the_remedy_is_named(library
     assert fitted.expected_error(fitted.X.mean(axis=0)) is None
     made = predict_and_diagnose(fitted, fitted.X.mean(axis=0))
     assert made.expected is None
-    assert "unknown: the model is not calibrated" in in_words(made.expected, made.materials)
+    assert "unknown: the model has no expected errors" in in_words(made.expected, made.materials)[0]
 
 
 def test_a_left_out_material_is_predicted_by_the_others_alone(model):
@@ -161,7 +166,7 @@ def test_nine_in_ten_new_materials_err_by_less_than_the_bound(rng):
         known = slice(None, 30)
         space = SimpleNamespace(X=X[known], kernel=SimpleNamespace(length_scale=1.0))
         errors = LeftOut(
-            space, X[known], Errors(light[known], 0.1 * heavy[known]), np.ones(30), np.arange(30)
+            space, X[known], Errors(light[known], 0.1 * heavy[known]), None, np.ones(30), np.arange(30)
         )
         bounds, expected = errors.reliability(), errors.expected(X[30:])
         below.append(light[30:] < bounds["ball"].bound * expected.ball)
@@ -176,3 +181,75 @@ def test_errors_that_do_not_fit_the_materials_are_refused(model):
     arrays["left_out_in_lights_ball"] = arrays["left_out_in_lights_ball"][:-1]
     with pytest.raises(ValueError, match="'left_out_in_lights_ball' has shape"):
         LeftOut.from_arrays(arrays, model.space)
+
+
+def test_errors_in_blended_colours_are_those_of_the_blend_of_the_others(model):
+    """By formulas: shares at the place where it was found, cube roots added, balls compared in five lights."""
+    lights, pairs = panel.judged(), encoding_pairs()
+    brdfs = model.materials.with_negative_values()
+    lit, grid = (np.array([brdf.eval(at.wi, at.wo) for brdf in brdfs]) for at in (lights, pairs))
+    to_xyz = np.array([[0.41239080, 0.35758434, 0.18048079], [0.21263901, 0.71516868, 0.07219232],
+                       [0.01933082, 0.11919478, 0.95053215]])  # fmt: skip
+    white = to_xyz.sum(axis=1)
+
+    def lab(f):
+        t = np.cbrt(np.clip(lights.sums @ f, 0.0, 1.0) @ to_xyz.T / white)
+        t = np.where(t > 6 / 29, t, (29 / 6) ** 2 / 3 * t**3 + 4 / 29)
+        return np.stack([116 * t[:, 1] - 16, 500 * (t[:, 0] - t[:, 1]), 200 * (t[:, 1] - t[:, 2])], axis=1)
+
+    ball, cube_root = [], []
+    for i, place in enumerate(model.left_out.places):
+        others = [j for j in range(len(brdfs)) if j != i]
+        shares = reference.blend_shares(place, model.X[others], model.space.kernel.length_scale)
+        on_ball, in_grid = (
+            np.maximum(np.tensordot(shares, np.cbrt(f[others]), axes=1), 0.0) for f in (lit, grid)
+        )
+        apart = colour_science().delta_E(lab(lit[i]), lab(on_ball**3), method="CIE 2000")
+        ball.append(np.mean([part.mean() for part in np.split(apart, np.cumsum(lights.counts)[:-1])]))
+        weight, roots = np.cbrt(pairs.cosines)[:, None], np.cbrt(grid[i])
+        cube_root.append(np.linalg.norm(weight * (in_grid - roots)) / np.linalg.norm(weight * roots))
+    blended = model.left_out.blended
+    np.testing.assert_allclose(
+        blended.ball, ball, rtol=1e-4
+    )  # eight digits of the matrix, and the kink of CIELAB
+    np.testing.assert_allclose(blended.cube_root, cube_root, rtol=1e-9)
+
+
+def test_the_expected_error_is_that_of_the_documents(model, rng):
+    left_out, scale = model.left_out, model.space.kernel.length_scale
+    for x in rng.uniform(-3.0, 3.0, (20, model.X.shape[1])):
+        for errors, is_known in ((left_out.errors, True), (left_out.blended, False)):
+            found = left_out.expected(x, is_colour_known=is_known)
+            for name in ("ball", "cube_root"):
+                by_hand = reference.expected_error(x, model.X, left_out.places, getattr(errors, name), scale)
+                assert float(getattr(found, name)) == pytest.approx(by_hand, rel=1e-9)
+
+
+def test_of_a_blended_colour_a_larger_error_is_expected_than_of_a_known_one(model):
+    x = model.X.mean(axis=0) + 0.1
+    blended, chosen = (
+        predict_and_diagnose(model, x, choice) for choice in (ColourChoice(), ColourChoice(srgb="#aa5533"))
+    )
+    assert blended.expected.ball > 2.0 * chosen.expected.ball
+    assert blended.expected_in_chosen_colour == chosen.expected
+    assert chosen.expected_in_chosen_colour is None
+    in_words = [" ".join(made.rows["expected error"]) for made in (blended, chosen)]
+    assert ["is blended from the surrounding materials" in words for words in in_words] == [True, False]
+    assert in_words[0].startswith(f"{blended.expected.ball:.1f} CIEDE2000 of the ball (mean of five lights)")
+
+
+def test_a_material_in_another_colour_than_its_own_has_an_expected_error(model):
+    own, other = (
+        predict_and_diagnose(model, model.names[0], choice)
+        for choice in (ColourChoice(), ColourChoice(like=model.names[1]))
+    )
+    assert own.expected.ball == 0.0 < other.expected.ball
+
+
+def test_a_model_of_an_earlier_version_expects_nothing_until_it_is_fitted_again(model, library, tmp_path):
+    """Such files hold errors in known colours alone."""
+    earlier = {name: values for name, values in model.left_out.arrays.items() if "blended" not in name}
+    assert LeftOut.from_arrays(earlier, model.space) is None
+    loaded = Manifold(model.materials, model.space, model.settings, model.statistics)
+    made = predict_and_diagnose(loaded, model.X.mean(axis=0))
+    assert "embed the library again" in made.rows["expected error"][1]

@@ -15,6 +15,7 @@ from manifold.colour import ball_colours
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import UsageError
 from manifold.library.store import Library
+from manifold.metrics import BALL
 from manifold.model.manifold import Manifold, Settings
 from manifold.page import explore, page_data
 from manifold.page.page import make_page, page_script, widget_module
@@ -100,11 +101,21 @@ def test_a_ball_from_packed_tables_is_the_ball_of_the_prediction(model, tabulate
     assert np.mean(errors) < 0.5  # measured 0.1 on real files; the target of the page is 1.0
 
 
+def test_the_page_has_the_expected_errors_of_known_and_of_blended_colours(model):
+    loaded = Manifold.load(model.library.path.parent / "model.h5")
+    field = error_field(loaded)
+    place = np.array(field["low"])  # the first node
+    for name, is_known in (("values", True), ("blended", False)):
+        expected = float(loaded.left_out.expected(place, is_colour_known=is_known).ball)
+        assert field[name][0] == pytest.approx(expected, abs=1e-3)  # three decimals
+    assert np.median(field["blended"]) > np.median(field["values"])
+
+
 def test_expected_errors_of_few_materials_are_called_coarse_on_the_page(model, monkeypatch):
     loaded = Manifold.load(model.library.path.parent / "model.h5")
-    assert error_field(loaded)["unit"] == f"CIEDE2000 of the ball; coarse, known from {len(NAMES)} materials"
+    assert error_field(loaded)["unit"] == f"{BALL}; coarse, known from {len(NAMES)} materials"
     monkeypatch.setattr("manifold.page.page_data.COARSE_BELOW", len(NAMES))
-    assert error_field(loaded)["unit"] == "CIEDE2000 of the ball"
+    assert error_field(loaded)["unit"] == BALL
 
 
 def test_only_maps_of_blends_have_a_page(tmp_path):

@@ -705,6 +705,25 @@ def located(model, name, **gain):
     }  # fmt: skip
 
 
+def test_the_expected_error_is_that_of_the_colour_and_place_that_are_shown(page, model):
+    x = (model.X.mean(axis=0) + 0.1).tolist()
+    for change, is_known in (({"colour": "blend"}, False), ({"colour": "picked", "srgb": "#3366aa"}, True)):
+        page.evaluate("(change) => window.explorer.change(change)", {"x": x, "path": None} | change)
+        settle(page)
+        text = page.locator("#error-value").inner_text()
+        expected = float(model.left_out.expected(np.array(x), is_colour_known=is_known).ball)
+        assert float(text.split()[0]) == pytest.approx(expected, rel=0.05)  # between nodes of the page's grid
+        assert "(CIEDE2000 of the ball (mean of five lights)" in text
+        assert ("its colour is blended" in text) == (not is_known)
+    walk = {"from": NAMES[0], "to": NAMES[3], "t": 0.5}
+    page.evaluate("(change) => window.explorer.change(change)", {"colour": "blend", "path": walk})
+    settle(page)
+    assert page.locator("#error-value").inner_text() == "none: a step of a walk has no place on the map"
+    assert page.evaluate(
+        "() => window.explorer.latentDocument(window.explorer.state, window.explorer.prediction).latent"
+    ) is None  # fmt: skip
+
+
 def test_a_dropped_material_stands_on_the_map_in_its_own_colours_until_it_is_removed(page, model):
     found = located(model, NAMES[3], red=0.5)
     page.evaluate("(found) => window.explorer.addGuest(found)", found)

@@ -327,6 +327,8 @@ def predict(
 def show_prediction(results: terminal.Results, made: DiagnosedPrediction) -> None:
     """Print what is known of a prediction."""
     rows: dict[str, object] = {"latent": ",".join(made.coordinates)}
+    if made.walk is not None:
+        rows = {"walk": made.walk}
     if made.colour is not None:
         rows["colour"] = made.colour
     if made.weights:

@@ -104,11 +104,7 @@ def walk(
     with progress.shown("Rendering"):
         between = maps.walk(model, ends[0], ends[1], output, steps=steps, library=library)
     diagnosed = tuple(f"t = {t:.2g}: {said}" for t, made in between.items() for said in made.diagnostics)
-    expected = [
-        f"t = {t:.2g}: {made.expected.ball:.1f}" for t, made in between.items() if made.expected is not None
-    ]
-    rows: dict[str, object] = {"expected CIEDE2000": expected} if expected else {}
-    results.rows(f"Drawn {output}", rows | ({"diagnostics": diagnosed} if diagnosed else {}))
+    results.rows(f"Drawn {output}", {"diagnostics": diagnosed} if diagnosed else {})
     results.document(
         {
             "picture": output,

@@ -178,7 +178,7 @@ def predictions_of(
     loaded = load_model(model, library)
     suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
     columns: Columns = {
-        "latent": lambda content: " ".join(f"{x:.4g}" for x in content["latent"]),
+        "latent": lambda content: " ".join(content["coordinates"]),
         "colour": lambda content: content["colour"],
         "expected CIEDE2000": lambda content: (content["expected"] or {}).get("ball"),
     }

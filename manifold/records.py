@@ -97,6 +97,9 @@ class Bands:
 _ORIGINS = {
     "Predicted at": "predicted",
     "Completed from": "completed",
+    "A dielectric coat": "completed",
+    "Found in": "completed",
+    "Photographed, at": "predicted",
     "Reconstruction of": "reconstructed",
 }
 

@@ -206,7 +206,8 @@ def _write_csv(path: Path, source: Source, options: Options) -> list[str]:
 
 def _write_bird(path: Path, source: Source, options: Options) -> list[str]:
     rows = _rows(source)
-    bird.write(path, rows, "measurement" if source.expected_error is None else "simulation")
+    is_estimated = source.file is not None and source.file.origin != "measured"
+    bird.write(path, rows, "simulation" if is_estimated else "measurement")
     notes = [
         "organisation, contact, place, instrument and time are to be filled in: 'not stated' or 'NA' stands there"
     ]

@@ -182,7 +182,7 @@ class Adjusted:
         """Plain values."""
         lch = [dict(zip(("lightness", "chroma", "hue_deg"), one, strict=True)) for one in self.lch]
         known = {
-            "latent": self.place.latent,
+            "latent": None if self.place.is_step(self.colours) else self.place.latent,
             "asked": lch[0] | {"gloss": {f"{angle:g}": asked for angle, (asked, _) in self.gloss.items()}},
             "reached": lch[1] | {"gloss": {f"{angle:g}": found for angle, (_, found) in self.gloss.items()}},
             "ciede2000": self.difference,
@@ -207,8 +207,8 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     units = attributes.units(gloss_units(present, attributes.gloss))
     latent = search.nearest(place.latent, factor, units)
     colours = search.colours(latent, factor) if units or is_tinted else chosen.colours
-    reached = model.predict(latent, colours).turned(place.rotation_rad)
     moved = replace(place, latent=latent, walk=None) if units else place
+    reached = model.predict(moved, colours).turned(place.rotation_rad)
     return Adjusted(moved, colours, {}, (wanted, wanted), 0.0).reached_by(reached, units)
 
 

@@ -29,9 +29,9 @@ from manifold.model.output_file import (
     write_checked,
     write_output,
 )
-from manifold.model.places import PlaceLike
+from manifold.model.places import Place, PlaceLike
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Array, BsdfFile
+from manifold.records import BsdfFile
 
 if TYPE_CHECKING:
     from manifold.estimate.attributes import Attributes
@@ -92,7 +92,7 @@ def predict(
         chosen = replace(chosen, words=str(adjusted))
     start = time.perf_counter()
     clipped = ClippedBRDF(brdf)
-    description = _describe(model, place.latent, chosen.words, options.physical)
+    description = _describe(model, place, chosen, options.physical)
     remedy = "make it physical, write more incidences"
     of_place = model.expected_error(place, chosen.colours)
     written = write_checked(
@@ -125,14 +125,16 @@ def predict(
     )
 
 
-def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> str:
+def _describe(model: Manifold, place: Place, chosen: ChosenColour, physical: bool) -> str:
     """The description in a predicted file."""
     origin = (
         "a synthetic corpus" if model.materials.is_synthetic else f"{len(model.names)} measured materials"
     )
-    at = ", ".join(model.space.printed(x))
-    how = (f", colour {colour}" if colour else "") + ", projected to be physical" * physical
-    return f"Predicted at latent ({at}){how}{',' * bool(how)} from {origin} by manifold {__version__}"
+    at = f"at latent ({', '.join(model.space.printed(place.latent))})"
+    if place.is_step(chosen.colours):
+        at = f"at a step {place.walk_in_words}"
+    how = (f", colour {chosen.words}" if chosen.words else "") + ", projected to be physical" * physical
+    return f"Predicted {at}{how}{',' * bool(how)} from {origin} by manifold {__version__}"
 
 
 def locate(

@@ -133,7 +133,8 @@ def subject_of_prediction(
     source = {
         "model": model.name,
         "model_sha256": file_sha256(model),
-        "latent": place.latent.tolist(),
+        "latent": None if place.is_step(chosen.colours) else place.latent.tolist(),
+        "walk": place.walk_in_words if place.is_step(chosen.colours) else None,
         "colour": chosen.words,
     }
     stages.begin("fitting")

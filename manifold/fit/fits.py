@@ -146,7 +146,8 @@ def _fit_prediction(place: PlaceSource, path: Path, settings: FitSettings) -> Ou
     predicted = diagnostics.predict_and_diagnose(loaded, place.place, place.colour)
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
-        latent=tuple(predicted.latent.tolist()),
+        latent=None if predicted.latent is None else tuple(predicted.latent.tolist()),
+        walk=predicted.walk,
         model=place.model.name,
         model_sha256=file_sha256(place.model),
         colour=predicted.colour,

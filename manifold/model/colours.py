@@ -96,7 +96,7 @@ def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> Chosen
     place = model.place(x)
     x = place.latent
     if choice == NEAREST and place.walk is not None:
-        return ChosenColour(None, "between {} and {}, of these two alone".format(*place.walk), 0.0)
+        return ChosenColour(None, "blended from the two materials of the walk", 0.0)
     if choice == NEAREST:
         return ChosenColour(None, "blended from the surrounding materials", 0.0)
     if choice.reflectance is None and choice.srgb is None:

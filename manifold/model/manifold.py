@@ -175,7 +175,7 @@ class Manifold(LatentMap):
         if np.asarray(x, dtype=object).ndim == 2:
             return [self.predict(row, colours) for row in x]
         place = self.place(x)
-        if place.walk is not None and colours is None:
+        if place.walk is not None and place.is_step(colours):
             return self.interpolate(*place.walk)
         x = place.latent
         combination = self.combination(x, colours)

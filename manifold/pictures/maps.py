@@ -51,6 +51,11 @@ def latent_map(
     predicted = (
         None if marked is None else diagnostics.predict_and_diagnose(loaded, place_of(marked, loaded), colour)
     )
+    if predicted is not None and predicted.walk is not None:
+        raise UsageError(
+            f"{marked}: a step of a walk, which has no place on the map; mark a material or coordinates, or use "
+            "`manifold walk`"
+        )
     x = None if predicted is None else predicted.latent
     if not backend.is_available():
         figures.save(map_figure.latent_map(loaded, marked=x), output)
@@ -70,8 +75,8 @@ def walk(
     steps: int = 7,
     library: Path | None = None,
 ) -> dict[float, DiagnosedPrediction]:
-    """Draw the walk between two materials, and below it what lies between them on the map; the predictions between the
-    materials by t, marked in the picture where they have diagnostics.
+    """Draw the walk between two materials, and below it what lies between them on the map; the steps of the walk by t,
+    marked in the picture where they have diagnostics.
     """
     figures.require_writable(output)
     backend.imported()
@@ -93,7 +98,8 @@ def walk(
                 brdf = along(value)
                 images.append(cropped(thumbnails.of_material(brdf)))
             if not rows and 0.0 < value < 1.0:
-                between[value] = diagnostics.diagnose(loaded, Place(on_line(first, last, value)), brdf)
+                step = Place(on_line(first, last, value), (str(start), str(end), value))
+                between[value] = diagnostics.diagnose(loaded, step, brdf)
             done = len(rows) * steps + len(images)
             progress.report(done, len(methods) * steps, f"{name}, t = {value:.2g}".replace("\n", " "))
         rows.append((name, images))

@@ -18,7 +18,7 @@ from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource, source_file
 from manifold.library.identity import hash_arrays
-from manifold.model.colours import NEAREST, ColourChoice
+from manifold.model.colours import ColourChoice
 from manifold.model.places import PlaceLike
 from manifold.progress import Stages
 from manifold.records import plain
@@ -147,12 +147,12 @@ def latent_material(
     if isinstance(colour.reflectance, ReflectanceSpectrum):
         raise UsageError("direct renders take reflectances from a file; name one, or render a predicted file")
     loaded = load_model(model, library)
-    if loaded.space.takes_colours and colour == NEAREST and loaded.place(latent).walk is not None:
-        raise UsageError(
-            "direct renders have the colours of latents, not those between two; render a predicted file"
-        )
     warn_if_invisible(loaded.bands)
     predicted = diagnostics.predict_and_diagnose(loaded, latent, colour)
+    if predicted.latent is None:
+        raise UsageError(
+            f"{at}: direct renders are of latents, not of steps of walks; render a predicted file"
+        )
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}

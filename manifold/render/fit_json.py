@@ -157,6 +157,7 @@ class Source:
     Attributes:
         file, sha256: name and hash of the measured file; None for a prediction.
         latent, model, model_sha256: where a prediction comes from, the model's file and its hash; None for a file.
+        walk: of a step of a walk, which has no latent, where it is, in words; else None.
         colour: of a prediction, in words; None for a file, and where colours are fixed by latents.
     """
 
@@ -167,6 +168,7 @@ class Source:
     model: str | None = None
     model_sha256: str | None = None
     colour: str | None = None
+    walk: str | None = None
 
 
 def document(result: FitResult, source: Source) -> dict[str, Any]:

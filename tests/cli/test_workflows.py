@@ -188,7 +188,8 @@ def test_a_place_on_the_path_between_two_materials_is_written(tmp_path):
     model, wi = Manifold.load(small_model(tmp_path)), from_spherical(0.5, 0.0)
     place = "syn_satin_gold:syn_gloss_red:0.3"
     made = predict(model, place, tmp_path / "between_rgb.bsdf")
-    assert made.colour == "between syn_satin_gold and syn_gloss_red, of these two alone"
+    assert made.walk == "between syn_satin_gold and syn_gloss_red, t = 0.3"
+    assert read_bsdf(made.path).origin == "predicted"
     assert made.weights == []  # those at its latent are of other materials
     expected = model.interpolate("syn_satin_gold", "syn_gloss_red", 0.3).albedo(wi)
     np.testing.assert_array_equal(model.predict(place).albedo(wi), expected)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.instrument_files import RGB, dense, smooth, write_every_format, write_pab_opto
+from helpers.small_library import measured
 
 from manifold.analytic import corpus
 from manifold.analytic.virtual_instruments import MINI_DIFF_BANDS, write_mini_diff
@@ -329,3 +330,23 @@ def test_a_material_of_a_library_comes_back_byte_for_byte(tmp_path, library, run
     assert (tmp_path / "back_rgb.bsdf").read_bytes() == imported.read_bytes()
     assert run("convert", imported, "--resolution", "8", "-o", "coarse.bsdf", cwd=tmp_path)[0] == 0
     assert read_bsdf(tmp_path / "coarse.bsdf").spectra.shape[-1] == 8
+
+
+@pytest.mark.parametrize(
+    ("description", "origin"),
+    [
+        ("Predicted at a step between paint and felt, t = 0.5, by manifold", "predicted"),
+        ("A dielectric coat (alpha 0.1, index 1.5) over a Lambertian, by manifold", "completed"),
+        ("Found in 1 photograph of a ball through 20 materials by manifold", "completed"),
+        ("a paint", "measured"),
+    ],
+)
+def test_only_measured_files_are_measurements_to_others(tmp_path, description, origin):
+    """Whether or not an error is expected of them."""
+    nm = np.array([450.0, 550.0, 650.0], np.float32)
+    file = replace(measured("syn_felt_green"), description=description, wavelengths_nm=nm, version=(3, 1))
+    write_bsdf(tmp_path / "a.bsdf", file)
+    assert file.origin == origin
+    convert([tmp_path / "a.bsdf"], tmp_path / "a.json", to="bird")
+    words = (tmp_path / "a.json").read_text()
+    assert ('"simulation"' in words) == (origin != "measured")

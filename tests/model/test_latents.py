@@ -14,6 +14,8 @@ from manifold.estimate.predictions import locate, predict
 from manifold.info import inspect
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.places import parse_walk
@@ -56,6 +58,37 @@ def test_the_coordinates_that_predict_and_locate_print_give_the_prediction_back(
     for latent, coordinates in ((located.latent, located.coordinates), (x, made.coordinates)):
         printed = ",".join(coordinates)
         assert distance(loaded.predict(printed), loaded.predict(np.array(latent))) <= MOST
+
+
+def test_a_printed_latent_makes_the_material_again_and_a_step_of_a_walk_has_none(model):
+    loaded, (a, b) = Manifold.load(model), NAMES[:2]
+    for text in (f"{a}:{b}:0.5", f"{a}:{b}:0", f"{a}:{b}:1", f"{a}:{a}:0.3", a, "0.1,0.2"):
+        made = predict_and_diagnose(loaded, text)
+        if text == f"{a}:{b}:0.5":
+            assert (made.latent, made.coordinates, made.expected, made.nearest) == (None, (), None, [])
+            assert made.walk == f"between {a} and {b}, t = 0.5"
+            assert made.rows["expected error"] == ["none: a step of a walk has no place on the map"]
+            assert made.to_json()["latent"] is None
+            assert distance(made.brdf, loaded.predict(loaded.between(a, b, 0.5))) > 1.0  # another material
+        else:
+            assert made.walk is None
+            assert distance(made.brdf, loaded.predict(made.latent)) == 0.0
+
+
+def test_in_a_chosen_colour_a_step_is_the_place_between_the_two(model):
+    loaded, step = Manifold.load(model), f"{NAMES[0]}:{NAMES[1]}:0.5"
+    if not loaded.space.takes_colours:
+        pytest.skip("latents fix the colours of this kind")
+    made = predict_and_diagnose(loaded, step, ColourChoice(srgb="#3366aa"))
+    colours = choose_colour(loaded, made.latent, ColourChoice(srgb="#3366aa")).colours
+    assert made.walk is None
+    assert made.expected is not None
+    assert distance(made.brdf, loaded.predict(made.latent, colours)) == 0.0
+
+
+def test_a_step_of_a_walk_cannot_be_marked_on_the_map(model, tmp_path):
+    with pytest.raises(UsageError, match="has no place on the map"):
+        maps.latent_map(model, tmp_path / "map.png", marked=f"{NAMES[0]}:{NAMES[1]}:0.5")
 
 
 def test_a_material_is_a_latent_by_its_name(model):

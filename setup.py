@@ -14,7 +14,7 @@ BINDING = Path(nanobind.include_dir()).parent
 FLAGS = {
     # What does not change a value: no errno, no traps, and multiplications fused with additions where processors can.
     "unix": ["-std=c++17", "-O3", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast",
-             "-fno-strict-aliasing", "-g0"],
+             "-fno-strict-aliasing", "-fno-wrapv", "-g0"],
     "msvc": ["/std:c++17", "/O2", "/EHsc", "/fp:contract"],
 }  # fmt: skip
 

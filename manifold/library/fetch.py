@@ -9,7 +9,6 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 from urllib.parse import quote, urlsplit
 
 from manifold import __version__, progress
@@ -18,9 +17,6 @@ from manifold.extras import require
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import require_outside_libraries
 from manifold.names import first_few, names_like
-
-if TYPE_CHECKING:
-    import pooch
 
 
 @dataclass(frozen=True)
@@ -128,7 +124,7 @@ def fetch(
     present: list[Path] = []
     failed: dict[str, str] = {}
 
-    def note(path: str, action: str, _: pooch.Pooch) -> str:
+    def note(path: str, action: str, _: object) -> str:
         (present if action == "fetch" else downloaded).append(Path(path))
         return path
 

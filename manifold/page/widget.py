@@ -19,10 +19,11 @@ from manifold.page.page import widget_module
 from manifold.page.page_data import tabulate, to_document
 from manifold.surface.written import read_surface
 
-anywidget, traitlets = require("anywidget"), require("traitlets")
+AnyWidget: Any = require("anywidget").AnyWidget
+traitlets: Any = require("traitlets")
 
 
-class MapWidget(anywidget.AnyWidget):
+class MapWidget(AnyWidget):  # type: ignore[misc]
     """A map of blends to drag a point on; Python knows where it is, and can move it.
 
     Attributes:

@@ -12,8 +12,8 @@ from setuptools.errors import CCompilerError, ExecError, PlatformError
 
 BINDING = Path(nanobind.include_dir()).parent
 FLAGS = {
-    # No errno, no traps, and multiplications fused with additions where processors can. Python's own flags may let integers
-    # wrap around, which keeps loops from being vectorised.
+    # No errno, no traps, and multiplications fused with additions where processors can. Python's own flags may let
+    # integers wrap around, which keeps loops from being vectorised.
     "unix": ["-std=c++17", "-O3", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast",
              "-fno-strict-aliasing", "-fno-wrapv", "-g0"],
     "msvc": ["/std:c++17", "/O2", "/EHsc", "/fp:contract"],

@@ -12,6 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from manifold import __version__, disk, text_tables
 from manifold.names import first_few, printable
 from manifold.progress import Progress as Listener
@@ -122,9 +124,7 @@ class Results:
         """Print a title, then a label and its value per row: lists with commas, sentences of a tuple line by line."""
         if self._only_json:
             return
-        from rich.console import Console
-
-        Console(highlight=False, soft_wrap=True).print(printable(title), style="bold", markup=False)
+        typer.secho(printable(title), bold=True)
         width = max(map(len, rows), default=0) + 4
         for label, value in rows.items():
             for k, item in enumerate(value if isinstance(value, tuple) else [value]):

@@ -321,12 +321,12 @@ void add_located(Matrix<const double> located, const std::vector<const Tables *>
         require(materials[m]->bands == bands, "expected materials with the bands of the total");
         is_placed[m] = m > 0 && materials[m]->shares_grids(*materials[m - 1]);
     }
-    std::vector<float> sums_of_tile(size_t(TILE) * width), rows_of_tile(size_t(TILE) * width);
+    std::vector<float> sums_of_tile(size_t(TILE) * width), two_rows(size_t(2) * width);
     fastest([&]() INLINE_LAMBDA {
         Located pairs;
         Shared shared;
         Corners<float> corners;
-        float *sums = sums_of_tile.data(), *rows = rows_of_tile.data();
+        float *sums = sums_of_tile.data(), *rows = two_rows.data();
         for (ptrdiff_t start = 0; start < count; start += TILE) {
             const int n = copy_located(located.data(), start, count, pairs);
             std::fill(sums, sums + size_t(TILE) * width, 0.0f);
@@ -337,9 +337,9 @@ void add_located(Matrix<const double> located, const std::vector<const Tables *>
                 weigh(tables, pairs, shared, n, true, corners);
                 read_tile(
                     tables, pairs, shared, corners, n,
-                    [&](int k) INLINE_LAMBDA { return rows + ptrdiff_t(k) * width; },
+                    [&](int k) INLINE_LAMBDA { return rows + ptrdiff_t(k % 2) * width; },
                     [&](int k) INLINE_LAMBDA {
-                        add_row(rows + ptrdiff_t(k) * width, weight, take_root, width, sums + ptrdiff_t(k) * width);
+                        add_row(rows + ptrdiff_t(k % 2) * width, weight, take_root, width, sums + ptrdiff_t(k) * width);
                     });
             }
             for (int k = 0; k < n; ++k)

@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 
 RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
+_ROUNDING = 1e-9  # smaller values are 0 but for the rounding of sums
 NAMED = re.compile(r"(-?[\d.,]+(?: / -?[\d.,]+)*)<!-- (\w+) -->")
 
 
@@ -44,6 +45,8 @@ def shown(value: str | float) -> str:
         return f"{value:,}"
     if not isinstance(value, float) or not math.isfinite(value):
         return str(value)
+    if abs(value) < _ROUNDING:
+        value = 0.0
     decimals = 0 if value == 0.0 else max(0, 1 - math.floor(math.log10(abs(value))))
     return f"{value:.{decimals}f}"
 
@@ -51,7 +54,8 @@ def shown(value: str | float) -> str:
 def main() -> None:
     """Write the figures of all documents anew."""
     held = figures()
-    for document in Path(__file__).resolve().parent.rglob("*.md"):
+    folder = Path(__file__).resolve().parent
+    for document in (folder.parent / "README.md", *folder.rglob("*.md")):
         text = document.read_text(encoding="utf-8")
         renewed = NAMED.sub(lambda found: f"{held[found[2]]}<!-- {found[2]} -->", text)
         if renewed != text:

@@ -13,9 +13,17 @@ import numpy as np
 
 from manifold import disk
 from manifold.errors import ShapeError
-from manifold.formats.column_heads import Quantity, angle_name, angle_unit, quantity, value_head, wavelength
+from manifold.formats.column_heads import (
+    angle_names,
+    angle_unit,
+    is_percent,
+    quantity,
+    value_head,
+    wavelength,
+)
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.geometries import directions, exceed_radians
+from manifold.formats.quantities import BRDF, FACTORS, I_OVER_F, Quantity, quantity_in_prose
 from manifold.formats.readings import Readings
 from manifold.formats.text import (
     MOST_ROWS,
@@ -25,8 +33,9 @@ from manifold.formats.text import (
     find_separator,
     read_lines,
     split_cells,
+    wavelength_nm,
 )
-from manifold.formats.values import as_brdf, bands_of, named_wavelength, nanometres
+from manifold.formats.values import as_brdf, assumed_unit, bands_of, named_wavelength
 from manifold.names import in_one_line
 from manifold.records import Array
 
@@ -37,12 +46,18 @@ _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 d
 
 @dataclass(frozen=True)
 class _Columns:
-    """What the columns of the rows are, in their order: names of angles, and heads of bands."""
+    """What the columns of the rows are, in their order: names of angles, and heads of bands.
+
+    Attributes:
+        kind: what the values are; None where the file does not say it.
+        white: the value of the perfect diffuser, where they are reflectance factors.
+    """
 
     names: list[str]
     bands: list[str]
     is_degrees: bool | None
-    kind: Quantity
+    kind: Quantity | None
+    white: float
 
 
 def sniff(head: bytes) -> bool:
@@ -62,10 +77,8 @@ def read(path: Path) -> list[Readings]:
     measured = header.get("MEAS_NAME", "")
     heads = re.sub(r"(?i)^\s*VARS?\b[\s:=]*", "", lines[start])
     columns = _columns(heads, measured, context, f"line {start + 1}")
-    if re.fullmatch(r"BTDF|transmi\w*", measured, re.IGNORECASE):
-        raise context.error(f"MEAS_NAME is {measured}: transmitted light, expected BRDF")
     is_mini_diff = re.search(r"mini[\s_-]*diff", " ".join(header.values()), re.IGNORECASE) is not None
-    columns = _wavelength_of_header(columns, header, lines[:start])
+    columns = _wavelength_of_header(columns, header, lines[:start], context)
     table, notes, columns = _rows(lines, start + 1, columns, context)
     announced = header.get("NUM_POINTS")
     if announced is not None:
@@ -93,8 +106,7 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
     """The columns that the line VARS names; `measured` is what MEAS_NAME says of the values."""
     heads = split_cells(text, find_separator([text]))
     names, bands = [], []
-    for head in heads:
-        angle = angle_name(head)
+    for angle, head in zip(angle_names(heads), heads, strict=True):
         if angle is not None and angle in names:
             raise context.error(f"{angle} appears twice, expected each angle once", where)
         if angle is None:
@@ -111,15 +123,31 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
             f"column {bands[0][:24]}, expected values with a head such as 465nm or BRDF", where
         )
     unit = angle_unit([head for head in heads if head not in bands], context, where)
-    said = "" if measured.lower().startswith("refl") else measured  # of BRDFs that are called reflectance
-    kind = quantity([said]) or quantity(bands) or "f"
-    return _Columns(names, bands, None if unit is None else unit == "degrees", kind)
+    # Goniometers call the measurement "Reflectance" where it is no transmission, whatever the values are.
+    is_side = re.fullmatch(r"refl(ectance|ection|ected)\W*", measured.strip(), re.IGNORECASE) is not None
+    kind = None if is_side else quantity_in_prose(measured, "MEAS_NAME", context)
+    of_heads = quantity(bands, context, where)
+    if kind is not None and of_heads is not None and kind != of_heads:
+        raise context.error(
+            f"MEAS_NAME names {kind.title}, VARS {of_heads.title}, expected one quantity", where
+        )
+    percent = is_percent([*bands, measured])
+    kind = kind or of_heads or (FACTORS if percent else None)
+    if percent and kind not in (FACTORS, I_OVER_F):
+        raise context.error(f"percent of {(kind or BRDF).title}, expected reflectance factors", where)
+    return _Columns(
+        names, bands, None if unit is None else unit == "degrees", kind, 100.0 if percent else 1.0
+    )
 
 
-def _wavelength_of_header(columns: _Columns, header: dict[str, str], lines: list[str]) -> _Columns:
+def _wavelength_of_header(
+    columns: _Columns, header: dict[str, str], lines: list[str], context: ErrorContext
+) -> _Columns:
     """The columns, a single band with the wavelength of the header."""
-    nm = nanometres(header.get("WAVELENGTH", "")) or named_wavelength(lines)
-    if nm is None or len(columns.bands) != 1 or wavelength(columns.bands[0]):
+    if len(columns.bands) != 1 or wavelength(columns.bands[0]):
+        return columns
+    nm = wavelength_nm(header.get("WAVELENGTH", "")) or named_wavelength(lines, context)
+    if nm is None:
         return columns
     band = f"{nm:g}nm"
     names = [band if name in columns.bands else name for name in columns.names]
@@ -179,7 +207,13 @@ def _readings(
             notes.append(f"{int(padded.sum())} rows beyond 75 degrees are padding of the Mini-Diff, not data")
     keep, wi, wo = directions(angle, context, notes)
     first = [k for k, head in enumerate(columns.names) if head in columns.bands]
-    values = as_brdf(table[keep][:, first], columns.kind, wo, notes)
+    raw, kind, white = table[keep][:, first], columns.kind, columns.white
+    assumed = None if kind is not None else assumed_unit([(wi, wo, raw)])
+    if assumed is not None:
+        kind, white = assumed.quantity, assumed.white
+        if kind is not BRDF:  # which the standard means
+            notes.append(assumed.note)
+    values = as_brdf(raw, kind or BRDF, wi, wo, notes, white)
     nm, values = bands_of(columns.bands, values, notes, context)
     weights = np.ones(len(wi))
     if is_mini_diff:
@@ -188,7 +222,17 @@ def _readings(
         notes.append(
             f"{int((values < 0).sum())} values are negative, down to {np.nanmin(values):.3g}: noise, kept"
         )
-    return Readings(name, instrument, wi, wo, nm, values, weights, tuple(notes))
+    return Readings(
+        name,
+        instrument,
+        wi,
+        wo,
+        nm,
+        values,
+        weights,
+        tuple(notes),
+        assumed_unit=None if assumed is None else assumed.unit,
+    )
 
 
 def write(path: Path, readings: Readings) -> None:

@@ -21,7 +21,8 @@ import numpy as np
 from manifold import __version__, disk
 from manifold.formats.geometries import by_band, directions
 from manifold.formats.readings import GONIOMETER, Readings
-from manifold.formats.text import ErrorContext, decode, read_bytes
+from manifold.formats.text import ErrorContext, angle_unit, decode, nanometres, read_bytes
+from manifold.formats.values import weights_of
 from manifold.names import in_one_line
 from manifold.records import Array
 
@@ -29,10 +30,8 @@ _REMEDY = "export the file again"
 _LARGEST = 200_000_000  # bytes
 _SCHEMA = "https://raw.githubusercontent.com/BiRD-project/BiRD_view/master/BRDF_JSON_schema/brdf_json_schema_v1.0.json"
 _ANGLES = {"theta_i": "theta_i", "phi_i": "phi_i", "theta_r": "theta_o", "phi_r": "phi_o"}
-_NM = {"nm": 1.0, "μm": 1e3, "µm": 1e3}
 _NOT_STATED = "not stated"
 _MOST_THETA_DEG, _MOST_PHI_DEG = 89.999999, 360.0  # the schema excludes the horizon
-_TYPICAL = 0.06  # relative standard uncertainty of a value whose reading counts half of an exact one
 
 
 def sniff(head: bytes) -> bool:
@@ -82,20 +81,14 @@ def read(path: Path) -> list[Readings]:
         notes.append("values of one state of polarisation: taken as those of unpolarised light")
 
     values, errors = rows.table(f), rows.table(uncertainty * f)
-    relative = errors / np.maximum(values, np.finfo(float).tiny)
-    scatter = np.sqrt(np.nanmean(relative**2, axis=1)) / 3.0  # of cube roots
-    has_uncertainty = bool(np.any(scatter > 0.0))
-    if has_uncertainty:
-        notes.append(
-            f"uncertainties of {100.0 * 3.0 * float(np.median(scatter)):.2g} % in the median weigh the values"
-        )
-    weights = 1.0 / (1.0 + (3.0 * scatter / _TYPICAL) ** 2)
+    said = weights_of(errors / np.maximum(values, np.finfo(float).tiny))
+    if said is not None:
+        notes.append(said.note)
     instrument = instrumentation.get("name") if isinstance(instrumentation, dict) else None
     return [
         Readings(
             str(name), str(instrument or "BiRD file"), wi[rows.first], wo[rows.first], rows.wavelengths_nm, values,
-            weights, tuple(notes), scatter=scatter,
-            repeatability=3.0 * float(np.median(scatter)) if has_uncertainty else GONIOMETER,
+            notes=tuple(notes), **({"repeatability": GONIOMETER} if said is None else said.readings),
         )
     ]  # fmt: skip
 
@@ -120,9 +113,9 @@ def _variable(
 
 def _angle(data: dict[str, Any], key: str, count: int, context: ErrorContext) -> Array:
     values, unit = _variable(data, key, context, count)
-    if unit not in ("rad", "deg", "°"):
+    if (of_angle := angle_unit(unit)) is None:
         raise context.error(f"of unit '{unit}', expected deg or rad", field=key)
-    return values if unit == "rad" else np.deg2rad(values)
+    return values if of_angle == "radians" else np.deg2rad(values)
 
 
 def _wavelengths(data: dict[str, Any], count: int, context: ErrorContext) -> Array:
@@ -130,9 +123,11 @@ def _wavelengths(data: dict[str, Any], count: int, context: ErrorContext) -> Arr
     if key not in data:
         raise context.error("is missing, expected the wavelength of every row", field=key)
     values, unit = _variable(data, key, context, count)
-    if unit not in _NM:
-        raise context.error(f"of unit '{unit}', expected nm", field=key)
-    return values * _NM[unit]
+    if np.any(values <= 0.0) or (nm := nanometres(values, unit)) is None:
+        raise context.error(
+            f"{values.min():g} or more of unit '{unit}', expected wavelengths in nm", field=key
+        )
+    return nm
 
 
 def _uncertainty(data: dict[str, Any], count: int, context: ErrorContext) -> Array:

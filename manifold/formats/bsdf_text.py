@@ -9,7 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.formats.text import ErrorContext, data_lines, read_lines
+from manifold.formats.quantities import BRDF, quantity_in_prose
+from manifold.formats.text import (
+    ErrorContext,
+    angle_unit,
+    data_lines,
+    is_length_unit,
+    number_with_unit,
+    read_lines,
+    wavelength_nm,
+)
 from manifold.records import Array, Indices
 
 _MOST_ANGLES = 20_000
@@ -61,6 +70,12 @@ class BsdfText:
         """`unique_directions` of the tables."""
         return unique_directions(self.lists["scatterazimuth"], self.lists["scatterradial"])
 
+    def require_brdf(self, words: dict[str, str]) -> None:
+        """Raise FileFormatError where the words before a table say that its values are no BRDF."""
+        said = words.get("scattertype", "BRDF")
+        if quantity_in_prose(said, "ScatterType", self.context) is not BRDF:
+            raise self.context.error(f"ScatterType is '{said[:24]}', expected BRDF")
+
 
 def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, Indices]:
     """Azimuth and radial angle (n,) in degrees of a table's directions, azimuths first, and where they stand in it.
@@ -89,7 +104,7 @@ def read_blocks(path: Path) -> BsdfText:
         if key in _LISTS:
             text.lists[key] = words.angles(word)
         elif key in _NUMBERS:
-            numbers[key] = words.number(word)
+            numbers[key] = words.with_unit(word)
         elif key in _XYZ or key == "monochrome":
             band = _XYZ.get(key)
         elif key == "tristimulusvalue":
@@ -156,6 +171,32 @@ class Words:
         if word is None:
             raise self.context.error(f"the file ends, expected {what}", where)
         return self.context.number(word, f"{where}, {what}")
+
+    def with_unit(self, key: str) -> float:
+        """The next word as an angle in degrees, or behind `Wavelength` as one in nm; a unit may stand behind it."""
+        where, word = self.line, self.next() or ""
+        rest = self._words[self._word :] if self._line < len(self._lines) and self.line == where else []
+        measure = number_with_unit(word)
+        if (
+            measure is not None
+            and not measure.unit
+            and rest
+            and (is_length_unit(rest[0]) or angle_unit(rest[0]))
+        ):
+            word += f" {self.next()}"
+        is_wavelength = _plain(key) == "wavelength"
+        measure = number_with_unit(word)
+        value = wavelength_nm(word) if is_wavelength else measure.value if measure is not None else None
+        is_other = (
+            not is_wavelength
+            and measure is not None
+            and measure.unit
+            and angle_unit(measure.unit) != "degrees"
+        )
+        if value is None or is_other:
+            expected = "a wavelength such as 633 nm" if is_wavelength else "degrees"
+            raise self.context.error(f"{key} is '{word[:24]}', expected {expected}", where)
+        return value
 
     def numbers(self, count: int, what: str) -> Array:
         """The next `count` words as finite numbers, shape (count,)."""

@@ -6,14 +6,15 @@ import re
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+from manifold.formats import quantities
+from manifold.formats.quantities import Quantity
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Viewing
-from manifold.formats.text import ErrorContext
-
-Quantity = Literal["f", "f_cos", "factor"]
-"""BRDF in 1/sr; BRDF times cos theta_o; reflectance factor, pi times the BRDF."""
+from manifold.formats.text import LENGTH_UNIT, ErrorContext, wavelength_nm
 
 RELATIVE = "phi_o - phi_i"
 """What `angle_name` calls a difference of azimuths."""
+PHASE = "phase"
+"""What it calls the angle between the directions to the light and to the eye."""
 
 _LONGEST = 80  # letters; longer cells are no heads
 _LIGHT = r"(i|in|inc|incident|incidence|incoming|light|lighting|illumination|source|sun|solar)"
@@ -26,38 +27,49 @@ _POLAR = r"((theta|zenith|zen|polar|th)(angle)?|angle)"
 _POLAR_FIRST = r"((theta|zenith|zen|polar|th)(angle)?|angleof)"
 _AZIMUTH = r"(phi|azimuth|azimuthal|azi|az)(angle)?"
 _ANGLES = {
-    "theta_i": rf"{_LIGHT}{_POLAR}|{_POLAR_FIRST}{_LIGHT}|ti|sza|aoi|incidence|srcz",
+    "theta_i": rf"{_LIGHT}{_POLAR}|{_POLAR_FIRST}{_LIGHT}|ti|sza|aoi|incidence|inc|srcz",
     "phi_i": rf"{_LIGHT}{_AZIMUTH}|{_AZIMUTH}{_LIGHT}|saa|poi|srca",
-    "theta_o": rf"{_SEEN}{_POLAR}|{_POLAR_FIRST}{_SEEN}|ts|vza|theta|viewz",
+    "theta_o": rf"{_SEEN}{_POLAR}|{_POLAR_FIRST}{_SEEN}|ts|vza|theta|viewz|emission|emi|emergence",
     "phi_o": rf"{_SEEN}{_AZIMUTH}|{_AZIMUTH}{_SEEN}|vaa|phi|viewa",
     RELATIVE: rf"(d|delta|diff|rel|relative){_AZIMUTH}|raa",
+    PHASE: r"phase(angle)?|pha|angleofphase",
 }
+_PLANETARY = {"i": "theta_i", "e": "theta_o", "g": PHASE, "psi": RELATIVE}  # letters of planetary photometry
+_AZIMUTH_ALONE = re.compile(_AZIMUTH)
 _GREEK = str.maketrans({"θ": "theta", "ϑ": "theta", "φ": "phi", "ϕ": "phi", "Δ": "delta"})
 _DEGREES = re.compile(r"(?<![a-z])deg(rees?)?(?![a-z])|°|º")
 _RADIANS = re.compile(r"(?<![a-z])rad(ians?)?(?![a-z])")
 _BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
-_PER_STERADIAN = re.compile(r"1\s*/\s*sr|sr\s*\^?\s*-?\s*1")
-_BAND_UNIT = re.compile(r"[(\[]\s*(nm|um|µm|μm|microns?)\s*[)\]]")
-_NUMBER_LAST = re.compile(r"(?P<words>.*?)(?P<number>\d+([.,]\d+)?)\s*(?P<unit>nm|um|µm|μm|microns?)?")
+_BAND = re.compile(
+    rf"(?<![\d.,])(?P<number>\d+(?:[.,]\d+)?)[\s_]*(?P<unit>{LENGTH_UNIT}(?![a-z0-9]))?(?![\d.,]*\d)"
+)
 _LEAST_NM, _MOST_NM = 150.0, 20_000.0
 _LARGEST_BARE_NM = 5000.0  # larger numbers without a unit are counts or values
-_BAND_WORDS = ("nm", "spectral", "spec", "spectral nm", "lambda", "wavelength", "wl")  # a number follows them
-_QUANTITIES: dict[str, Quantity | None] = {
-    **dict.fromkeys(("", *_BAND_WORDS, "value", "values")),
-    **dict.fromkeys(("brdf", "bsdf", "f", "fr", "f r"), "f"),
-    **dict.fromkeys(
-        ("r", "refl", "reflectance", "spectral reflectance", "reflectance factor", "radiance factor", "brf", "brrf"),
-        "factor",
-    ),
-    **dict.fromkeys(
-        ("ars", "dsf", "ccbrdf", "ccbsdf", "cc brdf", "cc bsdf", "brdf*cos", "bsdf*cos", "f cos", "cos corrected brdf"),
-        "f_cos",
-    ),
-}  # fmt: skip
-_WAVELENGTHS = {
+_BAND_WORDS = {
     "nm",
-    *(f"{word}{unit}" for word in ("wavelength", "lambda", "wl") for unit in ("", " nm", " um")),
+    "spectral",
+    "spec",
+    "lambda",
+    "wavelength",
+    "wavelengths",
+    "wl",
+    "at",
+    "\u03bb",
+    "value",
+    "values",
 }
+_WAVELENGTH_WORDS = {
+    "wavelength",
+    "wavelengths",
+    "lambda",
+    "wl",
+    "wvl",
+    "\u03bb",
+    "wellenl\u00e4nge",
+    "wave",
+    "nm",
+}
+_WAVENUMBER_WORDS = {"wavenumber", "wavenumbers", "wellenzahl"}
 _CHANNELS = {"red": "r", "green": "g", "blue": "b"} | {letter: letter for letter in "rgbxyz"}
 _NAMES = (
     "sample name", "sample", "name", "data name", "measurement name", "sample id", "sample no", "trial name", "trial",
@@ -67,25 +79,68 @@ _GLOSS_WORDS = {"gloss", "glanz", "gu", "deg", "degree", "degrees", "unit", "uni
 _USUAL_GLOSS_DEG = 60.0
 
 
-_OF_VIEWING = r"(?P<light>[A-Za-z]+[0-9]*)\s*/\s*(?P<deg>2|10)\s*°?"
+_OF_VIEWING = (
+    r"(?:(?P<light>[A-Za-z]+[0-9]*)\s*/\s*(?P<deg>2|10)\s*[\u00b0\u00ba]?|"
+    r"(?P<deg_first>2|10)\s*[\u00b0\u00ba]?\s*/\s*(?P<light_last>[A-Za-z]+[0-9]*))"
+)
 _VIEWING = re.compile(_OF_VIEWING)
-_LAB = re.compile(rf"(?P<axis>[Lab])\s*\*?\s*([(\[]\s*{_OF_VIEWING}\s*[)\]])?")
+_LAB_AXES = "lab"
+_LAB = re.compile(rf"(?:CIE\s*)?(?P<axis>[LAaBbl])\s*\*?\s*([(\[]?\s*{_OF_VIEWING}\s*[)\]]?)?")
 
 
 class ValueHead(NamedTuple):
-    """What the head of a column of values says: words in lower case, without units, and the wavelength or None."""
+    """What the head of a column of values says.
 
-    words: str
+    Attributes:
+        nm: its wavelength, or None.
+        quantity: what its values are, or None.
+        channel: `r`, `g`, `b`, `x`, `y` or `z`, or None.
+    """
+
     nm: float | None
+    quantity: Quantity | None
+    channel: str | None
 
 
 def angle_name(head: str) -> str | None:
-    """`theta_i`, `phi_i`, `theta_o`, `phi_o` or `RELATIVE`, which a column's head names, or None."""
-    if len(head) > _LONGEST:
-        return None
-    text = _RADIANS.sub("", _DEGREES.sub("", _BRACKETS.sub("", head.lower().translate(_GREEK))))
-    letters = re.sub(r"[^a-z]", "", text)
+    """`theta_i`, `phi_i`, `theta_o`, `phi_o`, `RELATIVE` or `PHASE`, which a column's head names, or None.
+
+    Heads that are understood only beside others, such as `phi` and `azimuth`, are taken as they are by `angle_columns`.
+    """
+    letters = _letters(head)
     return next((name for name, spelling in _ANGLES.items() if re.fullmatch(spelling, letters)), None)
+
+
+def _letters(head: str) -> str:
+    if len(head) > _LONGEST:
+        return ""
+    text = _RADIANS.sub("", _DEGREES.sub("", _BRACKETS.sub("", head.lower().translate(_GREEK))))
+    return re.sub(r"[^a-z]", "", text)
+
+
+def angle_names(heads: Sequence[str]) -> list[str | None]:
+    """`angle_name` of every head of a table, each in the light of the others.
+
+    `phi` beside `phi_r` is that of the light, and `theta` likewise. `azimuth` beside `incidence` and `emission` is that
+    between their planes, as in planetary photometry, whose letters i, e, g and psi are read where i and e are there.
+    """
+    letters = [_letters(head) for head in heads]
+    is_planetary = {"i", "e"} <= set(letters)
+    names = [
+        (_PLANETARY.get(word) if is_planetary else None) or angle_name(head)
+        for word, head in zip(letters, heads, strict=True)
+    ]
+    for seen, light in (("theta_o", "theta_i"), ("phi_o", "phi_i")):
+        of_any = [k for k, word in enumerate(letters) if word == seen.partition("_")[0]]
+        if names.count(seen) == 2 and len(of_any) == 1 and light not in names:
+            names[of_any[0]] = light
+    if not {"phi_i", "phi_o", RELATIVE} & set(names) and (
+        is_planetary or any(re.match("emi|emer", word) for word in letters)
+    ):
+        alone = [k for k, word in enumerate(letters) if _AZIMUTH_ALONE.fullmatch(word)]
+        if len(alone) == 1:
+            names[alone[0]] = RELATIVE
+    return names
 
 
 def angle_unit(
@@ -99,53 +154,144 @@ def angle_unit(
 
 
 def value_head(head: str) -> ValueHead | None:
-    """What the head of a column of values says, such as `465nm`, `BRDF_465`, `R400 [%]`, `BRF`; None for others."""
-    if len(head) > _LONGEST:
+    """What the head of a column of values says, such as `465nm`, `BRDF (633 nm)`, `R400 [%]`; None for others."""
+    if not head.strip() or len(head) > _LONGEST:
         return None
-    text = _BRACKETS.sub(" ", _BAND_UNIT.sub(r" \1", head.lower()))
-    text = _PER_STERADIAN.sub(" ", text).replace("%", " ").replace("percent", " ").strip()
-    found = _NUMBER_LAST.fullmatch(text)
-    words = " ".join(re.split(r"[\s_.:-]+", (found["words"] if found else text).strip(" _.:-")))
-    if words not in _QUANTITIES and words.removeprefix("brdf ").removeprefix("bsdf ") not in _CHANNELS:
+    text = quantities.plain(head)
+    bands = list(_BAND.finditer(text))
+    if len(bands) > 1:
         return None
-    if found is None:
-        return None if words in _BAND_WORDS else ValueHead(words, None)
-    value = float(found["number"].replace(",", "."))
-    nm = value if (found["unit"] or "nm") == "nm" else 1000.0 * value
-    is_nm = _LEAST_NM <= nm <= (_MOST_NM if found["unit"] else _LARGEST_BARE_NM)
-    return ValueHead(words, nm) if is_nm else None
+    nm = None
+    if bands:
+        unit = bands[0]["unit"] or "nm"
+        nm = wavelength_nm(bands[0]["number"], unit)
+        if nm is None or not _LEAST_NM <= nm <= (_MOST_NM if bands[0]["unit"] else _LARGEST_BARE_NM):
+            return None
+        text = f"{text[: bands[0].start()]} {text[bands[0].end() :]}"
+    words = quantities.phrase(text).split()
+    others = " ".join(word for word in words if word not in _BAND_WORDS)
+    letter = None if bands else _CHANNELS.get(others.removeprefix("brdf ").removeprefix("bsdf "))
+    quantity = quantities.quantity_of(others)
+    is_wavelength = bool(words) and not others and not bands and words != ["value"]
+    if (others and quantity is None and letter is None) or is_wavelength:
+        return None
+    return ValueHead(nm, quantity, letter)
 
 
 def wavelength(head: str) -> float | None:
     """The wavelength in nm that a column's head names, or None."""
-    found = value_head(head)
-    return found.nm if found is not None else None
+    said = value_head(head)
+    return said.nm if said is not None else None
+
+
+def wavelength_unit(head: str) -> str | None:
+    """The unit of a column whose head says that its cells are wavelengths or wavenumbers, else None.
+
+    It is empty where the head names none.
+
+    >>> wavelength_unit("Wavelength (nm)"), wavelength_unit("lambda"), wavelength_unit("465nm")
+    ('nm', '', None)
+    """
+    if len(head) > _LONGEST:
+        return None
+    text = head.strip().lower()
+    unit = re.search(rf"(?<![^\W_])({LENGTH_UNIT})(?![^\W_])[\s)\]]*$", text)
+    words = re.findall(r"[^\W\d_]+", text[: unit.start()] if unit else text)
+    words = [word for word in words if word != "in"]
+    is_named = len(words) == 1 and words[0] in _WAVELENGTH_WORDS | _WAVENUMBER_WORDS
+    is_unit = not words and unit is not None and len(unit[1]) > 1  # `m` and `A` are other things
+    if not (is_named or is_unit) or any(map(str.isdigit, text[: unit.start()] if unit else text)):
+        return None
+    if unit is not None:
+        return unit[1]
+    return "cm-1" if words[0] in _WAVENUMBER_WORDS else "nm" if words[0] == "nm" else ""
 
 
 def is_wavelength(head: str) -> bool:
-    """Whether a column's head says that its cells are wavelengths."""
-    return plain_head(head).removesuffix("s") in _WAVELENGTHS and not any(map(str.isdigit, head))
+    """Whether a column's head says that its cells are wavelengths or wavenumbers."""
+    return wavelength_unit(head) is not None
+
+
+def is_wavenumber(head: str) -> bool:
+    """Whether a column's head says that its cells are wavenumbers."""
+    unit = wavelength_unit(head)
+    return unit is not None and "cm" in unit
 
 
 def channel(head: str) -> str | None:
     """`r`, `g`, `b`, `x`, `y` or `z`, which a column's head names, or None."""
-    found = value_head(head)
-    if found is None or found.nm is not None:
-        return None
-    return _CHANNELS.get(found.words.removeprefix("brdf ").removeprefix("bsdf "))
+    said = value_head(head)
+    return None if said is None else said.channel
 
 
-def quantity(heads: Sequence[str]) -> Quantity | None:
-    """What the values are by their columns' heads; None where these say nothing."""
+def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantity | None:
+    """What the values are by their columns' heads; None where these say nothing.
+
+    Raises:
+        FileFormatError: heads name different quantities.
+    """
     if len(heads) == 3 and all(map(channel, heads)):
         return None
-    found = (value_head(head) for head in heads)
-    return next((kind for h in found if h is not None and (kind := _QUANTITIES.get(h.words))), None)
+    said = {
+        head.quantity for head in map(value_head, heads) if head is not None and head.quantity is not None
+    }
+    if len(said) > 1:
+        raise context.error(
+            f"columns of {' and of '.join(sorted(q.title for q in said))}, expected one quantity", where
+        )
+    return next(iter(said), None)
 
 
 def is_percent(heads: Sequence[str]) -> bool:
     """Whether heads of values name percent."""
-    return any("%" in head or re.search(r"\bpercent\b", head.lower()) for head in heads)
+    return any(map(quantities.is_percent, heads))
+
+
+class UncertaintyHead(NamedTuple):
+    """What the head of a column of uncertainties says.
+
+    Attributes:
+        nm: the wavelength of the values that it is of, or None.
+        is_relative: whether it says that they are relative to the values.
+        coverage: how many standard uncertainties they are; 0 where they are expanded by a factor that it does not say.
+    """
+
+    nm: float | None
+    is_relative: bool
+    coverage: float
+
+
+_UNCERTAIN = {
+    "std", "stdev", "stddev", "sd", "sigma", "uncertainty", "unc", "error", "err", "u", "ubrdf", "deviation",
+}  # fmt: skip
+_BESIDE_UNCERTAIN = {
+    "dev", "standard", "expanded", "combined", "relative", "rel", "c", "1", "one", "brdf", "bsdf", "f", "r", "brf",
+    "reff", "refl", "reflectance", "factor", "i", "k",
+}  # fmt: skip
+_COVERAGE = re.compile(r"\bk\s*=\s*(\d(?:[.,]\d+)?)")
+
+
+def uncertainty_head(head: str) -> UncertaintyHead | None:
+    """What the head of a column of uncertainties says, such as `Std. Dev.`, `u(BRDF)`, `sigma 633nm`; or None."""
+    if len(head) > _LONGEST:
+        return None
+    text = quantities.plain(head).replace("\u03c3", "sigma").replace("\u00b1", "std")
+    said = _COVERAGE.search(text)
+    text = _COVERAGE.sub(" ", text)
+    bands = [
+        m for m in _BAND.finditer(text) if m["unit"] or float(m["number"].replace(",", ".")) >= _LEAST_NM
+    ]
+    if len(bands) > 1:
+        return None
+    if bands:
+        text = f"{text[: bands[0].start()]} {text[bands[0].end() :]}"
+    words = quantities.phrase(text).split()
+    own = {word for word in words if word in _UNCERTAIN}
+    if not own or set(words) - own - _BESIDE_UNCERTAIN - _BAND_WORDS:
+        return None
+    coverage = float(said[1].replace(",", ".")) if said else 0.0 if "expanded" in words else 1.0
+    nm = wavelength_nm(bands[0]["number"], bands[0]["unit"] or "nm") if bands else None
+    return UncertaintyHead(nm, bool({"relative", "rel"} & set(words)), coverage)
 
 
 def gloss_angle(head: str) -> float | None:
@@ -171,7 +317,7 @@ def lab_head(head: str) -> LabHead | None:
     found = _LAB.fullmatch(head.strip()) if len(head) <= _LONGEST else None
     if found is None:
         return None
-    return LabHead(found["axis"].lower(), None if found["light"] is None else _viewing(found))
+    return LabHead(found["axis"].lower(), _viewing(found))
 
 
 def viewing(text: str) -> Viewing | None:
@@ -180,8 +326,28 @@ def viewing(text: str) -> Viewing | None:
     return None if found is None else _viewing(found)
 
 
-def _viewing(found: re.Match[str]) -> Viewing:
-    return Viewing(found["light"].upper(), int(found["deg"]))
+def _viewing(found: re.Match[str]) -> Viewing | None:
+    light, degrees = found["light"] or found["light_last"], found["deg"] or found["deg_first"]
+    return None if light is None else Viewing(light.upper(), int(degrees))
+
+
+def lab_columns(
+    heads: Sequence[str], wanted: Viewing | None = None
+) -> tuple[list[int], Viewing | None] | None:
+    """The columns of L*, a* and b* in a header, and the light and observer that it names for them; None without.
+
+    Of several colours it is that of the wanted light and observer, where there is one, else the first.
+    """
+    said = {k: lab for k, head in enumerate(heads) if (lab := lab_head(head)) is not None}
+    by_viewing: dict[Viewing | None, list[int]] = {}
+    for seen in dict.fromkeys(lab.viewing for lab in said.values()):
+        axes = {lab.axis: k for k, lab in said.items() if lab.viewing == seen}
+        if len(axes) == len(_LAB_AXES):
+            by_viewing[seen] = [axes[axis] for axis in _LAB_AXES]
+    if not by_viewing:
+        return None
+    seen = wanted if wanted in by_viewing else next(iter(by_viewing))
+    return by_viewing[seen], seen
 
 
 def plain_head(head: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,37 +17,45 @@ import numpy as np
 
 from manifold import disk
 from manifold.directions import to_spherical
-from manifold.formats.column_heads import gloss_angle, plain_head
-from manifold.formats.readings import Readings
+from manifold.errors import FileFormatError
+from manifold.formats.column_heads import gloss_angle, plain_head, viewing
+from manifold.formats.foreign import resembles_json
+from manifold.formats.quantities import BRDF
+from manifold.formats.readings import DAYLIGHT, REPEATABILITY, Readings
 from manifold.formats.tables import (
-    HEADERS,
+    NEW_HEADER,
+    SCATTER_HEAD,
+    WEIGHT_HEAD,
     Columns,
     Table,
     find_columns,
     names_directions,
     read_table,
     resembles_header,
-    text_of,
 )
-from manifold.formats.text import ErrorContext, decode, number, read_bytes
+from manifold.formats.text import CORRECT_CELL, ErrorContext, decode, number, read_bytes, split_cells
 from manifold.names import in_one_line
 from manifold.records import Array
 
-_REMEDY = f"give the table a header such as {HEADERS}"
+_REMEDY = "correct the table"
 _SEPARATORS = (";", "\t", ",", None)  # None: blanks
 _FORMAT = "manifold readings 1"  # a version that is read, whatever has none
 _MOST_COMMENTS = 40  # lines at the top
+_HEAD = 70  # lines at the top, one of which is the header
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning has a line that resembles the header of a table of readings."""
+    """Whether a file's beginning has the header of a table of readings, or a line that resembles one."""
     text = decode(head)
-    if "\0" in text:
+    if "\0" in text or resembles_json(text):
         return False
-    for line in [line.lstrip("#% ") for line in text.splitlines() if line.strip()][:60]:
-        if any(resembles_header(_cells(line, s)) for s in _SEPARATORS if s) or names_directions(line.split()):
+    lines = [_uncommented(line) for line in text.splitlines() if line.strip()][:_HEAD]
+    try:
+        if _header(lines, ErrorContext(Path(), "")) is not None:
             return True
-    return False
+    except FileFormatError:
+        return True
+    return any(resembles_header(split_cells(line.lstrip("#% "), s)) for line in lines for s in _SEPARATORS)
 
 
 def read(path: Path) -> list[Readings]:
@@ -60,15 +68,27 @@ def read(path: Path) -> list[Readings]:
         raise context.error(version, remedy="read it with a newer version of manifold")
     table, columns = _table(["" if line.startswith("#") else line for line in lines], context)
     comments = tuple(line for line in lines if line.startswith("#"))
-    columns = replace(columns, comments=comments, kind="f" if own.get("format") == _FORMAT else None)
+    columns = replace(
+        columns, comments=(*comments, *columns.comments), kind=BRDF if own.get("format") == _FORMAT else None
+    )
     is_spectro = columns.geometry is not None
     instrument = own.get("instrument") or f"{'spectrophotometer' if is_spectro else 'goniometer'} (CSV)"
     found = read_table(table, columns, context, own.get("name") or path.stem, instrument)
     if len(found) > 1:
         return found
+    return [_with_own(found[0], own, context)]
+
+
+def _with_own(readings: Readings, own: Mapping[str, str], context: ErrorContext) -> Readings:
+    """The readings with what the package's own comments say of them."""
     units = {angle: number(text) for key, text in own.items() if (angle := gloss_angle(key)) is not None}
     gloss = {angle: value for angle, value in units.items() if value is not None}  # not `gloss: matt`
-    return [replace(found[0], gloss={**gloss, **found[0].gloss})]
+    readings = replace(readings, gloss={**gloss, **readings.gloss})
+    if own.get("format") != _FORMAT:
+        return readings
+    if "repeatability" in own:
+        readings = replace(readings, repeatability=context.number(own["repeatability"], "repeatability"))
+    return replace(readings, viewing=viewing(own.get("viewing", "")) or readings.viewing)
 
 
 def _own_comments(lines: list[str]) -> Iterator[tuple[str, str]]:
@@ -82,49 +102,56 @@ def _own_comments(lines: list[str]) -> Iterator[tuple[str, str]]:
 def _uncommented(line: str) -> str:
     """The line; without its mark if it is a comment that is the header of a table of directions."""
     bare = line.lstrip("#% ")
-    is_header = line.startswith(("#", "%")) and any(names_directions(_cells(bare, s)) for s in _SEPARATORS)
+    is_header = line.startswith(("#", "%")) and any(
+        names_directions(split_cells(bare, s)) for s in _SEPARATORS
+    )
     return bare if is_header else line
 
 
 def _table(lines: list[str], context: ErrorContext) -> tuple[Table, Columns]:
     """The cells, by the first separator with which a line is a header, and its columns."""
-    refusal = context.error("no header of a table of readings found")
+    separator, columns = _header(lines[:_HEAD], context) or (None, None)
+    if columns is None:
+        raise _no_header(lines, context)
+    table = Table([_row(line, separator, k, context) for k, line in enumerate(lines, start=1)])
+    _require_width(table, columns.row, separator, context)
+    found = find_columns(table, context)
+    if found is None:
+        raise _no_header(lines, context)
+    return found
+
+
+def _header(lines: list[str], context: ErrorContext) -> tuple[str | None, Columns] | None:
+    """The separator with which one of the first lines is a header, and its columns; None without a header."""
     for separator in _SEPARATORS:
-        head = Table([_cells(line, separator) for line in lines[:70]])
-        bare = next(
-            (row for row in head.rows if any(plain_head(text_of(c)).startswith("geometr") for c in row)), None
-        )
-        if bare is not None and len(bare) > 1:
-            shown = ", ".join(str(cell) for cell in bare)[:80]
-            refusal = context.error(
-                f"a header without values ({shown}), expected wavelengths or L*, a*, b* beside the geometry"
-            )
-        found = find_columns(head, context)
+        found = find_columns(Table([split_cells(line, separator) for line in lines]), context)
         if found is not None and (separator is not None or found[1].geometry is None):
-            table = Table([_row(line, separator, k, context) for k, line in enumerate(lines, start=1)])
-            _require_width(table, found[1].row, separator, context)
-            return find_columns(table, context) or found
-    raise refusal
+            return separator, found[1]
+    return None
 
 
-def _cells(line: str, separator: str | None) -> list[str]:
-    """Cells of a line, quotes taken off where they are whole."""
-    if separator is None:
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+def _no_header(lines: list[str], context: ErrorContext) -> FileFormatError:
+    for separator in _SEPARATORS[:-1]:
+        for row in (split_cells(line, separator) for line in lines[:_HEAD]):
+            if len(row) > 1 and any(plain_head(cell).startswith("geometr") for cell in row):
+                return context.error(
+                    f"a header without values ({', '.join(row)[:80]}), expected wavelengths or L*, a*, b* beside the "
+                    "geometry",
+                    remedy=NEW_HEADER,
+                )
+    return context.error("no header of a table of readings found", remedy=NEW_HEADER)
 
 
 def _row(line: str, separator: str | None, number_of_line: int, context: ErrorContext) -> list[str]:
     """Cells of a line; a quote ends on its own line. Trailing empty cells, which programs leave, are left out."""
-    if separator is None:
-        return line.split()
-    try:
-        row = next(csv.reader([line], delimiter=separator, strict=True), [])
-    except csv.Error as error:
-        raise context.error(f"not cells of a table ({error})", f"row {number_of_line}") from None
-    while separator != "," and row and not row[-1].strip():
+    if line.count('"') % 2:
+        raise context.error(
+            "not cells of a table (a quote that does not end)", f"row {number_of_line}", remedy=CORRECT_CELL
+        )
+    row = split_cells(line, separator)
+    while separator != "," and row and not row[-1]:
         row.pop()
-    return [cell.strip() for cell in row]
+    return row
 
 
 def _require_width(table: Table, header: int, separator: str | None, context: ErrorContext) -> None:
@@ -137,16 +164,33 @@ def _require_width(table: Table, header: int, separator: str | None, context: Er
 
 
 def write(path: Path, readings: Readings) -> None:
-    """Directions in degrees and f in 1/sr, one row per pair; empty cells are not measured."""
+    """Directions in degrees and f in 1/sr, one row per pair; empty cells are not measured.
+
+    Weights and scatter are columns where they are not those of all readings; what else is known is comments.
+    """
     out = io.StringIO()
     out.write(f"# format: {_FORMAT}\n")
     out.write(f"# name: {in_one_line(readings.name)}\n# instrument: {in_one_line(readings.instrument)}\n")
     out.writelines(f"# gloss {angle:g}: {units:.9g}\n" for angle, units in readings.gloss.items())
+    if readings.repeatability != REPEATABILITY:
+        out.write(f"# repeatability: {readings.repeatability:.9g}\n")
+    if readings.viewing != DAYLIGHT:
+        out.write(f"# viewing: {readings.viewing}\n")
     out.write("# BRDF in 1/sr; angles in degrees about the normal\n")
+    extra = {
+        head: column
+        for head, column, usual in (
+            (WEIGHT_HEAD, readings.weights, 1.0),
+            (SCATTER_HEAD, readings.scatter, 0.0),
+        )
+        if np.any(column != usual)
+    }
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", *band_heads(readings)])
-    for angles, row in zip(angles_deg(readings), readings.values, strict=True):
-        writer.writerow([*(f"{a:.9g}" for a in angles), *("" if np.isnan(v) else f"{v:.9g}" for v in row)])
+    angles = ["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)"]
+    writer.writerow([*angles, *band_heads(readings), *extra])
+    table = np.hstack([readings.values, *(column[:, None] for column in extra.values())])
+    for angle, row in zip(angles_deg(readings), table, strict=True):
+        writer.writerow([*(f"{a:.9g}" for a in angle), *("" if np.isnan(v) else f"{v:.9g}" for v in row)])
     disk.write_text(path, out.getvalue())
 
 

@@ -25,6 +25,8 @@ _FOREIGN = (
     (b"OPTIS - ", "a surface file of Ansys Speos"),
     (b"TracePro", "a surface property file of TracePro"),
     (b"#?RADIANCE", "a picture or BSDF interpolant of Radiance"),
+    (b"PEPE2D", "a binary spectrum of PerkinElmer (.sp)"),
+    (b"##TITLE", "a JCAMP-DX spectrum"),
     (b"H|", "a message of a clinical analyser (ASTM E1394)"),
     (b"version https://git-lfs", "a Git LFS pointer, not the file itself"),
 )
@@ -33,6 +35,7 @@ _ZEMAX = r"^\W*(spectralcontent|scattertype|sampleorientation|samplerotation)\b"
 _FOREIGN_PATTERNS = (
     (r"\A\W*<(!doctype )?html\b", "an HTML page, as failed downloads leave"),
     (r"<(\w+:)?(windowelement|opticsdefinition)\b", "a Radiance / WINDOW BSDF (XML)"),
+    (r"\A\W*<iestm27", "a spectrum of a light or a reflectance (.spdx)"),
     (r"\A\W*<\?xml\b", "an XML document"),
     (r"^#(alta|param_in|dim) ", "a data or function file of ALTA"),
     (r"^param0_list\b", "a BSDF of BSDFProcessor (SSDD)"),
@@ -48,6 +51,18 @@ _FOREIGN_PATTERNS = (
 )
 
 
+_JSON = re.compile(r"\s*(\{\s*[\"}]|\[\s*[\[{\"\d-])")
+
+
+def resembles_json(text: str) -> bool:
+    """Whether a text begins as JSON does.
+
+    >>> resembles_json('[{"theta": 0'), resembles_json("[Header]")
+    (True, False)
+    """
+    return _JSON.match(text) is not None
+
+
 def name_format(head: bytes) -> str:
     """What a file seems to be, by its first kilobytes."""
     for magic, name in _FOREIGN:
@@ -58,6 +73,8 @@ def name_format(head: bytes) -> str:
     for pattern, name in _FOREIGN_PATTERNS:
         if re.search(pattern, text, re.MULTILINE):
             return name
+    if resembles_json(text):
+        return "a JSON document"
     if not any(byte < 32 and byte not in b"\t\n\r\f" for byte in head) and _is_utf8(head):
         return "a text file"
     return "an unknown format"

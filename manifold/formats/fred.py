@@ -55,7 +55,7 @@ def read(path: Path) -> list[Readings]:
     angles = {"theta_i": theta_i, "phi_i": phi_m + 180.0, "theta_o": theta_o, "phi_o": phi_o}
     notes: list[str] = []
     kept, wi, wo = directions({key: np.deg2rad(a) for key, a in angles.items()}, context, notes)
-    nm = unnamed_band(notes)
+    nm = unnamed_band(notes, context)
     return [Readings(path.stem, "FRED table", wi, wo, nm, values[kept, None], notes=tuple(notes))]
 
 

@@ -14,12 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.column_heads import RELATIVE
+from manifold.formats.column_heads import PHASE, RELATIVE
 from manifold.formats.readings import aspecular_pair
 from manifold.formats.text import ErrorContext
-from manifold.records import Array, Indices
+from manifold.records import Array, Indices, Mask
 
 _ROUNDING = 0.01  # radians
+_PHASE_ROUNDING = np.deg2rad(1.0)  # of angles in whole degrees
+_SMALL = 1e-9  # product of sines of directions along the normal, where there is no azimuth
 
 
 def exceed_radians(angles: Mapping[str, Array]) -> bool:
@@ -33,7 +35,7 @@ def exceed_radians(angles: Mapping[str, Array]) -> bool:
 
 def directions(
     angles: Mapping[str, Array], context: ErrorContext, notes: list[str]
-) -> tuple[Array, Array, Array]:
+) -> tuple[Mask, Array, Array]:
     """Which rows are reflected light, bool (P,), and their wi and wo, (Q, 3); what was assumed is added to the notes.
 
     Angles are by `angle_name`, in radians, each (P,); theta_i and theta_o at least.
@@ -49,6 +51,8 @@ def directions(
     if not np.any(keep):
         raise context.error("no rows of reflected light, expected theta below 90 degrees")
     phi_i, phi_o = angles.get("phi_i"), angles.get("phi_o")
+    if PHASE in angles:
+        angles = _with_relative_azimuth(angles, keep, context, notes)
     if RELATIVE in angles:
         if phi_i is not None or phi_o is not None:
             raise context.error("dphi beside phi_i or phi_o, expected either the difference or both azimuths")
@@ -67,6 +71,36 @@ def directions(
     )
     wi[:, 2], wo[:, 2] = np.maximum(wi[:, 2], 0.0), np.maximum(wo[:, 2], 0.0)  # rounding at the horizon
     return keep, wi, wo
+
+
+def _with_relative_azimuth(
+    angles: Mapping[str, Array], keep: Mask, context: ErrorContext, notes: list[str]
+) -> Mapping[str, Array]:
+    """The angles with the difference of azimuths that phase angles imply, unless azimuths are given, which they fit."""
+    theta_i, theta_o, phase = (np.where(keep, angles[key], 0.0) for key in ("theta_i", "theta_o", PHASE))
+    across = np.sin(theta_i) * np.sin(theta_o)
+    least, most = np.abs(theta_i - theta_o), theta_i + theta_o
+    if RELATIVE in angles or "phi_o" in angles:
+        azimuth = angles[RELATIVE] if RELATIVE in angles else angles["phi_o"] - angles.get("phi_i", np.pi)
+        cosine = np.cos(theta_i) * np.cos(theta_o) + across * np.cos(azimuth)
+        off = np.abs(np.arccos(np.clip(cosine, -1.0, 1.0)) - phase)
+        expected = "those of the other angles"
+    else:
+        off = np.maximum(least - phase, phase - most)
+        expected = "between the difference and the sum of incidence and emission"
+        cosine = np.cos(phase) - np.cos(theta_i) * np.cos(theta_o)
+        cosine = np.divide(cosine, across, out=np.ones_like(across), where=across > _SMALL)
+        angles = {**angles, RELATIVE: np.arccos(np.clip(cosine, -1.0, 1.0))}
+        notes.append(
+            "azimuths follow from phase angles, of a sample that is symmetric about the plane of incidence"
+        )
+    if np.any(off[keep] > _PHASE_ROUNDING):
+        worst = int(np.argmax(np.where(keep, off, 0.0)))
+        raise context.error(
+            f"phase angle {np.rad2deg(phase[worst]):.4g} degrees at incidence {np.rad2deg(theta_i[worst]):.4g} and "
+            f"emission {np.rad2deg(theta_o[worst]):.4g}, expected {expected}"
+        )
+    return angles
 
 
 class SingleValues(NamedTuple):

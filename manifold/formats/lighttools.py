@@ -54,6 +54,8 @@ def read(path: Path) -> list[Readings]:
         raise text.context.error(
             "no block of front reflectance, expected AOI, POI, Wavelength, TIS and a table"
         )
+    for block in blocks:
+        text.require_brdf(block.words)
     notes: list[str] = []
     if left := len(text.blocks) - len(blocks):
         notes.append(f"{left} blocks of transmission or of the back are left out")
@@ -125,11 +127,8 @@ def _stack(
             raise context.error(f"{len(bands)} tristimulus values, expected X, Y and Z")
         return None, incidences, converted(values, notes)
     if bands == [0.0]:
-        return unnamed_band(notes, text.comments), incidences, values
-    nm = np.array(bands)
-    if nm[0] <= 0:
-        raise context.error(f"wavelength {nm[0]:g}, expected nanometres")
-    return (nm * 1000.0 if nm[-1] < 100.0 else nm), incidences, values
+        return unnamed_band(notes, text.context, text.comments), incidences, values
+    return np.array(bands), incidences, values
 
 
 def _is_ramp(theta: Array, phi: Array, values: Array) -> bool:

@@ -11,20 +11,25 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical
+from manifold.formats.quantities import quantity_in_prose
 from manifold.formats.readings import Readings
 from manifold.formats.text import (
+    NUMBER,
     ErrorContext,
+    angle_unit,
     data_lines,
     decode,
     find_separator,
-    number,
+    number_with_unit,
     read_lines,
     split_cells,
+    wavelength_nm,
 )
-from manifold.formats.values import converted, nanometres, unnamed_band
+from manifold.formats.values import converted, unnamed_band
 from manifold.records import Array
 
 _REMEDY = "export the measurement again"
+_ANGLE = re.compile(rf"{NUMBER}\s*(?:[^\W\d]+|[°º])?")
 _LEAST_COSINE = 1e-3  # DSF / cos(theta_o) is meaningless closer to the horizon
 
 
@@ -43,12 +48,10 @@ def read(path: Path) -> list[Readings]:
     lines = read_lines(path)
     header = _header(lines)
     theta_i, phi_i = _incidence(header, context)
-    quantity = (header.get("format", "theta phi BSDF").split() or ["BSDF"])[-1].upper()
-    if quantity not in ("DSF", "BSDF", "BRDF"):
-        why = " (transmitted light)" if quantity == "BTDF" else ""
-        raise context.error(
-            f"format '{header.get('format', '')[:40]}'{why}, expected theta phi DSF or theta phi BSDF"
-        )
+    words = re.fullmatch(r"theta\W+phi\W+(.*)", header.get("format", "theta phi BSDF"), re.IGNORECASE)
+    kind = None if words is None else quantity_in_prose(words[1], "format", context)
+    if kind is None:
+        raise context.error(f"format '{header['format'][:40]}', expected theta phi DSF or theta phi BSDF")
     table = _rows(lines, context)
     notes = [] if "format" in header else ["no line #format: values are taken as BSDF in 1/sr"]
     theta, phi = np.deg2rad(table[:, 0]), np.deg2rad(table[:, 1])
@@ -62,20 +65,20 @@ def read(path: Path) -> list[Readings]:
     if not np.any(above):
         raise context.error("nothing but transmitted light, expected rows on the side of incidence")
     theta, phi, values = theta[above], phi[above], values[above]
-    if quantity == "DSF":
-        values = values / np.cos(theta)[:, None]
+    wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))
+    wo = from_spherical(theta, phi)
+    values = kind.brdf(values, wi, wo)
     nm: Array | None = None
     if values.shape[1] == 3 and "xyz" in header.get("colorimetry", "xyz").lower():
         values = converted(values, notes)
     elif values.shape[1] == 1:
-        named = nanometres(header.get("wavelength", ""))
-        comments = (line for line in lines if line.lstrip().startswith("#"))
-        nm = unnamed_band(notes, comments) if named is None else np.array([named])
+        comments = [line for line in lines if line.lstrip().startswith("#")]
+        named = wavelength_nm(header.get("wavelength", ""))
+        nm = unnamed_band(notes, context, comments) if named is None else np.array([named])
     else:
         raise context.error(f"rows of {values.shape[1]} values, expected 1, or 3 of CIE XYZ")
-    wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))
     name = header.get("sample_name") or path.stem
-    return [Readings(name, "pab-opto", wi, from_spherical(theta, phi), nm, values, notes=tuple(notes))]
+    return [Readings(name, "pab-opto", wi, wo, nm, values, notes=tuple(notes))]
 
 
 def _header(lines: list[str]) -> dict[str, str]:
@@ -89,15 +92,17 @@ def _header(lines: list[str]) -> dict[str, str]:
 
 def _incidence(header: dict[str, str], context: ErrorContext) -> tuple[float, float]:
     """theta and phi of incidence in degrees."""
-    texts = header.get("incident_angle", "").replace(",", " ").split()
+    texts = re.findall(_ANGLE, header.get("incident_angle", ""))
     if len(texts) < 2 and "intheta" in header:
         texts = [header["intheta"], header.get("inphi", "0")]
-    values = [number(text) for text in texts[:2]]
-    if len(values) < 2 or values[0] is None or values[1] is None:
+    values = [number_with_unit(text) for text in texts[:2]]
+    angles = [m.value for m in values if m is not None and (not m.unit or angle_unit(m.unit) == "degrees")]
+    if len(angles) < 2:
         raise context.error("no incidence found, expected a line '#incident_angle theta phi' in degrees")
-    if not 0.0 <= values[0] <= 180.0:
-        raise context.error(f"incident theta is {values[0]:g}, expected 0 to 180 degrees")
-    return values[0], values[1]
+    theta, phi = angles
+    if not 0.0 <= theta <= 180.0:
+        raise context.error(f"incident theta is {theta:g}, expected 0 to 180 degrees")
+    return theta, phi
 
 
 def _rows(lines: list[str], context: ErrorContext) -> Array:

@@ -100,6 +100,7 @@ class Readings:
         assumed_unit: one of `UNITS`, as which values were taken that a file gives without a unit; else None.
         between: how far several measurements of the sample differ; None where there was one.
         viewing: of CIELAB values that are printed of spectra; of linear sRGB, that to which it is relative.
+        is_viewing_assumed: whether a file of CIELAB values does not say under which light they are.
     """
 
     name: str
@@ -117,6 +118,7 @@ class Readings:
     repeatability: float = REPEATABILITY
     assumed_unit: str | None = None
     viewing: Viewing = DAYLIGHT
+    is_viewing_assumed: bool = False
     between: Between | None = None
 
     def __post_init__(self) -> None:
@@ -210,6 +212,20 @@ class Readings:
         values = self.values * (UNITS[unit] / UNITS[self.assumed_unit])
         notes = tuple(note for note in self.notes if not note.startswith("no unit given"))
         return replace(self, values=values, notes=notes, assumed_unit=None)
+
+    def seen_under(self, viewing: Viewing | None) -> Readings:
+        """The readings, with the light and observer of their colours that a user names, or as they are for None.
+
+        Raises:
+            UsageError: the colours of linear sRGB are relative to others.
+        """
+        if viewing is None or viewing == self.viewing:
+            return self
+        if self.wavelengths_nm is None and not self.is_viewing_assumed:
+            raise UsageError(
+                f"{self.name}: colours under {self.viewing}, found {viewing}; leave --illuminant and --observer out"
+            )
+        return replace(self, viewing=viewing, is_viewing_assumed=False)
 
     def with_note(self, note: str) -> Readings:
         """The same readings with one more note."""

@@ -36,12 +36,12 @@ from manifold.formats.readings import GONIOMETER, REPEATABILITY, Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import read_bytes
+from manifold.formats.values import LONGEST_NM, SHORTEST_NM
 from manifold.names import Registry, first_few, names_like, printable
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
 _SHOWN = 8  # names of samples in a message
-_SHORTEST_NM, _LONGEST_NM = 100.0, 1e5
 _LARGEST_VALUE = 1e9  # largest f in 1/sr; measured mirror directions reach 1e5
 
 
@@ -61,7 +61,7 @@ class Format(NamedTuple):
 
 
 _KNOWN = (
-    Format("spectrophotometer workbook (.xlsx)", ma_t12.sniff, ma_t12.read, REPEATABILITY),
+    Format("spectrophotometer workbook (.xlsx)", ma_t12.sniff, ma_t12.read, None),
     Format("MERL", merl.sniff, merl.read),
     Format("RT-300S workbook (.xls)", rt300s.sniff, rt300s.read),
     Format("Ansys Speos text", speos.sniff, speos.read),
@@ -74,7 +74,7 @@ _KNOWN = (
     Format("Zemax BSDF text", zemax.sniff, zemax.read),
     Format("ASTM table", astm.sniff, astm.read),
     Format("UTIA", utia.sniff, utia.read),
-    Format("CSV table", csv_table.sniff, csv_table.read, REPEATABILITY),
+    Format("CSV table", csv_table.sniff, csv_table.read, None),
 )
 FORMATS = Registry("format", ((known.name, known) for known in _KNOWN))
 """In the order in which they are tried: what begins with magic numbers first, what only looks plausible last."""
@@ -133,10 +133,10 @@ def read_all(path: Path | str) -> list[Record]:
                 "the file is damaged, or of other units"
             )
         nm = record.wavelengths_nm
-        if nm is not None and not _SHORTEST_NM <= nm[0] <= nm[-1] <= _LONGEST_NM:
+        if nm is not None and not SHORTEST_NM <= nm[0] <= nm[-1] <= LONGEST_NM:
             raise FileFormatError(
-                f"{printable(path.name, 255)}: bands of {nm[0]:g} to {nm[-1]:g} nm, expected {_SHORTEST_NM:g} to "
-                f"{_LONGEST_NM:g}; give wavelengths in nanometres"
+                f"{printable(path.name, 255)}: bands of {nm[0]:g} to {nm[-1]:g} nm, expected {SHORTEST_NM:g} to "
+                f"{LONGEST_NM:g}; give wavelengths in nanometres"
             )
     found = map(without_hidden, records)
     return [
@@ -221,9 +221,24 @@ def merge(records: Sequence[Record]) -> Record:
     for part in readings[1:]:
         if part.bands != first.bands:
             raise FileFormatError(f"{part.name}: {part.bands}, expected {first.bands} as in {first.name}")
-    notes = tuple(dict.fromkeys(note for part in readings for note in part.notes))
+        if part.bands.is_rgb and part.viewing != first.viewing:
+            raise FileFormatError(
+                f"{part.name}: colours under {part.viewing}, expected {first.viewing} as in {first.name}"
+            )
     wi, wo, values, weights, scatter = (
         np.concatenate([getattr(part, key) for part in readings])
         for key in ("wi", "wo", "values", "weights", "scatter")
     )
-    return replace(first, wi=wi, wo=wo, values=values, weights=weights, scatter=scatter, notes=notes)
+    return replace(
+        first,
+        wi=wi,
+        wo=wo,
+        values=values,
+        weights=weights,
+        scatter=scatter,
+        notes=tuple(dict.fromkeys(note for part in readings for note in part.notes)),
+        gloss={angle: units for part in reversed(readings) for angle, units in part.gloss.items()},
+        texture={key: value for part in reversed(readings) for key, value in part.texture.items()},
+        colour_error=max(part.colour_error for part in readings),
+        repeatability=max(part.repeatability for part in readings),
+    )

@@ -62,7 +62,7 @@ def read(path: Path) -> list[Readings]:
     if not np.any(kept):
         raise context.error("no reading of reflected light, expected Incidence and Receive below 90 degrees")
     f = signal[kept] / (np.pi * wo[kept, 2])
-    nm = unnamed_band(notes)
+    nm = unnamed_band(notes, context)
     wi, wo, values, scatter, repeats = mean_of_repeats(wi[kept], wo[kept], f[:, None])
     return [Readings(path.stem, "RT-300S", wi, wo, nm, values, notes=(*notes, *repeats), scatter=scatter)]
 

@@ -80,12 +80,15 @@ def read(path: Path) -> list[Readings]:
     has_reflection, has_transmission = words.numbers(2, "words whether there is reflection and transmission")
     if has_reflection != 1.0:
         raise context.error("transmission only, expected reflection")
-    is_bsdf = words.number("1 for a BSDF or 0 for intensities") == 1.0
+    kind = words.number("1 for a BSDF or 0 for intensities")
+    if kind not in (0.0, 1.0):
+        raise context.error(f"found {kind:g}, expected 1 for a BSDF or 0 for intensities", words.line)
+    is_bsdf = kind == 1.0
     notes = ["scaled to the percentages of reflected light that the file gives"]
     if has_transmission:
         notes.append("transmission is left out")
     nm, blocks = _brdf(words, is_bsdf) if is_brdf else _anisotropic(words, is_bsdf, has_transmission == 1.0)
-    return [_readings(context, unnamed_band(notes) if nm is None else nm, blocks, notes)]
+    return [_readings(context, unnamed_band(notes, context) if nm is None else nm, blocks, notes)]
 
 
 def _brdf(words: Words, is_bsdf: bool) -> tuple[Array | None, list[_Block]]:

@@ -10,11 +10,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from manifold.formats import column_heads
-from manifold.formats.column_heads import Quantity, angle_name, channel, gloss_angle, wavelength
+from manifold.formats.column_heads import (
+    UncertaintyHead,
+    angle_names,
+    channel,
+    gloss_angle,
+    uncertainty_head,
+    wavelength,
+)
 from manifold.formats.geometries import (
     directions,
     directions_of,
@@ -24,29 +32,40 @@ from manifold.formats.geometries import (
     parse_geometry,
     resolve,
 )
+from manifold.formats.quantities import FACTORS, I_OVER_F, KNOWN, Quantity
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault, mean_of_repeats
-from manifold.formats.text import ErrorContext, number, plain_float
+from manifold.formats.text import (
+    CORRECT_CELL,
+    ErrorContext,
+    angle_unit,
+    number,
+    number_with_unit,
+    plain_float,
+    wavelength_nm,
+)
 from manifold.formats.values import (
-    TAKEN_AS_BRDF,
     TAKEN_AS_FACTORS,
     TAKEN_AS_PERCENT,
-    TOO_BRIGHT,
+    Assumed,
     as_brdf,
+    assumed_factors,
+    assumed_unit,
     bands_of,
-    is_too_bright,
     lab_to_linear_srgb,
-    looks_like_percent,
-    nanometres,
+    weights_of,
 )
-from manifold.records import Array
+from manifold.records import Array, Mask
 
 Cell = str | float | int | None
 HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (deg), phi_o (deg), 465nm'"
 """The headers of tables that are read, for errors."""
+NEW_HEADER = f"give the table a header such as {HEADERS}"
+"""What to do about a header that is not understood."""
+WEIGHT_HEAD, SCATTER_HEAD = "weight", "scatter of cube roots"
+"""Heads of the columns of `Readings.weights` and `Readings.scatter`."""
 
 _HEADER_ROWS = 60  # a header stands at the top, below titles
 _CONDITION = re.compile(r"M[0-3]\b")
-_LAB_AXES = "lab"
 _USUAL_VIEWING = Viewing("D65", 10)  # viewing of instruments for coatings, where heads name none
 _BLACK_LAB = {"src_z", "src_a", "view_z", "view_a"}  # a program's heads; its values are reflectance factors
 
@@ -91,6 +110,8 @@ class Columns:
         comments: lines of the file that may name a wavelength.
         viewing: of CIELAB values, which are linear sRGB relative to it in these columns; None of other values.
         kind: what the file says of its values elsewhere than in heads; None where it says nothing.
+        uncertainties: columns of uncertainties, with what their heads say.
+        own: columns of weights and scatter, as the package writes them, by head.
     """
 
     row: int
@@ -102,7 +123,10 @@ class Columns:
     gloss: dict[int, float]
     comments: tuple[str, ...] = ()
     viewing: Viewing | None = None
+    is_viewing_assumed: bool = False
     kind: Quantity | None = None
+    uncertainties: dict[int, UncertaintyHead] = field(default_factory=dict)
+    own: dict[str, int] = field(default_factory=dict)
 
     @property
     def band_heads(self) -> list[str]:
@@ -117,11 +141,13 @@ class Columns:
 
 @dataclass
 class _Sample:
-    """Rows of one sample: where they stand, their geometries or angles, values, and gloss by angle."""
+    """Rows of one sample: where they stand, their geometries or angles, values, uncertainties, and gloss by angle."""
 
     rows: list[int] = field(default_factory=list)
     keys: list[list[str]] = field(default_factory=list)
     values: list[list[float]] = field(default_factory=list)
+    uncertainties: list[list[float]] = field(default_factory=list)
+    own: list[list[float]] = field(default_factory=list)
     gloss: dict[float, list[float]] = field(default_factory=dict)
 
 
@@ -136,7 +162,7 @@ def text_of(cell: Cell) -> str:
 
 def names_directions(heads: Sequence[str]) -> bool:
     """Whether cells are the header of a table of directions: both elevations are named."""
-    return {"theta_i", "theta_o"} <= {angle_name(head) for head in heads}
+    return {"theta_i", "theta_o"} <= set(angle_names(heads))
 
 
 def resembles_header(heads: Sequence[str]) -> bool:
@@ -144,7 +170,7 @@ def resembles_header(heads: Sequence[str]) -> bool:
     return (
         any(column_heads.plain_head(head).startswith("geometr") for head in heads)
         or (any(map(column_heads.is_wavelength, heads)) and any(map(is_geometry, heads)))
-        or sum(angle_name(head) is not None for head in heads) >= 2
+        or sum(name is not None for name in angle_names(heads)) >= 2
         or sum(wavelength(head) is not None for head in heads) >= 3
     )
 
@@ -159,7 +185,8 @@ def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] |
             table, heads = wide, [text_of(cell) for cell in wide.rows[index]]
             geometry = _geometry_column(table, index, heads)
         is_named = names_directions(heads) or geometry is not None
-        if is_named and (lab := _lab_columns(heads)) is not None:
+        lab = None if any(wavelength(head) is not None for head in heads) else column_heads.lab_columns(heads)
+        if is_named and lab is not None:
             axes, seen = lab
             table = _from_lab(table, index, axes)
             heads = [text_of(cell) for cell in table.rows[index]]
@@ -168,7 +195,7 @@ def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] |
                 if geometry is None
                 else _geometry_columns(table, index, heads, geometry, context, axes)
             )
-            return table, replace(columns, viewing=seen)
+            return table, replace(columns, viewing=seen or _USUAL_VIEWING, is_viewing_assumed=seen is None)
         if names_directions(heads):
             return table, _direction_columns(table, index, heads, context)
         if geometry is not None and any(wavelength(head) for k, head in enumerate(heads) if k != geometry):
@@ -179,7 +206,7 @@ def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] |
 def _wide(table: Table, index: int, heads: list[str], geometry: int | None, context: ErrorContext) -> Table:
     """The table with a column per wavelength, where a header at `index` has a column of wavelengths; else as it is."""
     of_nm = [k for k, head in enumerate(heads) if column_heads.is_wavelength(head)]
-    others = [k for k, head in enumerate(heads) if head and k not in of_nm]
+    others = [k for k, head in enumerate(heads) if head and k not in of_nm and uncertainty_head(head) is None]
     if len(of_nm) != 1 or not others:
         return table
     if all(is_geometry(heads[k]) for k in others):
@@ -187,14 +214,17 @@ def _wide(table: Table, index: int, heads: list[str], geometry: int | None, cont
     values = [
         k
         for k in others
-        if (said := column_heads.value_head(heads[k])) and said.nm is None and not channel(heads[k])
+        if (said := column_heads.value_head(heads[k]))
+        and said.nm is None
+        and not (said.channel and not said.quantity)
     ]
     name = column_heads.name_column([heads[k] if k in others else "" for k in range(len(heads))])
-    keys = [k for k in others if angle_name(heads[k]) or k in (geometry, name)]
+    keys = [k for k, angle in enumerate(angle_names(heads)) if angle or k in (geometry, name)]
     is_known = geometry is not None or (names_directions(heads) and len(keys) + 1 == len(others))
     if len(values) != 1 or values[0] in keys or not is_known:
         return table
-    return _from_rows_of_bands(table, index, of_nm[0], values[0], keys, name, context)
+    uncertain = [k for k, head in enumerate(heads) if head and uncertainty_head(head) is not None]
+    return _from_rows_of_bands(table, index, of_nm[0], [*values, *uncertain[:1]], keys, name, context)
 
 
 def _from_spectra_down(
@@ -202,7 +232,8 @@ def _from_spectra_down(
 ) -> Table:
     """A row per geometry of a table that has a column per geometry and a row per wavelength."""
     below = [row for row in range(index + 1, len(table.rows)) if any(table.text(row, k) for k in geometries)]
-    heads = [_band(table, row, of_nm, context) for row in below]
+    unit = column_heads.wavelength_unit(text_of(table.rows[index][of_nm])) or ""
+    heads = [_band(table, row, of_nm, unit, context) for row in below]
     spectra = [
         [table.rows[index][k], *(table.rows[row][k] if k < len(table.rows[row]) else None for row in below)]
         for k in geometries
@@ -220,23 +251,24 @@ def _from_rows_of_bands(
     table: Table,
     index: int,
     of_nm: int,
-    of_value: int,
+    columns: list[int],
     keys: list[int],
     name: int | None,
     context: ErrorContext,
 ) -> Table:
-    """A row per spectrum of a table that has a row per value, beside its wavelength."""
+    """A row per spectrum of a table that has a row per value, and maybe its uncertainty, beside its wavelength."""
     heads = [text_of(cell) for cell in table.rows[index]]
+    unit = column_heads.wavelength_unit(heads[of_nm]) or ""
     # Rows of the bands of spectra, by directions and sample.
     found: dict[tuple[str, ...], list[dict[str, int]]] = {}
     sample = ""
     for row in range(index + 1, len(table.rows)):
         texts = {k: table.text(row, k) for k in keys}
-        if not table.text(row, of_value) or texts == {k: heads[k] for k in keys}:
+        if not table.text(row, columns[0]) or texts == {k: heads[k] for k in keys}:
             continue  # a footnote, or the header again
         if name is not None:
             sample = texts[name] = texts[name] or sample
-        band = _band(table, row, of_nm, context)
+        band = _band(table, row, of_nm, unit, context)
         spectra = found.setdefault(tuple(texts.values()), [{}])
         if band in spectra[-1]:
             spectra.append({})
@@ -252,7 +284,7 @@ def _from_rows_of_bands(
             table.where(index),
         )
     wide: list[Sequence[Cell]] = [
-        [*key, *(table.rows[rows[band]][of_value] if band in rows else None for band in bands)]
+        [*key, *(_cell(table, rows.get(band), column) for column in columns for band in bands)]
         for key, rows in spectra_of
     ]
 
@@ -261,22 +293,16 @@ def _from_rows_of_bands(
         first = next(iter(own.values()), row)
         if column is None or column < len(keys):
             return first, None if column is None else keys[column]
-        return own.get(bands[column - len(keys)], first), of_value
+        k, band = divmod(column - len(keys), len(bands))
+        return own.get(bands[band], first), columns[k]
 
-    head = [*(heads[k] for k in keys), *(f"{heads[of_value]} {band}" for band in bands)]
+    head = [*(heads[k] for k in keys), *(f"{heads[column]} {band}" for column in columns for band in bands)]
     return Table([*table.rows[:index], head, *wide], table.sheet, place)
 
 
-def _lab_columns(heads: list[str]) -> tuple[list[int], Viewing] | None:
-    """The columns of CIELAB values in a header without bands, and their light and observer."""
-    said = {k: lab for k, head in enumerate(heads) if (lab := column_heads.lab_head(head)) is not None}
-    if any(wavelength(head) is not None for head in heads):
-        return None
-    for seen in dict.fromkeys(lab.viewing for lab in said.values()):
-        axes = {lab.axis: k for k, lab in said.items() if lab.viewing == seen}
-        if len(axes) == len(_LAB_AXES):
-            return [axes[axis] for axis in _LAB_AXES], seen or _USUAL_VIEWING
-    return None
+def _cell(table: Table, row: int | None, column: int) -> Cell:
+    """The cell of a row, which may end before it; None without a row."""
+    return None if row is None or column >= len(table.rows[row]) else table.rows[row][column]
 
 
 def _from_lab(table: Table, index: int, axes: list[int]) -> Table:
@@ -296,37 +322,60 @@ def _from_lab(table: Table, index: int, axes: list[int]) -> Table:
     return Table(rows, table.sheet, table.place)
 
 
-def _band(table: Table, row: int, column: int, context: ErrorContext) -> str:
-    """The wavelength in a cell as the head of a band."""
+def _band(table: Table, row: int, column: int, unit: str, context: ErrorContext) -> str:
+    """The wavelength in a cell as the head of a band; a number without a unit has that of its column."""
     text = table.text(row, column)
-    nm = nanometres(text) if number(text) is not None else None
+    nm = wavelength_nm(text, unit)
     head = "" if nm is None else f"{nm:.9g}nm"
     if wavelength(head) is None:
-        raise context.error(f"found '{text[:24]}', expected a wavelength in nm", table.where(row, column))
+        raise context.error(
+            f"found '{text[:24]}', expected a wavelength in {unit or 'nm'}",
+            table.where(row, column),
+            remedy=CORRECT_CELL,
+        )
     return head
 
 
 def _direction_columns(table: Table, index: int, heads: list[str], context: ErrorContext) -> Columns:
     where = table.where(index)
-    named = [angle_name(head) for head in heads]
+    named = angle_names(heads)
     angles = {key: k for k, key in enumerate(named) if key is not None}
     twice = next((key for key in angles if named.count(key) > 1), None)
     if twice is not None:
-        raise context.error(f"{twice} appears twice, expected each angle once", where)
+        raise context.error(f"{twice} appears twice, expected each angle once", where, remedy=NEW_HEADER)
     free = [k for k, head in enumerate(heads) if k not in angles.values() and head]
     name = column_heads.name_column([heads[k] if k in free else "" for k in range(len(heads))])
     gloss = {k: a for k in free if (a := gloss_angle(heads[k])) is not None}
-    bands = [k for k in free if k != name and k not in gloss]
+    uncertainties = {k: u for k in free if (u := uncertainty_head(heads[k])) is not None}
+    own = {head: heads.index(head) for head in (WEIGHT_HEAD, SCATTER_HEAD) if head in heads}
+    bands = [k for k in free if k not in (name, *gloss, *uncertainties, *own.values())]
     said = [column_heads.value_head(heads[k]) for k in bands]
     unknown = [heads[k] for k, head in zip(bands, said, strict=True) if head is None]
     is_one_kind = len(bands) == 1 or all(channel(heads[k]) for k in bands) or all(h and h.nm for h in said)
     if not bands or unknown or not is_one_kind:
         raise context.error(
             f"columns {', '.join(unknown or [head for head in heads if head])[:80]}: expected values beside the "
-            "directions, with heads such as 465nm, R, G, B, or BRDF, a row per pair of directions",
+            f"directions, with heads such as 465nm, R, G, B, or one of {KNOWN}, a row per pair of directions",
             where,
+            remedy=NEW_HEADER,
         )
-    return Columns(index, heads, angles, None, bands, name, gloss)
+    return Columns(
+        index,
+        heads,
+        angles,
+        None,
+        bands,
+        name,
+        gloss,
+        _above(table, index),
+        uncertainties=uncertainties,
+        own=own,
+    )
+
+
+def _above(table: Table, index: int) -> tuple[str, ...]:
+    """The lines above a header, which may name a wavelength."""
+    return tuple(" ".join(filter(None, map(text_of, row))) for row in table.rows[:index])
 
 
 def _geometry_columns(
@@ -340,7 +389,9 @@ def _geometry_columns(
         is_lost = k < max(bands) and k != geometry and k not in gloss
         if k not in bands and heads[k] and (is_lost or number(heads[k]) is not None):
             raise context.error(
-                f"found '{heads[k][:24]}' among wavelengths, expected nm", table.where(index, k)
+                f"found '{heads[k][:24]}' among wavelengths, expected nm",
+                table.where(index, k),
+                remedy=NEW_HEADER,
             )
     nm = [wavelength(heads[k]) for k in bands]
     if not lab and len(set(nm)) < len(nm):
@@ -391,12 +442,11 @@ def read_table(
         sample.rows.append(index)
         sample.keys.append(keys)
         sample.values.append([_value(table, index, k, context) for k in columns.bands])
-        is_percent |= any(isinstance(cell, str) and cell.endswith("%") for cell in table.rows[index])
+        sample.uncertainties.append([_value(table, index, k, context) for k in columns.uncertainties])
+        sample.own.append([_value(table, index, k, context) for k in columns.own.values()])
+        is_percent |= any(table.text(index, k).endswith("%") for k in columns.bands)
         for column, angle in columns.gloss.items():
-            units = number(table.text(index, column))  # None where empty, or a word such as `matt`
-            if units is not None and (fault := gloss_fault(angle, units)) is not None:
-                raise context.error(fault, table.where(index, column))
-            if units is not None:
+            if (units := _gloss(table, index, column, angle, context)) is not None:
                 sample.gloss.setdefault(angle, []).append(units)
     if not samples:
         raise context.error(
@@ -409,39 +459,48 @@ def read_table(
         for one in samples.values():
             _require_one_condition(table, one, columns, context)
         pairs = {key: _geometry_pairs(table, s, angles, columns, context) for key, s in samples.items()}
-    kind = columns.kind or column_heads.quantity(columns.band_heads)
-    if is_percent or (columns.geometry is None and set(columns.heads) >= _BLACK_LAB):
-        kind = "factor"
-    if columns.viewing is not None:
-        kind = "factor"
-        notes.append(f"colours are read as CIELAB under {columns.viewing}, which says nothing of spectra")
-    white, assumed = 100.0 if is_percent else 1.0, None
-    if kind is None and columns.geometry is not None:
-        kind = "factor"
-        raw = [(wi, wo, np.array(samples[key].values)) for key, (_, wi, wo, _) in pairs.items()]
-        white = 100.0 if any(looks_like_percent(*one) for one in raw) else 1.0
-        notes.append(TAKEN_AS_FACTORS if white == 1.0 else TAKEN_AS_PERCENT)
-        assumed = "factor" if white == 1.0 else "percent"
-    elif kind is None:
-        raw = [(wi, wo, np.array(samples[key].values)[keep]) for key, (keep, wi, wo, _) in pairs.items()]
-        assumed = "brdf"
-        if any(is_too_bright(*one) for one in raw):
-            kind, assumed = "factor", "factor"
-            if any(is_too_bright(wi, wo, values / np.pi) for wi, wo, values in raw):
-                white, assumed = 100.0, "percent"
-        notes.append(
-            TAKEN_AS_BRDF
-            if assumed == "brdf"
-            else TOO_BRIGHT + ("taken as reflectance factors" if assumed == "factor" else "taken as per cent")
+    kind = columns.kind or column_heads.quantity(columns.band_heads, context, table.where(columns.row))
+    if kind is None and (is_percent or (columns.geometry is None and set(columns.heads) >= _BLACK_LAB)):
+        kind = FACTORS
+    if is_percent and kind is not None and kind not in (FACTORS, I_OVER_F):
+        raise context.error(
+            f"percent of {kind.title}, expected reflectance factors", table.where(columns.row)
         )
+    if columns.viewing is not None:
+        kind = FACTORS
+        of_whom = ", which no head says (--illuminant, --observer)" if columns.is_viewing_assumed else ""
+        notes.append(
+            f"colours are read as CIELAB under {columns.viewing}{of_whom}; they say nothing of spectra"
+        )
+    white = 100.0 if is_percent else 1.0
+    assumed: Assumed | None = None
+    if kind is None:
+        raw = [(wi, wo, np.array(samples[key].values)[keep]) for key, (keep, wi, wo, _) in pairs.items()]
+        assumed = assumed_unit(raw) if columns.geometry is None else assumed_factors(raw)
+        kind, white = assumed.quantity, assumed.white
+        notes.append(assumed.note)
     return [
         replace(
-            _readings(key, instrument, sample, pairs[key], columns, kind or "f", white, notes, context),
-            assumed_unit=assumed,
+            _readings(key, instrument, sample, pairs[key], columns, kind, white, notes, context),
+            assumed_unit=None if assumed is None else assumed.unit,
             viewing=columns.viewing or DAYLIGHT,
+            is_viewing_assumed=columns.is_viewing_assumed,
         )
         for key, sample in samples.items()
     ]
+
+
+def _gloss(table: Table, index: int, column: int, angle: float, context: ErrorContext) -> float | None:
+    """The gloss units in a cell; None where it is empty, or a word such as `matt`."""
+    measure = number_with_unit(table.text(index, column))
+    if measure is None:
+        return None
+    fault = gloss_fault(angle, measure.value)
+    if measure.unit not in ("", "gu"):
+        fault = f"found '{table.text(index, column)[:24]}', expected gloss units"
+    if fault is not None:
+        raise context.error(fault, table.where(index, column), remedy=CORRECT_CELL)
+    return measure.value
 
 
 def _geometries(table: Table, columns: Columns) -> Iterator[str]:
@@ -489,21 +548,27 @@ def _value(table: Table, index: int, column: int, context: ErrorContext) -> floa
 
 
 def _is_degrees(table: Table, columns: Columns, samples: dict[str, _Sample], context: ErrorContext) -> bool:
-    """Whether angles are in degrees: as heads say, or because they are too large for radians."""
+    """Whether angles are in degrees: as heads or cells say, or because they are too large for radians."""
     where = table.where(columns.row)
     unit = column_heads.angle_unit([columns.heads[k] for k in columns.angles.values()], context, where)
-    if unit is not None:
-        return unit == "degrees"
-    keys = np.array([[number(text) or 0.0 for text in row] for s in samples.values() for row in s.keys])
+    cells = [[number_with_unit(text) for text in row] for s in samples.values() for row in s.keys]
+    units = {unit, *(angle_unit(m.unit) for row in cells for m in row if m is not None and m.unit)} - {None}
+    if len(units) > 1:
+        raise context.error("angles in degrees and in radians, expected one unit", where)
+    if units:
+        return "degrees" in units
+    keys = np.array([[0.0 if measure is None else measure.value for measure in row] for row in cells])
     if np.any(keys) and not exceed_radians(dict(zip(columns.angles, keys.T, strict=True))):
         raise context.error(
-            "angles that may be degrees or radians, expected heads such as theta_i (deg)", where
+            "angles that may be degrees or radians, expected heads such as theta_i (deg)",
+            where,
+            remedy=NEW_HEADER,
         )
     return True
 
 
 # Which rows are kept, their wi and wo, and notes.
-_Pairs = tuple[Array, Array, Array, list[str]]
+_Pairs = tuple[Mask, Array, Array, list[str]]
 
 
 def _angle_pairs(
@@ -512,14 +577,22 @@ def _angle_pairs(
     scale = np.pi / 180.0 if is_degrees else 1.0
     cells = [
         [
-            context.number(text, f"{table.where(row)}, {key}")
+            _angle(text, f"{table.where(row)}, {key}", context)
             for key, text in zip(columns.angles, keys, strict=True)
         ]
         for row, keys in zip(sample.rows, sample.keys, strict=True)
     ]
     notes: list[str] = []
     angles = dict(zip(columns.angles, scale * np.array(cells).T, strict=True))
-    return (*directions(angles, context, notes), notes)
+    keep, wi, wo = directions(angles, context, notes)
+    return keep, wi, wo, notes
+
+
+def _angle(text: str, where: str, context: ErrorContext) -> float:
+    """The angle in a cell, in its own unit."""
+    measure = number_with_unit(text)
+    is_angle = measure is not None and (not measure.unit or angle_unit(measure.unit) is not None)
+    return measure.value if measure is not None and is_angle else context.number(text, where)
 
 
 def _require_one_condition(table: Table, sample: _Sample, columns: Columns, context: ErrorContext) -> None:
@@ -561,7 +634,7 @@ def _geometry_pairs(
                 table.where(row),
             )
     wi, wo = (np.array(w) for w in zip(*pairs, strict=True))
-    return np.ones(len(pairs), dtype=bool), wi, wo, []
+    return np.ones(len(pairs), dtype=np.bool_), wi, wo, []
 
 
 def _readings(
@@ -577,17 +650,64 @@ def _readings(
 ) -> Readings:
     keep, wi, wo, own_notes = pairs
     notes = [*table_notes, *own_notes]
-    values = np.array(sample.values)[keep]
-    if not np.any(np.isfinite(values)):
+    raw = np.array(sample.values)[keep]
+    if not np.any(np.isfinite(raw)):
         raise context.error(f"sample '{name[:40]}' has no values, expected reflectance or f in 1/sr")
-    values = as_brdf(values, kind, wo, notes if columns.geometry is None else [], white)
+    values = as_brdf(raw, kind, wi, wo, notes if columns.geometry is None else [], white)
+    relative = _relative_uncertainties(columns, sample, keep, raw, kind, white, notes, context)
+    _, _, relative, *_ = mean_of_repeats(wi, wo, relative)
     nm, values = bands_of(columns.band_heads, values, notes, context, columns.comments)
     wi, wo, values, scatter, repeats = mean_of_repeats(wi, wo, values)
     notes += repeats
+    said = weights_of(relative)
+    weighed: dict[str, Any] = {"scatter": scatter}
+    if said is not None:
+        notes.append(said.note)
+        weighed = said.readings | {"scatter": np.maximum(scatter, said.scatter)}
+    if columns.own and len(wi) == len(raw):
+        own = dict(zip(columns.own, np.array(sample.own)[keep].T, strict=True))
+        weighed |= {
+            name: own[head]
+            for name, head in (("weights", WEIGHT_HEAD), ("scatter", SCATTER_HEAD))
+            if head in own
+        }
     if np.any(np.isnan(values)):
         notes.append(f"{int(np.isnan(values).sum())} empty cells are not measured")
     gloss = {angle: float(np.mean(units)) for angle, units in sample.gloss.items()}
-    return Readings(name, instrument, wi, wo, nm, values, notes=tuple(notes), gloss=gloss, scatter=scatter)
+    return Readings(name, instrument, wi, wo, nm, values, notes=tuple(notes), gloss=gloss, **weighed)
+
+
+def _relative_uncertainties(
+    columns: Columns, sample: _Sample, keep: Mask, raw: Array, kind: Quantity, white: float, notes: list[str],
+    context: ErrorContext,
+) -> Array:  # fmt: skip
+    """Relative standard uncertainties (P, B) of values (P, B) as they stand in the file; NaN where none is given."""
+    relative = np.full(raw.shape, np.nan)
+    nm = [wavelength(head) for head in columns.band_heads]
+    left_out = []
+    for j, (column, head) in enumerate(columns.uncertainties.items()):
+        own = [k for k in range(len(nm)) if head.nm is None or head.nm == nm[k]]
+        if not own or head.coverage == 0.0 or np.any(np.isfinite(relative[:, own])):
+            left_out.append(columns.heads[column])
+            continue
+        given = np.array([row[j] for row in sample.uncertainties])[keep, None] / head.coverage
+        if np.any(given < 0.0):
+            raise context.error(
+                f"a negative uncertainty in column '{columns.heads[column][:24]}', expected 0 or more"
+            )
+        is_percent = column_heads.is_percent([columns.heads[column]])
+        if head.is_relative or (is_percent and white == 1.0):
+            relative[:, own] = given / (100.0 if is_percent else 1.0)
+        elif kind.base:
+            relative[:, own] = given * np.log(kind.base)
+        else:
+            size = np.abs(raw[:, own])
+            relative[:, own] = np.divide(given, size, out=np.full(size.shape, np.nan), where=size > 0.0)
+    if left_out:
+        notes.append(
+            f"{', '.join(left_out)[:80]}: left out, expected standard uncertainties, one column for each of the values"
+        )
+    return relative
 
 
 def in_one_unit(found: Sequence[Readings]) -> list[Readings]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,6 +16,8 @@ from manifold.names import printable
 from manifold.records import Array
 
 _LONGEST_FINDING = 400  # letters
+CORRECT_CELL = "correct the cell"
+"""What to do about one wrong value."""
 MOST_ROWS = 5_000_000
 """Of a table."""
 
@@ -37,7 +41,9 @@ class ErrorContext:
         """A finite number, with a decimal point or comma, or an error that names its context."""
         value = number(text)
         if value is None:
-            raise self.error(f"found '{printable(text.strip(), 24)}', expected a finite number", where)
+            raise self.error(
+                f"found '{printable(text.strip(), 24)}', expected a finite number", where, remedy=CORRECT_CELL
+            )
         return value
 
     def numbers(self, cells: list[str], line: int) -> list[float]:
@@ -53,6 +59,8 @@ class ErrorContext:
         table = np.empty((len(lines), width))
         for row, (line_number, line) in zip(table, lines, strict=True):
             cells = split_cells(line, separator)
+            while len(cells) > width and not cells[-1]:  # trailing separators
+                cells.pop()
             if len(cells) != width:
                 raise self.error(f"{len(cells)} cells, expected {width}", f"line {line_number}")
             row[:] = self.numbers(cells, line_number)
@@ -77,10 +85,30 @@ class ErrorContext:
 LARGEST_TEXT = 150_000_000
 """Bytes of the longest text file that is read: a goniometer's are a hundred times shorter."""
 
+NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][+-]?\d+)?"
+"""The pattern of a number: with a decimal point or comma, and an exponent, which may be Fortran's."""
+
 _MINUS = str.maketrans(
     {"\u2212": "-", "\u2013": "-", "\u2010": "-", "\u2011": "-", "\u00a0": " ", "\u202f": " "}
 )
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
+_NUMBER = re.compile(NUMBER)
+_WITH_UNIT = re.compile(rf"({NUMBER})\s*([^\s\d].*)?", re.DOTALL)
+# Of wavelengths in nm by unit; of wavenumbers, nm times the number.
+_NM = {
+    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), 1.0),
+    **dict.fromkeys(("um", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres"), 1e3),
+    **dict.fromkeys(("a", "\u00e5", "angstrom", "angstroms", "\u00e5ngstr\u00f6m"), 0.1),
+    "m": 1e9,
+}  # fmt: skip
+_WAVENUMBERS = {"cm-1", "cm^-1", "1/cm", "cm\u207b\u00b9", "cm**-1", "kayser", "wavenumber", "wavenumbers"}
+_MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u", "\u2212": "-", "\u212b": "\u00e5"})
+_DEGREES = {"deg", "degree", "degrees", "\u00b0", "\u00ba", "d", "dg"}
+_RADIANS = {"rad", "radian", "radians"}
+LENGTH_UNIT = (
+    r"(?:nm|nano\w+|[u\u00b5\u03bc]m|micro\w+|\u00e5|\u212b|angstroms?|a(?=\s*[)\]])|m|"
+    r"cm\s?(?:\^|\*\*)?-1|1/cm|cm\u207b\u00b9)"
+)
+"""The pattern of a unit of wavelengths, in lower case."""
 
 
 def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
@@ -133,14 +161,91 @@ def number(text: str) -> float | None:
     return value if abs(value) < 1e300 else None
 
 
+class Measure(NamedTuple):
+    """A number and its unit, in lower case and without brackets; empty where there is none."""
+
+    value: float
+    unit: str
+
+
+def number_with_unit(text: str) -> Measure | None:
+    """The finite number that a text begins with and the unit behind it, or None.
+
+    The unit may be attached to the number or stand in brackets.
+
+    >>> number_with_unit("1.55um"), number_with_unit("632,8 [nm]"), number_with_unit("red")
+    (Measure(value=1.55, unit='um'), Measure(value=632.8, unit='nm'), None)
+    """
+    found = _WITH_UNIT.fullmatch(text.strip().strip('"').strip())
+    value = number(found[1]) if found else None
+    if found is None or value is None:
+        return None
+    return Measure(value, plain_unit(found[2] or ""))
+
+
+def plain_unit(text: str) -> str:
+    """A unit in lower case, without brackets and blanks, with `u` for micro.
+
+    >>> plain_unit(" [\u00b5m]"), plain_unit("(cm -1)")
+    ('um', 'cm-1')
+    """
+    return re.sub(r"[\s()\[\]{}]", "", text.lower().translate(_MICRO))
+
+
+def wavelength_nm(text: str, unit: str = "") -> float | None:
+    """The wavelength in nm of a text such as `633 nm`, `0,6328 um`, `6328 A`, `15803 cm-1`; None where it is none.
+
+    A number without a unit has the given one; without any, it is in micrometres below 100 and in nanometres from there.
+
+    >>> wavelength_nm("1.55um"), wavelength_nm("0,5"), wavelength_nm("20000", "cm-1"), wavelength_nm("5 eV")
+    (1550.0, 500.0, 500.0, None)
+    """
+    measure = number_with_unit(text)
+    if measure is None or measure.value <= 0.0:
+        return None
+    own = measure.unit or unit or ("nm" if measure.value >= 100.0 else "um")
+    nm = nanometres(np.array([measure.value]), own)
+    return None if nm is None else float(f"{nm[0]:.12g}")
+
+
+def nanometres(values: Array, unit: str) -> Array | None:
+    """Wavelengths in nm of positive numbers in a unit of wavelengths or wavenumbers; None where it is none."""
+    plain = plain_unit(unit)
+    if plain in _WAVENUMBERS:
+        return 1e7 / values
+    return values * _NM[plain] if plain in _NM else None
+
+
+def is_length_unit(text: str) -> bool:
+    """Whether a text is a unit of wavelengths or wavenumbers."""
+    return nanometres(np.ones(1), text) is not None
+
+
+def angle_unit(text: str) -> Literal["degrees", "radians"] | None:
+    """The unit of angles that a text is, or None."""
+    unit = plain_unit(text)
+    return "degrees" if unit in _DEGREES else "radians" if unit in _RADIANS else None
+
+
+_BLANK_CELLS = re.compile(r'"([^"]*)"|((?:[^\s"(\[]|\s*[(\[][^()\[\]]*[)\]]|[(\[])+)')
+
+
 def split_cells(line: str, separator: str | None) -> list[str]:
-    """Cells of a line without quotes; runs of blanks separate where `separator` is None."""
+    """Cells of a line, without blanks around them, and without quotes where these are whole.
+
+    Where `separator` is None, runs of blanks separate, with a comma at most; not those in or before brackets.
+
+    >>> split_cells('red; "50,5" ;60', ";"), split_cells("theta_i (deg)  f [1 / sr]", None)
+    (['red', '50,5', '60'], ['theta_i (deg)', 'f [1 / sr]'])
+    """
     if separator is None:
-        return line.replace('"', " ").split()
-    cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
-    while cells and not cells[-1]:  # trailing separators
-        cells.pop()
-    return cells
+        if not any(mark in line for mark in ',"(['):
+            return line.split()
+        words = (quoted or plain.strip(",") for quoted, plain in _BLANK_CELLS.findall(line))
+        return [word for word in words if word]
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def find_separator(lines: list[str]) -> str | None:
@@ -149,13 +254,33 @@ def find_separator(lines: list[str]) -> str | None:
     A comma is a separator only where nothing else is: between digits it may be a decimal comma.
     """
     for separator in (";", "\t"):
-        counts = [line.count(separator) for line in lines]
-        if counts and min(counts) >= 1:
+        if lines and all(separator in line for line in lines):
             return separator
-    counts = [line.count(",") for line in lines]
-    if counts and min(counts) >= 1:
-        # Decimal commas between blanks: every cell is a number with at most one comma.
-        if all(len(line.split()) > 1 and all(number(c) is not None for c in line.split()) for line in lines):
-            return None
-        return ","
+    if lines and all("," in line for line in lines):
+        # Decimal commas between blanks: nearly every cell is a number with at most one comma.
+        rows = [split_cells(line, None) for line in lines]
+        spaced = [len(row) > 1 and all(number(cell) is not None for cell in row) for row in rows]
+        has_blanks = 2 * sum(spaced) > len(lines)
+        return None if has_blanks else ","
     return None
+
+
+def list_rows(lines: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
+    """Cells of the `data_lines` of a list, each with its line's number.
+
+    >>> list_rows([(1, "name;L;a;b"), (3, "RAL 3005;27,5;28,1;7")])
+    [(1, ['name', 'L', 'a', 'b']), (3, ['RAL 3005', '27,5', '28,1', '7'])]
+    """
+    separator = find_separator([line for _, line in lines])
+    return [(k, split_cells(line, separator)) for k, line in lines]
+
+
+def with_whole_name(cells: list[str], width: int) -> list[str]:
+    """The cells of a row, whose first ones are one name of several words where there are more than `width`.
+
+    >>> with_whole_name(["RAL", "1000", "76", "0", "28"], 4)
+    ['RAL 1000', '76', '0', '28']
+    """
+    extra = len(cells) - width
+    is_name = extra > 0 and number(cells[0]) is None
+    return [" ".join(cells[: extra + 1]), *cells[extra + 1 :]] if is_name else cells

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.formats.column_heads import Quantity, channel, wavelength
-from manifold.formats.text import ErrorContext, number
+from manifold.formats.column_heads import channel, wavelength
+from manifold.formats.quantities import BRDF, FACTORS, Quantity
+from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wavelength_nm
 from manifold.records import Array
+
+SHORTEST_NM, LONGEST_NM = 100.0, 1e5
+"""Of wavelengths; others are in other units."""
 
 _NO_UNIT = "no unit given (--unit brdf, factor or percent): "
 TAKEN_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
@@ -21,60 +26,133 @@ _FEWEST = 5  # values that say so
 _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
-_LENGTH = r"(?:nm|nano\w+|[u\u00b5\u03bc]m|micro\w+)"
-_WAVELENGTH_IS = re.compile(
-    rf"(?:wavelength|lambda|\u03bb)\s*[(\[]?(?:in )?{_LENGTH}?[)\]]?\s*[:=]?\s*(\d+(?:\.\d+)?)\b"
+_STATEMENT = re.compile(
+    rf"(?<![a-z])(?:wavelength|lambda|\u03bb)\s*(?:in\s)?[(\[]?(?P<unit>{LENGTH_UNIT}(?![a-z]))?[)\]]?\s*(?:is\s|[:=,;])?\s*"
+    r"(?P<number>(?:\d+(?:[.,]\d+)?|[.,]\d+)(?:e[-+]?\d+)?)(?P<rest>.*)"
 )
+_UNIT_BEHIND = re.compile(r"\s*[(\[]?(?P<unit>[^\W\d_]+(?:\s?\^?-1)?)[)\]]?")
+_FOREIGN_UNITS = {"ev", "thz", "ghz", "hz", "mm", "pm", "k"}
+_SEVERAL = re.compile(r"\s*(?:[-,;/\u2013]|to|and)\s*\d")
 _NUMBER_OF_NM = re.compile(
-    r"(?<![-\d.])(\d{3,4}(?:\.\d+)?) ?nm\b"  # not the end of a range
-    r"|(?:^[#!\s]*|(?:laser|light|led)\b.*?(?<![-\d.]))(\d+\.\d+) ?[u\u00b5\u03bc]m\b"
+    r"(?<![-\d.,])(?P<nm>\d{3,4}(?:[.,]\d+)?) ?nm\b"  # not the end of a range
+    r"|(?:^[#!\s]*|(?:laser|light|led)\b.*?(?<![-\d.,]))(?P<um>\d+[.,]\d+) ?[u\u00b5\u03bc]m\b"
 )
 
+_TYPICAL = 0.06  # relative standard uncertainty of a value whose reading counts half of an exact one
 _PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 _D65_XY = (0.3127, 0.3290)
 _UNNAMED_NM = 550.0
 
 
-def nanometres(text: str) -> float | None:
-    """The wavelength in nm that a text begins with, micrometres where it is below 100; None where there is none.
-
-    >>> nanometres("633 nm"), nanometres("0,5"), nanometres("red")
-    (633.0, 500.0, None)
-    """
-    found = re.match(r"[\d.,]+", text)
-    value = number(found[0]) if found else None
-    if value is None or value <= 0.0:
-        return None
-    return value if value >= 100.0 else 1000.0 * value
-
-
-def named_wavelength(comments: Iterable[str]) -> float | None:
+def named_wavelength(comments: Iterable[str], context: ErrorContext) -> float | None:
     """The only wavelength that comments name in nm; None where they name none, or several.
 
-    >>> named_wavelength(["# Wavelength (nm) = 850.0"]), named_wavelength(["# 0.85 um"])
-    (850.0, 850.0)
+    Raises:
+        FileFormatError: a comment says that the wavelength is something that is none.
     """
-    lines = [line.lower() for line in comments]
-    for pattern in (_WAVELENGTH_IS, _NUMBER_OF_NM):
-        named = {nanometres(m[m.lastindex or 0]) for line in lines for m in pattern.finditer(line)} - {None}
-        if len(named) == 1:
-            return named.pop()
-    return None
+    lines = list(comments)
+    stated = [
+        _stated(found, line, context)
+        for line in lines
+        if (found := _STATEMENT.search(line.lower())) is not None
+    ]
+    if stated:
+        named = set(stated)
+    else:
+        matches = (found for line in lines for found in _NUMBER_OF_NM.finditer(line.lower()))
+        named = {wavelength_nm(m["nm"], "nm") if m["nm"] else wavelength_nm(m["um"], "um") for m in matches}
+    return named.pop() if len(named) == 1 else None
 
 
-def as_brdf(values: Array, kind: Quantity, wo: Array, notes: list[str], white: float = 1.0) -> Array:
-    """f in 1/sr of values (P, B) of a quantity at wo (P, 3); NaN where the cosine is 0.
+def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | None:
+    """The wavelength in nm of a statement; None where it is one of several, or a number of something else."""
+    behind = _UNIT_BEHIND.match(found["rest"])
+    word = "" if behind is None else behind["unit"]
+    is_attached = word != "" and found["rest"].startswith(word)
+    is_unit = is_length_unit(word) or is_attached or word in _FOREIGN_UNITS
+    rest = found["rest"][behind.end() :] if behind is not None and is_unit else found["rest"]
+    if _SEVERAL.match(rest):
+        return None
+    unit = word if is_unit else found["unit"] or ""
+    if not unit and re.fullmatch(r"\d{1,2}", found["number"]):  # wavelength 1 of 3
+        return None
+    nm = wavelength_nm(found["number"], unit)
+    if nm is None or not SHORTEST_NM <= nm <= LONGEST_NM:
+        raise context.error(
+            f"found '{line.strip()[:60]}', expected a wavelength such as 633 nm or 1.55 um",
+            remedy="correct the comment",
+        )
+    return nm
 
-    What was done is added to the notes. White is the reflectance factor of the perfect diffuser: 1, or 100 in percent.
+
+def as_brdf(
+    values: Array, quantity: Quantity, wi: Array, wo: Array, notes: list[str], white: float = 1.0
+) -> Array:
+    """`Quantity.brdf`, and a note of what was done."""
+    if (note := quantity.note) is not None:
+        notes.append(note)
+    return quantity.brdf(values, wi, wo, white)
+
+
+class Assumed(NamedTuple):
+    """What values are taken for that a file says nothing of: one of `readings.UNITS`, and the value of white in it."""
+
+    unit: str
+    quantity: Quantity
+    white: float
+    note: str
+
+
+def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
+    """BRDF in 1/sr; where it would reflect more light than it receives, reflectance factors, or these in percent.
+
+    Each of several samples is wi (P, 3), wo (P, 3) and values (P, B) of one file.
     """
-    if kind == "factor":
-        notes.append("reflectance factors, divided by pi")
-        return values / (white * np.pi)
-    if kind == "f_cos":
-        notes.append("values include the cosine of theta_o, and are divided by it")
-        cosine = wo[:, 2:]
-        return np.divide(values, cosine, out=np.full_like(values, np.nan), where=cosine > 1e-3)
-    return values
+    if not any(is_too_bright(*of_sample) for of_sample in raw):
+        return Assumed("brdf", BRDF, 1.0, TAKEN_AS_BRDF)
+    if any(is_too_bright(wi, wo, values / np.pi) for wi, wo, values in raw):
+        return Assumed("percent", FACTORS, 100.0, TOO_BRIGHT + "taken as per cent")
+    return Assumed("factor", FACTORS, 1.0, TOO_BRIGHT + "taken as reflectance factors")
+
+
+def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
+    """Reflectance factors of a spectrophotometer; in percent where they are too large."""
+    if any(looks_like_percent(*of_sample) for of_sample in raw):
+        return Assumed("percent", FACTORS, 100.0, TAKEN_AS_PERCENT)
+    return Assumed("factor", FACTORS, 1.0, TAKEN_AS_FACTORS)
+
+
+class Weights(NamedTuple):
+    """What the uncertainties of values say of readings, see `Readings`.
+
+    Attributes:
+        scatter: of cube roots, relative, shape (P,).
+        weights: shape (P,).
+        repeatability: that of the median.
+        note: what was done.
+    """
+
+    scatter: Array
+    weights: Array
+    repeatability: float
+    note: str
+
+    @property
+    def readings(self) -> dict[str, Any]:
+        """Arguments of `Readings`."""
+        return {"scatter": self.scatter, "weights": self.weights, "repeatability": self.repeatability}
+
+
+def weights_of(relative: Array) -> Weights | None:
+    """Weights of readings whose values have relative standard uncertainties (P, B); None where all are 0 or unknown."""
+    known = np.isfinite(relative)
+    count = np.maximum(known.sum(axis=1), 1)
+    scatter = np.sqrt(np.where(known, relative, 0.0) ** 2 @ np.ones(relative.shape[1]) / count) / 3.0
+    if not np.any(scatter > 0.0):
+        return None
+    median = 3.0 * float(np.median(scatter))
+    note = f"uncertainties of {100.0 * median:.2g} % in the median weigh the values"
+    return Weights(scatter, 1.0 / (1.0 + (3.0 * scatter / _TYPICAL) ** 2), median, note)
 
 
 def bands_of(
@@ -88,7 +166,7 @@ def bands_of(
             return None, converted(values, notes) if space == "xyz" else values
     nm = [wavelength(head) for head in heads]
     if nm == [None]:
-        return unnamed_band(notes, comments), values
+        return unnamed_band(notes, context, comments), values
     if None in nm:
         raise context.error(
             f"band '{heads[nm.index(None)][:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z"
@@ -148,9 +226,9 @@ def converted(xyz: Array, notes: list[str]) -> Array:
     return xyz_to_linear_srgb(xyz)
 
 
-def unnamed_band(notes: list[str], comments: Iterable[str] = ()) -> Array:
+def unnamed_band(notes: list[str], context: ErrorContext, comments: Iterable[str] = ()) -> Array:
     """The wavelength in nm, shape (1,), of a band without one: a comment's or a green one; and a note of it."""
-    named = named_wavelength(comments)
+    named = named_wavelength(comments, context)
     if named is not None:
         notes.append(f"one band, its wavelength is taken from a comment: {named:g} nm")
         return np.array([named])

@@ -54,8 +54,7 @@ def read(path: Path) -> list[Readings]:
     """Readings of the reflected directions above the horizon."""
     text = read_blocks(path)
     said = text.blocks[0].words if text.blocks else {}
-    if said.get("scattertype", "BRDF").upper().startswith("BTDF"):
-        raise text.context.error("a BTDF, expected reflectance (ScatterType BRDF)")
+    text.require_brdf(said)
     parts: dict[int | None, list[Block]] = {}
     for block in text.blocks:
         parts.setdefault(block.tristimulus, []).append(block)
@@ -69,7 +68,7 @@ def read(path: Path) -> list[Readings]:
             why = f"SpectralContent {said.get('spectralcontent', 'not said')}, expected Monochrome or XYZ"
         raise text.context.error(f"{found} tables, expected {len(incidences)}, one per incidence: {why}")
     notes = ["angles are taken about the mirror direction, azimuth 0 towards the normal"]
-    nm = unnamed_band(notes, text.comments) if None in parts else None
+    nm = unnamed_band(notes, text.context, text.comments) if None in parts else None
     radial, azimuth = (np.deg2rad(text.lists[f"scatter{name}"]) for name in ("radial", "azimuth"))
     cosines = [directions(np.deg2rad(t), radial, azimuth[:, None])[1][..., 2] for _, t in incidences]
     note_contradictions(

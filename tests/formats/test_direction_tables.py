@@ -105,7 +105,7 @@ def test_a_btdf_is_refused(tmp_path):
         'MEAS_NAME "BTDF"\nVARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n'
         + lines(np.deg2rad(DIRECTIONS), truth(DIRECTIONS))
     )
-    with pytest.raises(FileFormatError, match="MEAS_NAME is BTDF: transmitted light"):
+    with pytest.raises(FileFormatError, match="MEAS_NAME is 'BTDF': transmitted light"):
         registry.read_all(path)
 
 
@@ -267,7 +267,7 @@ def test_values_that_only_one_unit_makes_plausible_decide_it(head, factor, unit,
         ("theta_i,phi_i,theta_o,dphi,465\n10,20,30,40,5\n", "dphi beside phi_i"),
         ("theta_i,phi_i,theta_o,465\n10,20,30,5\n", "phi_i without phi_o"),
         ("wl,theta_i,phi_i,theta_o,phi_o,BRDF,BRF\n465,1,2,30,4,5,6\n", "columns wl: expected values"),
-        ("wl,theta_i,phi_i,theta_o,phi_o,f,sigma\n465,1,2,30,4,5,6\n", "columns wl, sigma: expected values"),
+        ("wl,theta_i,phi_i,theta_o,phi_o,f,spin\n465,1,2,30,4,5,6\n", "columns wl, spin: expected values"),
         (
             "wl,theta_i,phi_i,theta_o,phi_o,f\n465,1,2,30,4,5\nred,1,2,30,4,5\n",
             "row 3, column 1: found 'red'",
@@ -277,7 +277,11 @@ def test_values_that_only_one_unit_makes_plausible_decide_it(head, factor, unit,
         ("theta_i,phi_i,theta_o,phi_o,wl,f\n1,2,30,4,465,5,6\n", "row 2: 7 cells below a header of 6"),
         ("theta_i,phi_i,theta_o,phi_o,lambda\n10,20,30,40,450\n", "columns lambda: expected values"),
         ("theta_i,phi_i,theta_o,phi_o,Wavelength (nm)\n1,2,30,4,450\n", "Wavelength .nm.: expected values"),
-        ("theta_i,phi_i,theta_o,phi_o,465,sigma\n10,20,30,40,5,6\n", "columns sigma: expected values"),
+        ("theta_i,phi_i,theta_o,phi_o,465,spin\n10,20,30,40,5,6\n", "columns spin: expected values"),
+        (
+            "theta_i,phi_i,theta_o,phi_o,465,sigma\n10,20,30,40,5,-6\n",
+            "a negative uncertainty in column 'sigma'",
+        ),
         (
             "10,20,30,40,5\ntheta_i,phi_i,theta_o,phi_o,465\n10,20,30,40,5\n",
             "row 1: readings above the header",

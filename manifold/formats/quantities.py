@@ -1,0 +1,196 @@
+"""What values are, by the words of heads and headers: of tables of BRDFs, and of spectra.
+
+This is the only place that turns words into a quantity. A word that it does not understand never means the default: it
+is refused.
+
+Sources: ASTM E1392 and E2387 (BRDF, cosine-corrected BSDF), CIE S 017 (reflectance factor, radiance factor, radiance
+coefficient), Hapke 1993, chapter 10 (I/F and REFF).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from manifold.formats.text import ErrorContext
+from manifold.records import Array
+
+_LEAST_COSINE = 1e-3  # nearer to the horizon a value over its cosine says nothing
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """How values become a BRDF: f = scale * value / cosines, of the logarithm's antilogarithm where they are logs.
+
+    Attributes:
+        title: of the quantity, in the plural.
+        scale: f in 1/sr of a value of 1 whose cosines are 1.
+        cosines: `i`, `o` or both, whose angles' cosines the values include.
+        base: of the logarithm that the values are; 0 where they are none.
+    """
+
+    title: str
+    scale: float = 1.0
+    cosines: str = ""
+    base: float = 0.0
+
+    def brdf(self, values: Array, wi: Array, wo: Array, white: float = 1.0) -> Array:
+        """f in 1/sr, shape (P, B), of values (P, B) at wi and wo (P, 3); NaN where a cosine is 0.
+
+        White is what the unit of the values makes of 1: 100 for percent.
+        """
+        f = self.scale * (np.power(self.base, values) if self.base else values / white)
+        for letter, w in (("i", wi), ("o", wo)):
+            if letter in self.cosines:
+                cosine = w[:, 2:]
+                f = np.divide(f, cosine, out=np.full_like(f, np.nan), where=cosine > _LEAST_COSINE)
+        return f
+
+    @property
+    def note(self) -> str | None:
+        """What was done to the values; None where they are the BRDF."""
+        done = ["divided by pi"] if self.scale != 1.0 else []
+        done += [f"divided by the cosine of theta_{letter}" for letter in self.cosines]
+        log = f"logarithms to base {'e' if self.base == np.e else '10'} of " if self.base else ""
+        return f"{log}{self.title}{', ' if done else ''}{' and '.join(done)}" if done or log else None
+
+
+BRDF = Quantity("BRDF")
+COSINE_BRDF = Quantity("BRDF times the cosine of theta_o", cosines="o")
+FACTORS = Quantity("reflectance factors", 1.0 / np.pi)
+I_OVER_F = Quantity("I/F (radiance factors of planetary photometry)", 1.0 / np.pi, "i")
+
+KNOWN = "BRDF, cosine-corrected BRDF, reflectance factor, I/F or log10(BRDF)"
+"""The quantities that tables may hold, for errors."""
+
+# Of whole phrases as `phrase` returns them.
+_F = r"(brdf|bsdf|f|f r|fr|bidirectional (reflectance|scatter|scattering) distribution function)"
+_REFLECTANCE = (
+    r"(reflectance|reflection|reflexion|reflectivity|reflexionsgrad|remission|remissionsgrad|refl|reflect)"
+)
+_PATTERNS = tuple(
+    (quantity, re.compile(pattern))
+    for quantity, pattern in (
+        (BRDF, rf"{_F}( r)?|(radiance|luminance) coefficient"),
+        (
+            COSINE_BRDF,
+            rf"(cc|cos corrected|cos) ({_F}|scatter)|({_F}|scatter) ((x |times )?cos( theta)?( [sorv])?|cos corrected)|"
+            r"ccbrdf|ccbsdf|ars|dsf|(angle|angular) resolved (scatter|scattering)",
+        ),
+        (
+            FACTORS,
+            rf"r|beta|rf|brf|brrf|reff|((bidirectional )?{_REFLECTANCE}|radiance|luminance) factor|"
+            rf"{_REFLECTANCE}",
+        ),
+        (I_OVER_F, "i f|i over f|radf"),
+    )
+)
+_LOGS = {"lg": 10.0, "ln": float(np.e)}
+_FILLERS = {
+    "spectral",
+    "value",
+    "values",
+    "measured",
+    "mean",
+    "average",
+    "averaged",
+    "avg",
+    "data",
+    "the",
+    "of",
+}
+_SYNONYMS = {"cosine": "cos", "weighted": "corrected", "costheta": "cos"}
+_PER_STERADIAN = re.compile(
+    r"\b1\s*/\s*(sr|steradians?)\b|/\s*(sr|steradians?)\b|\b(sr|steradian)\s*(\^|\*\*)?\s*[-\u2212\u2013]\s*1|"
+    r"sr\s*\u207b\u00b9|\bper\s+(sr|steradian)\b|\binverse\s+steradians?\b"
+)  # fmt: skip
+_PERCENT = re.compile(r"%|\bper\s?cent\b|\bpct\b")
+_NOT_WEIGHTED = re.compile(r"\b(not|un|non)[-\s]?cos(ine)?[-\s]?(weighted|corrected)\b")
+# Words that make a text a statement on the quantity; other words of prose say nothing.
+_TELLING = re.compile(
+    r"(cc)?b[rs]df|btdf|bssrdf|reflectanc\w*|reflectiv\w*|reflexion\w*|remission\w*|radian\w*|irradian\w*|"
+    r"luminan\w*|intensit\w*|cos|ln|lg|log|absor\w*|extin\w*|transmi\w*|factors?|coefficients?|normali[sz]ed|relative|"
+    r"arbitrary|counts?|signal|voltage|power|flux|albedo|b?rr?f|reff|radf|ars|dsf"
+)  # fmt: skip
+_TRANSMITTED = re.compile(r"btdf|transmi\w*")
+
+
+def plain(text: str) -> str:
+    """A text in lower case without units of the values, which `is_percent` finds, and with logs by one word."""
+    text = _PER_STERADIAN.sub(" ", text.lower().replace("_", " "))
+    return re.sub(r"\blog\s?10(?!\d)|\blg\b", " lg ", _PERCENT.sub(" ", text))
+
+
+def phrase(text: str) -> str:
+    """The words of a `plain` text in order, without those that say nothing of the quantity."""
+    words = re.findall(r"[^\W\d_]+|\d+", text)
+    return " ".join(_SYNONYMS.get(word, word) for word in words if word not in _FILLERS)
+
+
+def is_percent(text: str) -> bool:
+    """Whether a text names percent."""
+    return _PERCENT.search(text.lower()) is not None
+
+
+def quantity_of(words: str) -> Quantity | None:
+    """The quantity that is called by a whole `phrase`; None where none is."""
+    first, _, rest = words.partition(" ")
+    if first in _LOGS:
+        logged = quantity_of(rest)
+        return None if logged is None or logged.base else replace(logged, base=_LOGS[first])
+    return next((quantity for quantity, pattern in _PATTERNS if pattern.fullmatch(words)), None)
+
+
+def quantity_in_prose(
+    text: str, what: str, context: ErrorContext, where: str | None = None
+) -> Quantity | None:
+    """The quantity that a text such as `Reflectance factor of a plate` names; None where no word speaks of one.
+
+    Raises:
+        FileFormatError: the words are of a quantity that is not read, or of several; `what` is the text's key.
+    """
+    words = phrase(_NOT_WEIGHTED.sub(" ", plain(text))).split()
+    telling = [k for k, word in enumerate(words) if _TELLING.fullmatch(word)]
+    if not telling:
+        return None
+    spans = ((i, j) for i in range(telling[0] + 1) for j in range(len(words), telling[-1], -1))
+    found = next((q for i, j in spans if (q := quantity_of(" ".join(words[i:j])))), None)
+    if found is None:
+        light = "transmitted light, " if _TRANSMITTED.search(" ".join(words)) else ""
+        raise context.error(f"{what} is '{text.strip()[:60]}': {light}expected {KNOWN}", where)
+    return found
+
+
+SpectrumKind = Literal["reflectance", "log", "absorbance", "transmittance", "power", "sensitivity", "other"]
+"""What a column of a spectrum holds; `log` is log10(1/R), the apparent absorbance of a reflectance."""
+
+# Patterns of whole words.
+_SPECTRUM_WORDS: dict[SpectrumKind, str] = {
+    "reflectance": rf"{_REFLECTANCE}s?|brf|tgt|r",
+    "absorbance": r"absor\w+|extin[ck]\w+|abs|od|a",
+    "transmittance": r"transmi\w+|t|trans",
+    "power": r"(ir)?radian\w*|(ir)?rad|exitance|power|spd|flux|emission|intensity|illuminant|luminance|watts?|energy|w",
+    "sensitivity": r"sensitivit\w*|responsiv\w*|response|qe",
+    "other": r"counts?|dn|digital|raw|voltage|photons?|quanta|log|lg|ln|deriv\w*|kubelka|munk",
+}
+_OF_LETTERS = re.compile(r"\bk\W*/\W*s\b|\bf\W*\(\W*r|\b1\s*-\s*r")  # Kubelka-Munk's, absorptance
+_LOG_OF_RECIPROCAL = re.compile(r"\b(lg|log)\W*1\s*/\s*r(efl\w*)?\b|-\s*(lg|log)\W*r(efl\w*)?\b")
+
+
+def spectrum_kinds(head: str) -> set[SpectrumKind]:
+    """What the words of a column's head in a file of spectra say that it holds; empty where they say nothing."""
+    text = plain(head)
+    if _LOG_OF_RECIPROCAL.search(text):
+        return {"log"}
+    if _OF_LETTERS.search(text):
+        return {"other"}
+    words = re.findall(r"[^\W\d_]+", text)
+    words = [word for word in words if len(word) > 1 or len(words) == 1]  # `R`, but not `paint R`
+    return {
+        kind
+        for kind, pattern in _SPECTRUM_WORDS.items()
+        if any(re.fullmatch(pattern, word) for word in words)
+    }

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour.colour_science import read_columns, standard_tables
+from manifold.colour.colour_science import standard_tables
 from manifold.errors import FileFormatError, UnknownNameError
+from manifold.formats.spectra import read_spectrum
 from manifold.names import names_like
 from manifold.records import Array, Bands
 
@@ -49,8 +50,8 @@ class Illuminant:
 
     @classmethod
     def read(cls, path: Path) -> Illuminant:
-        """A text file of two columns, wavelength in nm and power in any unit; laid out as in `read_reflectance`."""
-        nm, power = read_columns(path, "power")
+        """Read a light from a file of wavelengths and powers in any unit, see `formats.spectra.read_spectrum`."""
+        nm, power = read_spectrum(path, "power")
         if power.min() < 0 or not 0 < power.max() < _MOST_POWER:
             raise FileFormatError(
                 f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0, one above, and none "

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour.colour_science import colour_science, distribution, frozen, read_columns
+from manifold.colour.colour_science import colour_science, distribution, frozen
 from manifold.colour.conversion import decode_srgb, to_srgb
 from manifold.errors import FileFormatError, ShapeError, UnknownNameError, UsageError
+from manifold.formats.spectra import read_spectrum
 from manifold.names import names_like
 from manifold.records import Array, Bands
 
@@ -128,18 +129,16 @@ class ReflectanceSpectrum:
 
 
 def read_reflectance(path: Path, bands: Bands) -> Array:
-    """A reflectance spectrum from a text file, interpolated to the bands, shape (B,).
+    """Read a reflectance spectrum from a file, interpolated to the bands, shape (B,).
 
-    The file has two columns, wavelength in nm and reflectance from 0 to 1, separated by commas or blanks; lines
-    before the first that holds numbers are skipped, and those that begin with #. Outside the file's range the ends
-    are held. Of RGB bands: its linear sRGB colour under D65.
+    The file is read by `formats.spectra.read_spectrum`. Outside its range the ends are held. For RGB bands the result
+    is its linear sRGB colour under D65.
 
     Raises:
-        FileFormatError: there are not two rows of two such numbers, wavelengths repeat, or less than half of what
-            is visible is covered.
+        FileFormatError: the file holds no reflectances from 0 to 1, or covers less than half of what is visible.
         UsageError: the file cannot be read.
     """
-    nm, values = read_columns(path, "reflectance")
+    nm, values = read_spectrum(path, "reflectance")
     try:
         spectrum = ReflectanceSpectrum(tuple(nm.tolist()), tuple(values.tolist()), str(path))
     except UsageError as error:

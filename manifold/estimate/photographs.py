@@ -20,7 +20,7 @@ from manifold.colour.conversion import encode_srgb, interpolation_matrix, to_srg
 from manifold.colour.illuminants import Illuminant
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, FileFormatError, MissingFileError, UsageError
+from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import for_library, in_srgb
 from manifold.estimate.gloss import gloss_units
@@ -30,6 +30,7 @@ from manifold.estimate.outlines import Circle
 from manifold.estimate.photo_material import PhotoMaterial, Seen, find_material
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.formats.readings import Readings
+from manifold.formats.spectra import read_spectrum
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics, location
@@ -373,29 +374,15 @@ def srgb_responses(bands: Bands) -> Array:
 def read_responses(path: Path, bands: Bands) -> Array:
     """Responses (3, B) of a camera to reflectances under D65, 1 for a perfect diffuser.
 
-    The file is text of wavelengths in nm and three sensitivities, separated by commas or blanks.
+    The file is text of wavelengths and three sensitivities, see `formats.spectra.read_spectrum`.
     """
     if bands.is_rgb:
         raise BandMismatchError(
             f"{path}: sensitivities of a camera need a spectral library, found {bands}; leave them out"
         )
-    if not path.is_file():
-        raise MissingFileError(
-            f"{path}: no such file; name a text file of wavelengths and three sensitivities"
-        )
-    try:
-        lines = path.read_text(encoding="utf-8-sig").replace(",", " ").replace(";", " ").splitlines()
-        rows = [line.split() for line in lines if line[:1] in "+-.0123456789" and line.strip()]
-        table = np.array(rows, dtype=float)
-    except (ValueError, UnicodeDecodeError):
-        table = np.empty((0, 0))
-    is_table = table.ndim == 2 and table.shape[1:] == (4,) and len(table) > 1 and np.isfinite(table).all()
-    if not is_table or np.any(np.diff(table[:, 0]) <= 0.0):
-        raise FileFormatError(
-            f"{path}: expected rows of an increasing wavelength in nm and three sensitivities"
-        )
-    nodes = np.arange(table[0, 0], table[-1, 0], 1.0)
-    seen = interpolation_matrix(table[:, 0], nodes) @ np.maximum(table[:, 1:], 0.0)
+    nm, sensitivities = read_spectrum(path, "sensitivity")
+    nodes = np.arange(nm[0], nm[-1], 1.0)
+    seen = interpolation_matrix(nm, nodes) @ np.maximum(sensitivities, 0.0)
     seen *= Illuminant.named("D65").at(nodes)[:, None]
     responses = interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ seen
     if not np.all(responses.sum(axis=0) > 0.0):

@@ -564,29 +564,68 @@ export function fieldAt(field, x) {
 
 const NUMBER = /^[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?$/i;
 
-/** The first two numbers of a line; null where it does not begin with two. Beside blanks or semicolons, commas are decimal. */
-function firstNumbers(line) {
-  line = line.trim().replaceAll('"', "");
-  const spaced = /[;\s]/.test(line);
-  if (!spaced && /^\d+(,\d+){2,}$/.test(line)) return null;
-  const cells = (spaced ? line.split(/,?[;\s]+/).filter((cell) => cell) : line.split(",")).slice(0, 2);
-  if (cells.length < 2 || !cells.every((cell) => NUMBER.test(cell))) return null;
-  return cells.map((cell) => Number(cell.replace(",", ".")));
+const WAVELENGTH_HEAD = /^(wavelengths?|lambda|λ|wl|wvl|nm)[\s([/_]*(in )?(nm)?[\s)\]]*$/i;
+const REFLECTANCE_HEAD = /^\W*(spectral |total |diffuse )?(reflect|refl\b|reflexion|remission|r\b)/i;
+const OTHER_HEAD = /abs|trans|radian|\brad\b|power|flux|intens|count|\bdn\b|log|lg\b|\bln\b|^\W*[at]\W*$|k\s*\/\s*s|f\s*\(r/i;
+const UNCERTAIN_HEAD = /\b(std|stdev|sd|sigma|dev|deviation|uncertainty|error)\b/i;
+
+/** Cells of a line between separators; between blanks where it is null, but not those in or before brackets. */
+function cellsOf(line, separator) {
+  const cells = separator === null
+    ? (line.match(/"[^"]*"|(?:[^\s"(\[]|\s*[(\[][^()\[\]]*[)\]]|[(\[])+/g) ?? []).map((cell) => cell.replace(/^,+|,+$/g, ""))
+    : line.split(separator);
+  const plain = cells.map((cell) => cell.trim().replace(/^"|"$/g, "").trim());
+  while (plain.length && !plain[plain.length - 1]) plain.pop();
+  return separator === null ? plain.filter((cell) => cell) : plain;
 }
 
-/** Wavelengths and reflectances of a text of two columns, as `manifold --reflectance` reads it. Throws an Error with a message for the user. */
+/** What separates the cells of lines: `;`, a tab, a comma, or null for blanks, between which commas are decimal. */
+function separatorOf(lines) {
+  for (const separator of [";", "\t"]) if (lines.every((line) => line.includes(separator))) return separator;
+  if (!lines.every((line) => line.includes(","))) return null;
+  const rows = lines.map((line) => cellsOf(line, null));
+  return rows.every((row) => row.length > 1 && row.every((cell) => NUMBER.test(cell))) ? null : ",";
+}
+
+/** The column of reflectances among those of heads, and whether they are percent. Throws an Error where heads are not understood. */
+function reflectanceColumn(heads) {
+  const shown = heads.join(", ").slice(0, 60);
+  const nm = heads.findIndex((head) => WAVELENGTH_HEAD.test(head));
+  if (nm !== 0) throw new Error(`expected the first column to be wavelengths in nm, found ${shown}`);
+  const others = heads.map((head, k) => k).slice(1).filter((k) => !UNCERTAIN_HEAD.test(heads[k]));
+  let own = others.filter((k) => REFLECTANCE_HEAD.test(heads[k]) && !OTHER_HEAD.test(heads[k]));
+  if (!own.length && others.length === 1 && !OTHER_HEAD.test(heads[others[0]])) own = others;
+  if (own.length !== 1) throw new Error(`expected one column of reflectance, found ${shown}`);
+  return { column: own[0], isPercent: /%|per ?cent/i.test(heads[own[0]]) };
+}
+
+/** Wavelengths and reflectances of a text of columns, as `manifold --reflectance` reads it, in nm. Throws an Error with a message for the user. */
 export function readReflectance(text) {
-  const rows = [];
-  for (const line of text.split(/\r\n|\r|\n/)) {
-    const numbers = firstNumbers(line);
-    if (numbers) rows.push(numbers);
-    else if (rows.length && line.trim() && !line.trimStart().startsWith("#")) {
+  const lines = text.replace(/^\ufeff/, "").split(/\r\n|\r|\n/).filter((line) => line.trim());
+  const isComment = (line) => line.trimStart().startsWith("#");
+  const first = lines.findIndex((line) => !isComment(line) && /^\s*"?[-+]?[.,]?\d/.test(line));
+  const data = first < 0 ? [] : lines.slice(first).filter((line) => !isComment(line));
+  if (data.length < 2) throw new Error("expected at least two rows of wavelength in nm and reflectance, such as 400;0.1");
+  const separator = separatorOf(data.filter((line) => /^\s*"?[-+]?[.,]?\d/.test(line)));
+  const width = cellsOf(data[0], separator).length;
+  let { column, isPercent } = { column: 1, isPercent: false };
+  const above = first > 0 ? cellsOf(lines[first - 1].replace(/^[#\s]+/, ""), separator) : [];
+  if (above.length === width && (!isComment(lines[first - 1]) || above.some((head) => WAVELENGTH_HEAD.test(head)))) {
+    ({ column, isPercent } = reflectanceColumn(above));
+  } else if (width > 2) {
+    throw new Error(`expected two columns, or heads that name them, found ${width}`);
+  } else if (above.length && OTHER_HEAD.test(lines[first - 1])) {
+    throw new Error(`expected reflectance, found ${lines[first - 1].trim().slice(0, 60)}`);
+  }
+  const rows = data.map((line) => {
+    const cells = cellsOf(line, separator), own = [cells[0], cells[column]];
+    if (cells.length !== width || !own.every((cell) => NUMBER.test(cell ?? ""))) {
       throw new Error(`expected a wavelength in nm and a reflectance in the line “${line.trim().slice(0, 40)}”`);
     }
-  }
+    return own.map((cell) => Number(cell.replace(",", ".")));
+  });
   rows.sort((a, b) => a[0] - b[0]);
-  const nm = rows.map((row) => row[0]), values = rows.map((row) => row[1]);
-  if (rows.length < 2) throw new Error("expected at least two rows of wavelength in nm and reflectance, such as 400;0.1");
+  const nm = rows.map((row) => row[0]), values = rows.map((row) => (isPercent ? row[1] / 100 : row[1]));
   if (nm.some((v, k) => k && v === nm[k - 1])) throw new Error("a wavelength is there twice");
   if (nm[0] < 100 || nm[nm.length - 1] > 10000) throw new Error("expected wavelengths in nm");
   if (Math.min(...values) < 0 || Math.max(...values) > 1) {

@@ -71,11 +71,11 @@ def make_settings(
 
 
 def parse_illuminant(text: str) -> Illuminant:
-    """A CIE illuminant by its name, or a file of two columns."""
+    """Return a CIE illuminant by its name, or the light of a file of wavelengths and powers."""
     path = Path(text)
     if path.suffix and path.is_file():
         return Illuminant.read(path)
-    if path.suffix.lower() in (".csv", ".txt", ".spd", ".dat") or "/" in text:
+    if path.suffix.lower() in (".csv", ".txt", ".spd", ".dat", ".sed", ".sp", ".spdx") or "/" in text:
         raise MissingFileError(
             f"{text}: no such file; name a CIE illuminant or a text file of wavelengths and powers"
         )

@@ -121,11 +121,11 @@ def test_reflectance_files_are_read_as_spreadsheets_write_them(tmp_path):
     "content",
     [
         "nm;R\n400;0,1\n700;0,4\n",
-        "400,0 0,1\n700,0 0,4 0,001\n",
+        "400,0 0,1\n700,0 0,4\n",
         "400,0\t,1\r\n700,0\t0,4\r\n",
         '"400";"0,1"\n"700";"0,4"\n',
         "400, 1e-1\n700 , 4,0e-1\n",
-        "400,0.1,7\n700,0.4,7\n",
+        "nm,R,Std\n400,0.1,7\n700,0.4,7\n",
     ],
 )
 def test_decimal_commas_are_read_beside_other_separators(tmp_path, content):
@@ -144,9 +144,10 @@ def test_decimal_commas_are_read_beside_other_separators(tmp_path, content):
         ("500 0.2\n500 0.3\n", "different ones"),
         ("0.5 0.2\n0.6 0.3\n", "in nm"),
         ("500 -0.2\n600 0.3\n", "expected 0 to 1"),
-        ("380,0,9\n500,0,1\n780,0,1\n", "found 0 rows"),  # columns, or a decimal comma?
+        ("380,0,9\n500,0,1\n780,0,1\n", "3 columns without heads"),  # columns, or a decimal comma?
         ("380,0.9\n500,0,1\n780,0.1\n", "line 2 is '500,0,1', expected a wavelength in nm and a reflectance"),
-        ("380 1.234,5\n500 0,1\n780 0,1\n600 0,1,2\n", "line 4 is '600 0,1,2'"),
+        ("380 0,5\n500 0,1\n780 0,1\n600 0,1,2\n", "line 4 is '600 0,1,2'"),
+        ("380 1.234,5\n500 0,1\n780 0,1\n", "line 1 is '380 1.234,5'"),
         ("380 0.9\n500 10%\n780 0.1\n", "line 2 is '500 10%'"),
         ("380 0.9\n600 oops\n780 0.1\n", "line 2 is '600 oops'"),
         ("2000 0.9\n3000 0.1\n", "covers 2000 to 3000 nm, expected most of 400 to 700 nm"),

@@ -1,0 +1,320 @@
+"""Files of spectra: reflectances, lights and sensitivities of cameras, as columns of text.
+
+Heads name the columns, their units and what they hold, see `quantities`; without heads a file has the wavelength in nm
+and one value. Read as well: `.sed` (Spectral Evolution), `.spdx` (IES TM-27), `.sp` (Argyll, and PerkinElmer as text).
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from manifold import disk
+from manifold.formats.column_heads import is_wavenumber, uncertainty_head, wavelength_unit
+from manifold.formats.foreign import name_format
+from manifold.formats.quantities import SpectrumKind, is_percent, spectrum_kinds
+from manifold.formats.text import (
+    CORRECT_CELL,
+    ErrorContext,
+    decode,
+    find_separator,
+    nanometres,
+    number,
+    split_cells,
+)
+from manifold.records import Array
+
+Wanted = Literal["reflectance", "power", "sensitivity"]
+_LEAST_NM, _MOST_NM = 100.0, 10_000.0
+_NUMBER_FIRST = re.compile(r'\s*"?[-+]?[.,]?\d')
+_COUNTERS = {"chan", "channel", "band", "no", "nr", "index", "pixel", ""}  # columns that count
+_PERCENT_OF_REFLECTANCE = re.compile(r"(refl\w*|\br)\W{0,3}(in\s+)?[(\[/]?\s*(%|per\s?cent)", re.IGNORECASE)
+_WAVENUMBERS_ABOVE = re.compile(r"wavenumber|cm\s?\^?-1|1\s?/\s?cm|angstrom|\beV\b", re.IGNORECASE)
+_CHANNELS = {"r": 0, "red": 0, "g": 1, "green": 1, "b": 2, "blue": 2}
+_WHOLE = "expected a text file of wavelengths and {}"
+_HEADS = {
+    "reflectance": "Wavelength (nm), Reflectance (%)",
+    "power": "Wavelength (nm), Power",
+    "sensitivity": "Wavelength (nm), red, green, blue",
+}
+
+
+class _Columns(NamedTuple):
+    """A table of a file.
+
+    Attributes:
+        heads: of all columns; empty where the file has none.
+        values: (rows, columns), NaN where a cell is no number.
+        above: what stands above the table.
+    """
+
+    heads: list[str]
+    values: Array
+    above: list[str]
+
+
+def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
+    """Wavelengths in nm, increasing, shape (B,), and values.
+
+    These are reflectances from 0 to 1 or powers, shape (B,), or sensitivities to red, green and blue, shape (B, 3).
+
+    Raises:
+        FileFormatError: the file is of another kind, its columns are of another quantity or of several, wavelengths
+            repeat or are no nanometres, or there are fewer than two.
+        UsageError: the file cannot be read.
+    """
+    advice = _WHOLE.format(wanted)
+    content = disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT)
+    context = ErrorContext(path, f"give it columns with heads such as '{_HEADS[wanted]}'")
+    text = decode(content)
+    if "\0" in text or text.startswith("##"):
+        raise context.error(f"found {name_format(content[:4096])}, {advice}", remedy="export it as text")
+    if "<iestm27" in text[:4000].lower():
+        table = _spdx(text, context)
+    elif re.match(r"\s*SPECT\s*\n", text):
+        table = _argyll(text, context)
+    elif re.match(r"PE\s", text):
+        table = _perkin_elmer(text.split("\n"), wanted, context)
+    else:
+        table = _table(text.split("\n"), wanted, context)
+    nm, columns = _wavelengths(table, context)
+    if wanted == "power" and any(is_wavenumber(head) for head in table.heads):
+        raise context.error("power per wavenumber, expected power per wavelength", remedy="convert it")
+    values = np.stack(
+        [_values(table, k, wanted, context) for k in _chosen(table, columns, wanted, context)], axis=1
+    )
+    if len(nm) < 2:
+        raise context.error(
+            f"found {len(nm)} rows of wavelength and {wanted}, expected at least 2, such as 400;0.1"
+        )
+    order = np.argsort(nm)
+    nm, values = nm[order], values[order]
+    if np.any(np.diff(nm) <= 0) or not _LEAST_NM <= nm[0] <= nm[-1] <= _MOST_NM:
+        raise context.error(
+            f"wavelengths from {nm[0]:g} to {nm[-1]:g}, expected different ones in nm",
+            remedy="name another unit in the head, such as Wavelength (um)",
+        )
+    return nm, values if wanted == "sensitivity" else values[:, 0]
+
+
+def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
+    """The table at the end of a text; the line above it may be its header, also as a comment."""
+    data = [
+        (k, line)
+        for k, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    start = next((i for i, (_, line) in enumerate(data) if _is_row(line)), None)
+    if start is None:
+        raise context.error(f"found 0 rows of wavelength and {wanted}, expected at least 2, such as 400;0.1")
+    separator = find_separator([line for _, line in data[start:]])
+    rows = []
+    width = len(_cells(data[start][1], separator))
+    for k, line in data[start:]:
+        cells = _cells(line, separator)
+        values = [number(cell) for cell in cells]
+        if len(cells) != width or width < 2 or None in values[:2]:
+            raise context.error(
+                f"line {k} is '{line.strip()[:40]}', expected a wavelength in nm and a {wanted}",
+                remedy=CORRECT_CELL,
+            )
+        rows.append([np.nan if value is None else value for value in values])
+    above = [line for line in lines[: data[start][0] - 1] if line.strip()]
+    heads: list[str] = []
+    if above:
+        is_comment = above[-1].lstrip().startswith("#")
+        heads = _cells(above[-1].lstrip("# "), separator)
+        is_header = len(heads) == width and (
+            not is_comment or any(wavelength_unit(head) is not None for head in heads)
+        )
+        if is_header and not is_comment and _NUMBER_FIRST.match(above[-1]):
+            raise context.error(
+                f"line {data[start][0] - 1} is '{above[-1].strip()[:40]}', expected a wavelength in nm and a {wanted}",
+                remedy=CORRECT_CELL,
+            )
+        if not is_header and _WAVENUMBERS_ABOVE.search(above[-1]):
+            raise context.error(
+                f"found '{above[-1].strip()[:60]}' above {width} columns, expected a head for each"
+            )
+        heads, above = (heads, above[:-1]) if is_header else ([], above)
+    return _Columns(heads, np.array(rows), above)
+
+
+def _cells(line: str, separator: str | None) -> list[str]:
+    cells = split_cells(line, separator)
+    while cells and not cells[-1]:  # trailing separators
+        cells.pop()
+    return cells
+
+
+def _is_row(line: str) -> bool:
+    """Whether a line begins with two numbers."""
+    cells = split_cells(line, find_separator([line]))[:2]
+    return len(cells) == 2 and None not in map(number, cells)
+
+
+def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[int]]:
+    """Wavelengths in nm of the rows, and the other columns."""
+    width = table.values.shape[1]
+    units = {k: unit for k, head in enumerate(table.heads) if (unit := wavelength_unit(head)) is not None}
+    if len(units) > 1:
+        raise context.error(
+            f"columns {', '.join(table.heads[k] for k in units)[:80]}, expected one of wavelengths"
+        )
+    if table.heads and not units:
+        raise context.error(
+            f"columns {', '.join(table.heads)[:80]}: expected one that is called Wavelength (nm) or Wavenumber (cm-1)"
+        )
+    column, unit = next(iter(units.items()), (0, ""))
+    values = table.values[:, column]
+    if not np.all(values > 0.0):
+        raise context.error("wavelengths that are not above 0, expected nm")
+    nm = nanometres(values, unit or "nm")
+    assert nm is not None  # `wavelength_unit` knows these units alone
+    return nm, [k for k in range(width) if k != column]
+
+
+def _chosen(table: _Columns, columns: list[int], wanted: Wanted, context: ErrorContext) -> list[int]:
+    """The columns that hold what is wanted: one, or those of red, green and blue."""
+    count = 3 if wanted == "sensitivity" else 1
+    if not table.heads:
+        if len(columns) != count:
+            raise context.error(
+                f"{len(columns) + 1} columns without heads, expected {count + 1}, or heads that name them"
+            )
+        _require_kind(_said_above(table), " ".join(table.above), wanted, context)
+        return columns
+    heads = {k: table.heads[k] for k in columns if uncertainty_head(table.heads[k]) is None}
+    if wanted == "sensitivity":
+        return _in_channels(heads, context)
+    kinds = {k: spectrum_kinds(head) for k, head in heads.items()}
+    own = [k for k, kind in kinds.items() if kind and kind <= _suitable(wanted)]
+    other = [k for k, kind in kinds.items() if not kind and _word(heads[k]) not in _COUNTERS]
+    if (
+        not own
+        and len(other) == 1
+        and len(other) == sum(_word(head) not in _COUNTERS for head in heads.values())
+    ):
+        _require_kind(_said_above(table), " ".join(table.above), wanted, context)
+        return other  # the name of a sample
+    if len(own) != 1:
+        raise context.error(f"columns {', '.join(heads.values())[:80]}: expected exactly one of {wanted}")
+    return own
+
+
+def _suitable(wanted: Wanted) -> set[SpectrumKind]:
+    return {"reflectance", "log"} if wanted == "reflectance" else {wanted}
+
+
+def _said_above(table: _Columns) -> set[SpectrumKind]:
+    """What the line above the values says that they are, where it names no columns."""
+    return spectrum_kinds(table.above[-1]) if table.above else set()
+
+
+def _require_kind(kinds: set[SpectrumKind], said: str, wanted: Wanted, context: ErrorContext) -> None:
+    if kinds and not kinds & _suitable(wanted):
+        raise context.error(f"found '{said.strip()[:60]}', expected {wanted}")
+
+
+def _word(head: str) -> str:
+    return "".join(filter(str.isalpha, head.lower()))
+
+
+def _in_channels(heads: dict[int, str], context: ErrorContext) -> list[int]:
+    """The columns of red, green and blue."""
+    channel = {
+        k: [_CHANNELS[word] for word in re.findall(r"[a-z]+", head.lower()) if word in _CHANNELS]
+        for k, head in heads.items()
+    }
+    if sorted(c for own in channel.values() for c in own) != [0, 1, 2] or len(heads) != 3:
+        raise context.error(
+            f"columns {', '.join(heads.values())[:80]}: expected one each of red, green and blue"
+        )
+    return sorted(heads, key=lambda k: channel[k])
+
+
+def _values(table: _Columns, column: int, wanted: Wanted, context: ErrorContext) -> Array:
+    """The values of a column, as fractions where they are reflectances."""
+    values = table.values[:, column]
+    if not np.all(np.isfinite(values)):
+        row = int(np.argmin(np.isfinite(values)))
+        raise context.error(
+            f"no {wanted} in row {row + 1} of the table, expected one at every wavelength",
+            remedy=CORRECT_CELL,
+        )
+    if wanted != "reflectance":
+        return values
+    head = table.heads[column] if table.heads else ""
+    if "log" in spectrum_kinds(head):
+        return np.asarray(10.0**-values)
+    said_above = (
+        any(_PERCENT_OF_REFLECTANCE.search(line) for line in table.above[-1:])
+        if not spectrum_kinds(head)
+        else False
+    )
+    return values / 100.0 if is_percent(head) or said_above else values
+
+
+def _spdx(text: str, context: ErrorContext) -> _Columns:
+    """A spectrum of IES TM-27-14, TM-27-20: XML, by its elements `SpectralQuantity` and `SpectralData`."""
+    if "<!doctype" in text.lower() or "<!ENTITY" in text:
+        raise context.error("a document type with entities, expected plain XML of IES TM-27")
+    try:
+        root = ElementTree.fromstring(text.strip())
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise context.error(f"not a readable .spdx ({' '.join(str(error).split())[:80]})") from None
+    spectra = root.findall("{*}SpectralDistribution")
+    if len(spectra) != 1:
+        raise context.error(f"{len(spectra)} spectra, expected one SpectralDistribution")
+    quantity = spectra[0].findtext("{*}SpectralQuantity", "").strip()
+    rows = [
+        [
+            context.number(item.get("wavelength", ""), "SpectralData"),
+            context.number(item.text or "", "SpectralData"),
+        ]
+        for item in spectra[0].iterfind("{*}SpectralData")
+    ]
+    head = "power" if quantity.lower() == "relative" else quantity or "value"
+    return _Columns(["Wavelength (nm)", head], np.array(rows).reshape(-1, 2), [])
+
+
+def _argyll(text: str, context: ErrorContext) -> _Columns:
+    """A spectrum of Argyll (CGATS of the type SPECT), one set; its `SPECTRAL_NORM` is the value of 100 %."""
+    said = dict(re.findall(r'^(\w+)\s+"([^"]*)"', text, re.MULTILINE))
+    fields = re.search(r"BEGIN_DATA_FORMAT\s+(.*?)\s+END_DATA_FORMAT", text, re.DOTALL)
+    data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
+    if fields is None or data is None:
+        raise context.error("no BEGIN_DATA_FORMAT and BEGIN_DATA, expected a spectrum of Argyll")
+    values = [context.number(cell, "BEGIN_DATA") for cell in data[1].split()]
+    names = fields[1].split()
+    nm = [context.number(name.rpartition("_")[2], "BEGIN_DATA_FORMAT") for name in names]
+    if len(values) != len(names):
+        raise context.error(f"{len(values)} values of {len(names)} bands, expected one set")
+    norm = context.number(said.get("SPECTRAL_NORM", "1"), "SPECTRAL_NORM")
+    kind = said.get("MEAS_TYPE", "")
+    head = (
+        "reflectance"
+        if kind.startswith("REFLEC")
+        else "transmittance"
+        if kind.startswith("TRANS")
+        else kind or "value"
+    )
+    return _Columns(
+        ["Wavelength (nm)", head.replace("AMBIENT", "EMISSION").lower()],
+        np.column_stack([nm, np.array(values) / norm]),
+        [],
+    )
+
+
+def _perkin_elmer(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
+    """A spectrum of PerkinElmer as text: below `#GR` the units of both columns, below `#DATA` the rows."""
+    marks = [line.strip() for line in lines]
+    if "#GR" not in marks or "#DATA" not in marks or marks.index("#GR") + 2 >= len(marks):
+        raise context.error("no sections #GR and #DATA, expected a spectrum of PerkinElmer as text")
+    heads = [marks[marks.index("#GR") + k] for k in (1, 2)]
+    table = _table(lines[marks.index("#DATA") + 1 :], wanted, context)
+    return _Columns(heads, table.values, [])

@@ -179,7 +179,7 @@ def complete(
 
             if report is not None:
                 raise UsageError("--report goes with readings or one colour, found a list; leave it out")
-            colours = coat.read_colours(Path(lab), units, options.viewing_of(illuminant, observer))
+            colours = coat.read_colours(Path(lab), units, options.given_viewing(illuminant, observer))
             make_many(
                 results, many.coats(library, is_mixture=mixture, options=written), colours, output,
                 workers.executor(), outputs=f"{len(colours)} colours",
@@ -232,7 +232,9 @@ def complete(
             else instruments.read_sample(samples[0], correction, units)
         )
         target = or_default(output, completions.file_name(taken))
-    taken = replace(taken, viewing=options.viewing_of(illuminant, observer, taken.viewing))
+    is_adapted = lab is not None and taken.bands.is_rgb
+    if not is_adapted and (illuminant is not None or observer is not None):
+        taken = taken.seen_under(options.viewing_of(illuminant, observer, taken.viewing))
     if repeatability is not None:
         taken = replace(taken, repeatability=repeatability / 100.0)
     ball = checked(target.with_suffix(".png"), "picture") if picture else None

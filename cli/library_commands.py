@@ -365,7 +365,7 @@ def find(
     if lab is not None and Path(lab).is_file():
         document = {}
         with progress.shown("Reading materials"):
-            colours = coat.read_colours(Path(lab), units, viewing)
+            colours = coat.read_colours(Path(lab), units, options.given_viewing(illuminant, observer))
             nearest = {
                 one.name: attributes.find(opened, lab=one.lab, gloss=one.gloss)[:count] for one in colours
             }

@@ -160,6 +160,11 @@ def viewing_of(illuminant: str | None, observer: int | None, usual: Viewing | No
     return Viewing(illuminant or usual.illuminant, observer or usual.observer_deg)
 
 
+def given_viewing(illuminant: str | None, observer: int | None) -> Viewing | None:
+    """Light and observer that options name; None where they name neither."""
+    return None if illuminant is None and observer is None else viewing_of(illuminant, observer)
+
+
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
     """What an argument means that stands for a material."""
     from manifold.estimate.sources import parse_source

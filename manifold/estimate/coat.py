@@ -7,7 +7,6 @@ A measured material takes another gloss likewise: its coat is exchanged, and wha
 from __future__ import annotations
 
 import hashlib
-import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -37,11 +36,14 @@ from manifold.estimate.attributes import (
     lab_of_factor,
     tinted,
 )
-from manifold.estimate.completions import atoms_of, draw_ball, parse_lab
+from manifold.estimate.completions import atoms_of, colour_under_d65, draw_ball
 from manifold.estimate.expected import Calibration, cached, errors_of
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
+from manifold.formats import column_heads
+from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
+from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
 from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.model import diagnostics
@@ -268,55 +270,76 @@ def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibrati
     return Calibration.leave_out(method, range(len(atoms.names)))
 
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_SEPARATORS = re.compile(r"\s*[,;\t]\s*|\s+")
-_GLOSS_HEAD = re.compile(r"gloss[ _]?(\d+)", re.IGNORECASE)
+_EXPECTED = "expected name, L, a, b, such as red,50,60,40, or a header that names the columns"
 
 
-def read_colours(path: Path, gloss: Mapping[float, float], viewing: Viewing = DAYLIGHT) -> list[ColourSample]:
-    """The colours, under some light, of a text or CSV file, of which a line is `[name] L a b`.
+def read_colours(
+    path: Path, gloss: Mapping[float, float], viewing: Viewing | None = None
+) -> list[ColourSample]:
+    """Read the colours of a text or CSV file, of which a line is `[name] L a b`.
 
-    A first line of names may order the columns (`name`, `L`, `a`, `b`) and add gloss (`gloss_60`), which goes before
-    the gloss of all samples, in units by angle in degrees.
+    A header may order the columns (`name`, `L`, `a`, `b`), name their light and observer (`L* (D50/2)`), and add gloss
+    (`gloss_60`), which replaces `gloss`, that of all samples in units by angle in degrees. `viewing` is that of lists
+    which name none, by default D65/2.
+
+    Raises:
+        FileFormatError: a line is no colour, or a name comes twice.
+        UsageError: the header names another light or observer than `viewing`.
     """
-    text = disk.read_text(path, advice="name a text of lines of name, L, a, b")
-    lines = [
-        (n, _SEPARATORS.split(line.strip()))
-        for n, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    head: list[str] | None = None
-    if lines and not any(_NUMBER.fullmatch(cell) for cell in lines[0][1]):
-        head = [cell.strip().rstrip("*").casefold() for cell in lines.pop(0)[1]]
+    text = decode(disk.read_bytes(path, advice="name a text of lines of name, L, a, b", most=disk.MOST_TEXT))
+    rows = list_rows(data_lines(text.split("\n"), marks=("#",)))
+    if not rows:
+        raise FileFormatError(f"{path}: no colours, {_EXPECTED}")
+    head = rows.pop(0)[1] if not any(number(cell) is not None for cell in rows[0][1]) else None
+    width = 4 if head is None else len(head)
+    axes, seen = _lab_of_header(path, head, viewing)
+    of_name = 0 if head is None else column_heads.name_column(head)
     found: dict[str, ColourSample] = {}
-    for n, cells in lines:
-        columns = head or (["name", "l", "a", "b"] if len(cells) == 4 else ["l", "a", "b"])
-        if len(cells) != len(columns) or not {"l", "a", "b"} <= set(columns):
-            raise FileFormatError(
-                f"{path}, line {n}: {len(cells)} values, expected name, L, a, b, such as red,50,60,40"
-            )
-        row = dict(zip(columns, cells, strict=True))
-        values = {
-            column: cell
-            for column, cell in row.items()
-            if column in ("l", "a", "b") or _GLOSS_HEAD.fullmatch(column)
-        }
-        for column, cell in values.items():
-            if not _NUMBER.fullmatch(cell):
-                raise FileFormatError(f"{path}, line {n}: {column} is '{cell}', expected a number")
-        name = safe_name(row.get("name", f"colour_{n}"))
+    for n, given in rows:
+        cells = with_whole_name(given, width)
+        if head is None and len(cells) == 3:
+            cells = ["", *cells]
+        if len(cells) != width or (head is None and number(cells[0]) is not None):
+            raise FileFormatError(f"{path}, line {n}: found '{' '.join(given)[:40]}', {_EXPECTED}")
+        name = safe_name((cells[of_name] if of_name is not None else "") or f"colour_{n}")
         if name in found:
             raise FileFormatError(f"{path}, line {n}: the name '{name}' comes twice, expected each once")
         own = {
-            float(match[1]): float(cell)
-            for column, cell in values.items()
-            if (match := _GLOSS_HEAD.fullmatch(column))
+            angle: _number(path, n, cells[k]) for k, h in enumerate(head or ()) if (angle := gloss_angle(h))
         }
-        lab = parse_lab(",".join(values[column] for column in ("l", "a", "b")), viewing)
+        for angle, units in own.items():
+            if (fault := gloss_fault(angle, units)) is not None:
+                raise FileFormatError(f"{path}, line {n}: {fault}")
+        try:
+            lab = colour_under_d65(np.array([_number(path, n, cells[k]) for k in axes]), seen)
+        except UsageError as error:
+            raise FileFormatError(f"{path}, line {n}: {error}") from None
         found[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
     if not found:
-        raise FileFormatError(f"{path}: no colours, expected lines of name, L, a, b, such as red,50,60,40")
+        raise FileFormatError(f"{path}: no colours below the header, {_EXPECTED}")
     return list(found.values())
+
+
+def _lab_of_header(path: Path, head: list[str] | None, viewing: Viewing | None) -> tuple[list[int], Viewing]:
+    """The columns of L, a and b, and the light and observer that they are seen by."""
+    if head is None:
+        return [1, 2, 3], viewing or DAYLIGHT
+    columns = column_heads.lab_columns(head, viewing)
+    if columns is None:
+        raise FileFormatError(f"{path}: found the header {', '.join(head)[:60]}, {_EXPECTED}")
+    axes, said = columns
+    if said is not None and viewing is not None and said != viewing:
+        raise UsageError(
+            f"{path}: the header says {said}, found {viewing}; leave --illuminant and --observer out"
+        )
+    return axes, said or viewing or DAYLIGHT
+
+
+def _number(path: Path, line: int, cell: str) -> float:
+    value = number(cell)
+    if value is None:
+        raise FileFormatError(f"{path}, line {line}: found '{cell[:24]}', expected a number; {CORRECT_CELL}")
+    return value
 
 
 class RecoatedBRDF(WrappedBRDF):

@@ -25,6 +25,7 @@ from manifold.estimate.inputs import safe_name
 from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import Readings, Viewing, gloss_fault
+from manifold.formats.text import number
 from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.model import diagnostics
@@ -237,13 +238,19 @@ def atoms_of(library: Library) -> LibraryAtoms:
 
 
 def parse_lab(text: str, viewing: Viewing) -> Array:
-    """The CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer."""
-    try:
-        lab = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        lab = np.empty(0)
-    if lab.shape != (3,) or not np.isfinite(lab).all() or not 0.0 <= lab[0] <= 100.0:
+    """Return the CIELAB colour (3,) under D65 and the 2 degree observer of `L,a,b` under a light, to an observer."""
+    values = [number(part) for part in text.split(",")]
+    if len(values) != 3 or None in values:
         raise UsageError(f"colour '{text}', expected L,a,b such as 50,20,10, with L from 0 to 100")
+    return colour_under_d65(np.array(values, dtype=np.float64), viewing)
+
+
+def colour_under_d65(lab: Array, viewing: Viewing) -> Array:
+    """Return `difference.lab_under_d65` of a colour (3,) whose lightness is checked."""
+    if not 0.0 <= lab[0] <= 100.0:
+        raise UsageError(
+            f"colour '{','.join(f'{v:g}' for v in lab)}', expected L,a,b such as 50,20,10, with L from 0 to 100"
+        )
     return lab_under_d65(lab, viewing)
 
 

@@ -7,7 +7,7 @@ around it, and where the camera clipped that, lamps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +21,8 @@ from manifold.directions import normalize
 from manifold.errors import FileFormatError, UsageError
 from manifold.estimate.outlines import Circle, Photograph
 from manifold.estimate.pixels import Blocks, Camera, frames, sampled_surface
+from manifold.formats.text import data_lines, decode, list_rows, number, with_whole_name
+from manifold.names import first_few
 from manifold.records import Array
 
 LEAST_DISTANCE = 1.2
@@ -69,56 +71,111 @@ class Lamp:
         return cls(vector / length, distance, np.ones(3) if colour is None else colour)
 
 
-def parse_lamp(text: str) -> list[Lamp]:
-    """The lamps of `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or a file of these, a line for every photograph."""
+def parse_lamp(text: str, pictures: Sequence[str] = ()) -> list[Lamp]:
+    """Return the lamps of `X,Y,Z`, `X,Y,Z,DISTANCE`, `flash`, or a file, see `read_lamps`."""
     if text == "flash":
         return [Lamp(np.array([0.0, 0.0, 1.0]))]
     if Path(text).is_file():
-        return read_lamps(Path(text))
-    numbers = _numbers(text.split(","))
-    if numbers is None or len(numbers) not in (3, 4):
+        return read_lamps(Path(text), pictures)
+    numbers = [number(cell) for cell in text.split(",")]
+    if len(numbers) not in (3, 4) or None in numbers:
         raise UsageError(
             f"lamp '{text}', expected X,Y,Z to the right, up and towards the camera, with a distance in radii of the "
             "ball where it is near, such as 0.5,0.5,1 or 0,1,1,8; or a file of such lines, flash, or found"
         )
-    return [Lamp.towards(np.array(numbers[:3]), numbers[3] if numbers[3:] else np.inf)]
+    x, y, z, *distance = (value for value in numbers if value is not None)
+    return [Lamp.towards(np.array([x, y, z]), distance[0] if distance else np.inf)]
 
 
-def read_lamps(path: Path) -> list[Lamp]:
-    """Lamps of a text file, a line each: direction, and intensity in one channel or three, if it is known.
+_EXPECTED = "expected X Y Z, and one intensity or three, with the picture's name before them if it has one"
+_AXES, _INTENSITIES = ("x", "y", "z"), ("r", "g", "b")
+_OF_PICTURE = ("name", "file", "filename", "picture", "image")
 
-    A first line of one number is how many follow, as sets of photometric stereo have it.
+
+def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
+    """Read the lamps of a text file, a line each: `[picture] X Y Z`, and intensity in one channel or three.
+
+    A first line of one number is how many follow, as in photometric-stereo data sets and RTI's `.lp` files. A header
+    may order the columns (`picture`, `x`, `y`, `z`, `intensity`, or `r`, `g`, `b`). Lamps of named pictures are
+    returned in the order of `pictures`, which are names of files.
+
+    Raises:
+        FileFormatError: a line is no lamp, or the names are not those of the pictures.
     """
-    text = disk.read_text(path, advice="name a text of lines X Y Z")
-    rows = [
-        (n, line.replace(",", " ").split())
-        for n, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if rows and len(rows[0][1]) == 1 and rows[0][1][0] == str(len(rows) - 1):
-        rows = rows[1:]
-    lamps = []
-    for n, cells in rows:
-        numbers = _numbers(cells)
-        if numbers is None or len(numbers) not in (3, 4, 6):
+    text = decode(disk.read_bytes(path, advice="name a text of lines X Y Z", most=disk.MOST_TEXT))
+    lines = data_lines(text.split("\n"), marks=("#",))
+    if lines and (count := number(lines[0][1])) is not None:
+        lines = lines[1:]
+        if count != len(lines):
             raise FileFormatError(
-                f"{path}, line {n}: found '{' '.join(cells)[:40]}', expected X Y Z, and one intensity or three"
+                f"{path}: found {len(lines)} lamps, expected {count:g}, as the first line says"
             )
-        colour = np.broadcast_to(numbers[3:], (3,)) if numbers[3:] else np.ones(3)
-        if not np.all(colour > 0.0):
+    rows = list_rows(lines)
+    head = None
+    if rows and not any(number(cell) is not None for cell in rows[0][1]):
+        head = _lamp_columns(path, rows.pop(0)[1])
+    if not rows:
+        raise FileFormatError(f"{path}: no lamps, {_EXPECTED}")
+    lamps: dict[str, Lamp] = {}
+    for n, cells in rows:
+        name, numbers = _lamp_cells(cells, head)
+        if None in numbers or len(numbers) not in (3, 4, 6):
+            raise FileFormatError(f"{path}, line {n}: found '{' '.join(cells)[:40]}', {_EXPECTED}")
+        values = np.array(numbers, dtype=np.float64)
+        if not np.all(values[3:] > 0.0):
             raise FileFormatError(f"{path}, line {n}: an intensity that is not above 0")
-        lamps.append(Lamp.towards(np.array(numbers[:3]), colour=np.array(colour)))
-    if not lamps:
-        raise FileFormatError(f"{path}: no lamps, expected lines X Y Z")
-    return lamps
+        key = _picture_name(name) or str(n)
+        if key in lamps:
+            raise FileFormatError(f"{path}, line {n}: the picture {key} comes twice, expected each once")
+        colour = np.broadcast_to(values[3:], (3,)) if values.size > 3 else np.ones(3)
+        try:
+            lamps[key] = Lamp.towards(values[:3], colour=np.array(colour))
+        except UsageError as error:
+            raise FileFormatError(f"{path}, line {n}: {error}") from None
+    is_named = all(_lamp_cells(cells, head)[0] for _, cells in rows)
+    return _in_order(path, lamps, pictures) if is_named and pictures else list(lamps.values())
 
 
-def _numbers(cells: Sequence[str]) -> list[float] | None:
-    try:
-        numbers = [float(cell) for cell in cells]
-    except ValueError:
-        return None
-    return numbers if np.isfinite(numbers).all() else None
+def _lamp_columns(path: Path, heads: list[str]) -> tuple[int | None, list[int]]:
+    """The column of pictures' names, or None, and those of X, Y, Z and intensities, of a header."""
+    words = [head.strip().lower() for head in heads]
+    numbers = [*_AXES, *(_INTENSITIES if "r" in words else [w for w in ("intensity",) if w in words])]
+    unknown = set(words) - set(numbers) - set(_OF_PICTURE)
+    if not set(numbers) <= set(words) or unknown or len(set(words)) < len(words):
+        raise FileFormatError(f"{path}: found the header {', '.join(heads)[:60]}, {_EXPECTED}")
+    name = next((words.index(word) for word in _OF_PICTURE if word in words), None)
+    return name, [words.index(word) for word in numbers]
+
+
+def _lamp_cells(
+    cells: list[str], head: tuple[int | None, list[int]] | None
+) -> tuple[str, list[float | None]]:
+    """The picture's name, empty where there is none, and the numbers of a line."""
+    if head is None:
+        cells = with_whole_name(cells, 4) if number(cells[0]) is None else ["", *cells]
+        return cells[0], [number(cell) for cell in cells[1:]]
+    name, columns = head
+    cells = with_whole_name(cells, len(columns) + (name is not None))
+    if len(cells) != len(columns) + (name is not None):
+        return "", [None]
+    return "" if name is None else cells[name], [number(cells[k]) for k in columns]
+
+
+def _picture_name(text: str) -> str:
+    """The name of a file at the end of a path of any system."""
+    return text.replace("\\", "/").rpartition("/")[2].strip()
+
+
+def _in_order(path: Path, lamps: Mapping[str, Lamp], pictures: Sequence[str]) -> list[Lamp]:
+    """The lamps of pictures; names may differ in case and in the suffix, where that tells them apart."""
+    by_stem = {Path(name).stem.casefold(): lamp for name, lamp in lamps.items()}
+    missing = [name for name in pictures if Path(name).stem.casefold() not in by_stem]
+    if missing or len(by_stem) < len(lamps):
+        raise FileFormatError(
+            f"{path}: no lamp of the picture {missing[0] if missing else pictures[0]}, found those of "
+            f"{first_few(list(lamps))}; name the pictures as their files are"
+        )
+    return [by_stem[Path(name).stem.casefold()] for name in pictures]
 
 
 def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[Array, Array, Array]:

@@ -211,7 +211,8 @@ def _under_lamps(
         lamps, notes = list(probe.lamps), probe.notes
         outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
     else:
-        given = [lamp for text in request.lamps for lamp in parse_lamp(text)]
+        names = [path.name for path in request.photographs]
+        given = [lamp for text in request.lamps for lamp in parse_lamp(text, names)]
         lamps = _for_each(len(photographs), given, "lamps")
         if is_common:
             outlines = [_outline_of(photographs, circles[0])] * len(photographs)

@@ -116,14 +116,14 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
     """Pictures of a flat sample seen from above.
 
     Args:
-        pictures: one file a lamp, in the order of the lamps.
+        pictures: one file a lamp, in the order of the lamps, unless these name them.
         lamps: text of directions as of `estimate.lamps.read_lamps`; x points right in the pictures, y up, z towards the
             camera.
     Raises:
         UsageError: there is another number of lamps, or one does not stand above the sample.
         FileFormatError: a line is no direction, or the sizes of the pictures differ.
     """
-    found = read_lamps(lamps)
+    found = read_lamps(lamps, [path.name for path in pictures])
     if len(found) != len(pictures) or len(found) < _LEAST_LAMPS:
         raise UsageError(
             f"{lamps}: found {len(found)} lamps for {len(pictures)} pictures, expected one a picture, of "

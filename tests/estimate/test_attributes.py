@@ -11,6 +11,7 @@ from helpers.small_library import small_library
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.difference import lab_under_d65
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.attributes import (
@@ -25,7 +26,7 @@ from manifold.estimate.attributes import (
 )
 from manifold.estimate.coat import read_colours, with_gloss
 from manifold.estimate.gloss import gloss_units
-from manifold.formats.readings import Readings
+from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.places import Place
@@ -212,12 +213,52 @@ def test_lists_of_colours_are_read_with_and_without_names(tmp_path):
     (one,) = read_colours(path, {60.0: 7.0})
     assert (one.name, one.lab, one.gloss) == ("red", (50.0, 60.0, 40.0), {60.0: 7.0})
     for wrong, said in (
-        ("", "no colours"), ("red,50\n", "2 values"), ("red,50,x,40\nb,1,2,3\n", "expected a number"),
-        ("a,50,1,1\na,60,1,1\n", "twice"), ("a,150,1,1\n", "L from 0 to 100"),
-    ):  # fmt: skip
+        ("", "no colours"),
+        ("red,50\n", "line 1: found 'red 50', expected name, L, a, b"),
+        ("red,50,x,40\nb,1,2,3\n", "line 1: found 'x', expected a number; correct the cell"),
+        ("a,50,1,1\na,60,1,1\n", "twice"),
+        ("a,150,1,1\n", "L from 0 to 100"),
+        (
+            "42,55,30,85\n",
+            "line 1: found '42 55 30 85', expected name, L, a, b",
+        ),  # a name, or a decimal comma?
+        ("name,X,Y,Z\nred,1,2,3\n", "found the header name, X, Y, Z"),
+        ("name,L,a,b,gloss_60\nred,50,1,1,9999\n", "line 2: gloss of 9999 units"),
+    ):
         path.write_text(wrong)
         with pytest.raises(ManifoldError, match=said):
             read_colours(path, {})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "name,L,a,b\nRAL 1000,76.5,0,28\n2,75,-1,30\n",
+        "RAL 1000,76.5,0,28\ngreen beige,75,-1,30\n",
+        "RAL 1000;76,5;0;28\ngreen beige;75;-1;30\n",
+        "RAL 1000 76,5 0 28\ngreen beige 75 -1 30\n",
+        'name,L,a,b\n"RAL 1000","76,5",0,28\nx,75,-1,30\n',
+        "b*\tL*\tname\ta*\n28\t76,5\tRAL 1000\t0\n30\t75\tx\t-1\n",
+    ],
+)
+def test_names_with_blanks_and_decimal_commas_are_read(text, tmp_path):
+    path = tmp_path / "colours.csv"
+    path.write_text(text)
+    first, second = read_colours(path, {})
+    assert (first.name, first.lab, second.lab) == ("RAL_1000", (76.5, 0.0, 28.0), (75.0, -1.0, 30.0))
+
+
+def test_the_header_of_a_list_names_the_light_of_its_colours(tmp_path):
+    path = tmp_path / "colours.csv"
+    path.write_text("name,L* (D50/2),a* (D50/2),b* (D50/2),gloss_60\nred,42,55,30,20 \n")
+    (one,) = read_colours(path, {})
+    np.testing.assert_allclose(one.lab, lab_under_d65(np.array([42.0, 55.0, 30.0]), Viewing("D50", 2)))
+    assert one.gloss == {60.0: 20.0}
+    assert read_colours(path, {}, Viewing("D50", 2))[0].lab == one.lab
+    with pytest.raises(
+        UsageError, match="the header says D50/2, found A/2; leave --illuminant and --observer out"
+    ):
+        read_colours(path, {}, Viewing("A", 2))
 
 
 def test_what_looks_most_like_a_material_is_found(run, model, tmp_path):

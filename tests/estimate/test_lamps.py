@@ -14,7 +14,15 @@ from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate import lamp_plan
 from manifold.estimate.lamp_plan import plan_lamps
-from manifold.estimate.lamps import Lamp, clipped_spots, lamp_pairs, lamp_picture, parse_lamp, unwrapped
+from manifold.estimate.lamps import (
+    Lamp,
+    clipped_spots,
+    lamp_pairs,
+    lamp_picture,
+    parse_lamp,
+    read_lamps,
+    unwrapped,
+)
 from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.photo_material import strength_of_spots
@@ -117,6 +125,48 @@ def test_lamps_are_read_from_text_and_files(tmp_path):
     (tmp_path / "bad.txt").write_text("0 0\n")
     with pytest.raises(ManifoldError, match="line 1"):
         parse_lamp(str(tmp_path / "bad.txt"))
+
+
+PICTURES = ["dome 1.png", "dome 2.png", "dome 3.png"]
+LAMPS = {
+    "RTI": "3\ndome 1.png 0.5 0.0 0.8\ndome 2.png -0.2 0.4 0.8\ndome 3.png -0.2 -0.4 0.8\n",
+    "RTI, another order": "3\ndome 3.png -0.2 -0.4 0.8\ndome 1.png 0.5 0.0 0.8\ndome 2.png -0.2 0.4 0.8\n",
+    "RTI, folders of another system": "3\r\nC:\\x\\Dome 3.JPG -0.2 -0.4 0.8\r\nC:\\x\\Dome 1.JPG 0.5 0 0.8\r\n"
+    "C:\\x\\Dome 2.JPG -0.2 0.4 0.8\r\n",
+    "decimal commas": "0,5 0,0 0,8\n-0,2 0,4 0,8\n-0,2 -0,4 0,8\n",
+    "semicolons": "# lamps\n0,5;0;0,8\n-0,2;0,4;0,8\n-0,2;-0,4;0,8\n",
+    "commas": "0.5,0,0.8\n-0.2,0.4,0.8\n-0.2,-0.4,0.8\n",
+    "header": "picture;z;y;x\ndome 2.png;0,8;0,4;-0,2\ndome 1.png;0,8;0;0,5\ndome 3.png;0,8;-0,4;-0,2\n",
+}
+
+
+@pytest.mark.parametrize("name", LAMPS)
+def test_lamps_are_read_however_their_file_is_laid_out(name, tmp_path):
+    path = tmp_path / "lamps.lp"
+    path.write_text(LAMPS[name], newline="")
+    expected = [(0.5, 0.0, 0.8), (-0.2, 0.4, 0.8), (-0.2, -0.4, 0.8)]
+    expected = np.array(expected) / np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose([lamp.direction for lamp in read_lamps(path, PICTURES)], expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("12\n0 0 1\n", "found 1 lamps, expected 12, as the first line says"),
+        ("a.png 0 0 1\nb.png 0 1 1\n", "no lamp of the picture dome 1.png, found those of a.png, b.png"),
+        ("a.png 0 0 1\na.png 0 1 1\n", "line 2: the picture a.png comes twice"),
+        ("file,azimuth,elevation\na.png,10,40\n", "found the header file, azimuth, elevation"),
+        ("0 0 1 2 3\n", "line 1: found '0 0 1 2 3'"),
+        ("0 0 1 -1\n", "line 1: an intensity that is not above 0"),
+        ("0 0 0\n", "line 1: a lamp at 0,0,0, expected a direction"),
+        ("# none\n", "no lamps"),
+    ],
+)
+def test_files_of_lamps_that_cannot_be_read_say_why(text, words, tmp_path):
+    path = tmp_path / "lamps.lp"
+    path.write_text(text)
+    with pytest.raises(ManifoldError, match=words):
+        read_lamps(path, PICTURES)
 
 
 def test_a_grey_card_gives_exposure_and_colour_of_the_lamp(tmp_path):

@@ -44,13 +44,11 @@ def estimate_spectra(values: Array, bands: Bands) -> Array:
 
 
 def with_spectra(readings: Readings) -> Readings:
-    """Readings in three narrow bands as spectra, with a note of the expected error of their colours; others as is, but
-    linear sRGB relative to another light than D65, or another observer, becomes relative to these.
+    """Return readings in three narrow bands as spectra, with a note of the expected error of their colours; others as
+    `in_daylight` has them.
     """
-    if readings.wavelengths_nm is None and readings.viewing != DAYLIGHT:
-        return _in_daylight(readings)
     if not is_narrow(readings.bands):
-        return readings
+        return in_daylight(readings)
     values = np.full((len(readings), SPECTRUM.count), np.nan)
     whole = readings.measured.all(axis=1)
     values[whole] = estimate_spectra(readings.values[whole], readings.bands)
@@ -66,7 +64,12 @@ def with_spectra(readings: Readings) -> Readings:
     return estimated.with_note(note)
 
 
-def _in_daylight(readings: Readings) -> Readings:
+def in_daylight(readings: Readings) -> Readings:
+    """Return linear sRGB that is relative to another light or observer than D65/2 relative to these, with a note of the
+    expected error; other readings as they are.
+    """
+    if readings.wavelengths_nm is not None or readings.viewing == DAYLIGHT:
+        return readings
     lab = lab_values(readings.values, readings.bands)
     white = xyz_weights(readings.bands).sum(axis=0)
     seen = np.isfinite(lab).all(axis=1)
@@ -78,7 +81,14 @@ def _in_daylight(readings: Readings) -> Readings:
         f"colours under {readings.viewing} are converted to D65/2 as those of smooth spectra: expected colour error "
         f"{median:.1f} CIEDE2000, above {most:.1f} for one colour in ten"
     )
-    return replace(readings, values=values, viewing=DAYLIGHT, colour_error=median).with_note(note)
+    converted = replace(
+        readings,
+        values=values,
+        viewing=DAYLIGHT,
+        is_viewing_assumed=False,
+        colour_error=max(median, readings.colour_error),
+    )
+    return converted.with_note(note)
 
 
 @lru_cache(maxsize=8)

@@ -148,7 +148,7 @@ def convert(
         source = in_luminance(source if is_rgb else opened(rgb=True))
     elif target is TARGETS["rgl"]:
         source = with_estimated_spectra(source)
-    notes += target.write(output, source, options or Options())
+    notes += target.write(output, source, options or Options()) + target.left_out(source.nodes)
     nodes, back = source.nodes, open_source([output])
     if source.is_readings and len(back.nodes) > len(nodes):
         notes += _gaps(source)

@@ -13,14 +13,14 @@ from manifold.brdf.unmeasured_cells import cells_of, fill_unmeasured
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
 from manifold.colour.correction import ColourCorrection
-from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow, with_spectra
+from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, in_daylight, is_narrow, with_spectra
 from manifold.convert.tabulated import DenseBRDF, ReadingsBRDF
 from manifold.disk import begins_with
 from manifold.errors import UsageError
 from manifold.estimate.instruments import correct_colours
 from manifold.formats import registry
 from manifold.formats.dense import DenseTable
-from manifold.formats.readings import Readings
+from manifold.formats.readings import DAYLIGHT, Readings
 from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
 from manifold.model.output_file import EXPECTED_ERROR
@@ -133,7 +133,7 @@ def open_source(
     if of_rgl:
         record = read_bsdf(paths[0])
     else:
-        parts = [registry.read(path, sample, unit=unit) for path in paths]
+        parts = [_in_daylight(registry.read(path, sample, unit=unit)) for path in paths]
         names = list(dict.fromkeys(part.name for part in parts))
         if len(names) > 1 and not merge:
             raise UsageError(
@@ -151,6 +151,10 @@ def open_source(
     else:
         source = _of_readings(record if correction is None else correct_colours(record, correction))
     return _in_srgb(source) if rgb else source
+
+
+def _in_daylight(record: registry.Record) -> registry.Record:
+    return in_daylight(record) if isinstance(record, Readings) else record
 
 
 def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> Source:
@@ -186,7 +190,7 @@ def _in_srgb(source: Source) -> Source:
         return source
     source = with_estimated_spectra(source)
     values = to_srgb(source.nodes.values, source.nodes.bands)
-    nodes = replace(source.nodes, wavelengths_nm=None, values=values)
+    nodes = replace(source.nodes, wavelengths_nm=None, values=values, viewing=DAYLIGHT)
     brdf = source.interpolated
     return replace(source, nodes=nodes, interpolated=brdf if isinstance(brdf, UsageError) else SrgbBRDF(brdf))
 

@@ -37,13 +37,25 @@ Holds = Literal["any", "RGB", "RGB or one", "one", "wavelengths"]
 class Target(NamedTuple):
     """A format to write: its title, suffixes that stand for it, the bands that it holds, and a function.
 
-    The function writes a source; its notes say what was left out.
+    The function writes a source; its notes say what was left out. `keeps` names what else it keeps of readings.
     """
 
     title: str
     suffixes: tuple[str, ...]
     holds: Holds
     write: Callable[[Path, Source, Options], list[str]]
+    keeps: tuple[str, ...] = ()
+
+    def left_out(self, readings: Readings) -> list[str]:
+        """A note on what readings say beside their values that the format has no place for."""
+        said = {
+            "weights": np.ptp(readings.weights) > 0.0,
+            "uncertainties": np.any(readings.scatter > 0.0),
+            "gloss": readings.gloss,
+            "texture": readings.texture,
+        }
+        lost = [name for name, is_said in said.items() if is_said and name not in self.keeps]
+        return [f"left out, as {self.title} has no place for them: {', '.join(lost)}"] if lost else []
 
 
 class Options(NamedTuple):
@@ -286,9 +298,9 @@ TARGETS: Registry[Target] = Registry(
             "Ansys Speos anisotropic BSDF", (".anisotropicbsdf",), "one", _write_speos_anisotropic
         ),
         "openmaterial": Target("OpenMATERIAL 3D", (".xompt",), "wavelengths", _write_openmaterial),
-        "bird": Target("BiRD JSON", (".json",), "wavelengths", _write_bird),
+        "bird": Target("BiRD JSON", (".json",), "wavelengths", _write_bird, ("uncertainties",)),
         "astm": Target("ASTM table", (".astm",), "any", _write_astm),
-        "csv": Target("CSV table", (".csv",), "any", _write_csv),
+        "csv": Target("CSV table", (".csv",), "any", _write_csv, ("weights", "uncertainties", "gloss")),
     }.items(),
 )
 

@@ -26,6 +26,7 @@ from manifold.colour import panel
 from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import luminance, srgb_to_xyz, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, to_lab
+from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_spherical, rotate_z
 from manifold.encoding import Decoder
@@ -386,7 +387,7 @@ def _difference_from(sought: BRDF | Readings) -> Callable[[BRDF], float]:
 
 
 def _from_readings(sought: Readings) -> Callable[[BRDF], float]:
-    white = srgb_to_xyz(np.ones(3))
+    white, sought = srgb_to_xyz(np.ones(3)), with_spectra(sought)
     whole = sought.measured.all(axis=1)
     if sought.bands.count < 3 or not whole.any():
         raise UsageError(

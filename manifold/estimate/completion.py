@@ -391,7 +391,7 @@ def in_srgb(readings: Readings) -> Readings:
     values = _without_gaps(readings.values, nm)
     whole = np.isfinite(values).all(axis=1)
     rgb[whole] = to_srgb(values[whole], readings.bands)
-    converted = replace(readings, wavelengths_nm=None, values=rgb)
+    converted = replace(readings, wavelengths_nm=None, values=rgb, viewing=DAYLIGHT)
     return converted.with_note(
         "spectra are converted to linear sRGB under D65, as photographs have three channels"
     )

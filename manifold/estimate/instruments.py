@@ -20,6 +20,7 @@ from scipy.spatial import QhullError, cKDTree
 from manifold import disk
 from manifold.colour.correction import ColourCorrection, learn_correction, read_correction, write_correction
 from manifold.colour.difference import delta_e_2000_lab, lab_values
+from manifold.colour.narrow_bands import in_daylight
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import BandMismatchError, UsageError
 from manifold.estimate.inputs import Sample, find_samples
@@ -102,6 +103,7 @@ def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection
     """The correction of an instrument by another, from their readings (reference, other) of samples, all in the same
     bands.
     """
+    pairs = [(in_daylight(reference), in_daylight(other)) for reference, other in pairs]
     for pair in pairs[1:]:
         for one, first in zip(pair, pairs[0], strict=True):
             first.bands.require_same(
@@ -116,7 +118,8 @@ def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection
 
 
 def correct_colours(readings: Readings, correction: ColourCorrection) -> Readings:
-    """Readings in the bands of the reference that a correction was learned from."""
+    """Return readings in the bands of the reference that a correction was learned from."""
+    readings = in_daylight(readings)
     correction.source.require_same(
         readings.bands, readings.name, "the colour correction was learned from another instrument's"
     )
@@ -231,6 +234,8 @@ def _joined(reference: Readings, other: Readings) -> Readings:
         scatter=np.concatenate([reference.scatter, other.scatter]),
         notes=tuple(dict.fromkeys((*reference.notes, *other.notes))),
         gloss={**other.gloss, **reference.gloss},
+        texture={**other.texture, **reference.texture},
+        colour_error=max(reference.colour_error, other.colour_error),
     )
 
 
@@ -275,6 +280,8 @@ def _merged(
     if correction is not None:
         known = read_correction(correction)
         readings = [correct_colours(r, known) if r.bands.count == 3 else r for r in readings]
+    if len({one.viewing for one in readings if one.bands.is_rgb}) > 1:
+        readings = [in_daylight(one) for one in readings]
     merged, learned = readings[0], None
     for other in readings[1:]:
         merged, learned = merge(merged, other)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from manifold.colour.conversion import to_srgb
+from manifold.colour.narrow_bands import in_daylight
 from manifold.colour.reflectances import spectral_changes, weights_at
 from manifold.errors import FileFormatError
 from manifold.estimate.residual import coordinates
@@ -31,9 +32,10 @@ def reading_at(readings: Readings, wi: Array, wo: Array) -> int | None:
 
 
 def colour_of(readings: Readings, reading: int | None) -> Array:
-    """Linear sRGB of a reading, (3,), a white diffuser being 1; NaN where it has gaps, or there is none."""
+    """Linear sRGB under D65 of a reading, (3,), a white diffuser being 1; NaN where it has gaps, or there is none."""
     if reading is None:
         return np.full(3, np.nan)
+    readings = in_daylight(readings)
     return np.asarray(np.pi * to_srgb(readings.values[reading], readings.bands))
 
 

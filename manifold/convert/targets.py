@@ -27,6 +27,7 @@ _MOST_INCIDENCES = 40
 _MEASURED_WITHIN = np.deg2rad(0.5)  # angle from a measured incidence: half a step of MERL's
 _STEEPEST = np.deg2rad(85.0)
 _FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of elevation and azimuth
+_AZIMUTHS = np.deg2rad(np.arange(0.0, 360.0, 30.0))  # of incidence on an anisotropic sample
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
 
@@ -145,8 +146,8 @@ def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]
 
 
 def _write_fred(path: Path, source: Source, options: Options) -> list[str]:
-    fred.write(path, _about_the_normal(source, _FINE, one_turn=True))
-    return _one_turn(source)
+    fred.write(path, _about_the_normal(source, _FINE if source.brdf.is_isotropic else _MEDIUM))
+    return []
 
 
 def _write_speos(path: Path, source: Source, options: Options) -> list[str]:
@@ -181,22 +182,24 @@ def _about_the_normal(source: Source, steps: tuple[float, float], *, one_turn: b
     radial = np.deg2rad(np.append(np.arange(0.0, 89.0, steps[0]), 89.0))
     azimuth = np.deg2rad(np.arange(0.0, 360.0, steps[1]))
     is_one = one_turn or source.brdf.is_isotropic
-    phi_i = np.array([np.pi]) if is_one else np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    phi_i = np.array([np.pi]) if is_one else _AZIMUTHS
     return _sampled(source, (_incidences(source), phi_i, radial, azimuth))
 
 
 def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
     brdf, theta_i = source.brdf, _incidences(source)
-    azimuth = np.deg2rad(np.arange(0.0, 361.0, 5.0))
+    rotation = np.zeros(1) if brdf.is_isotropic else _AZIMUTHS
+    azimuth = np.deg2rad(np.arange(0.0, 361.0, 5.0 if brdf.is_isotropic else 10.0))
     # Dense around the mirror direction.
     radial = np.deg2rad(
         np.concatenate([np.arange(0, 20, 0.5), np.arange(20, 90, 1.0), np.arange(90, 176, 5.0)])
     )
-    values = np.zeros((theta_i.size, azimuth.size, radial.size, brdf.bands.count))
-    for block, theta in zip(values, theta_i, strict=True):
-        block[:] = _eval(source, *zemax.directions(theta, radial[None, :], azimuth[:, None]))
-    zemax.write(path, source.nodes.name, theta_i, azimuth, radial, values)
-    return _one_turn(source)
+    values = np.zeros((rotation.size, theta_i.size, azimuth.size, radial.size, brdf.bands.count))
+    for k, turn in enumerate(rotation):
+        for block, theta in zip(values[k], theta_i, strict=True):
+            block[:] = _eval(source, *zemax.directions(theta, radial[None, :], azimuth[:, None], turn))
+    zemax.write(path, source.nodes.name, theta_i, azimuth, radial, values, rotation)
+    return []
 
 
 def _write_astm(path: Path, source: Source, options: Options) -> list[str]:
@@ -240,7 +243,7 @@ def _rows(source: Source) -> Readings:
     phi = np.deg2rad(np.arange(0.0, 360.0, 10.0))
     grid = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
     wo = np.concatenate([[[0.0, 0.0, 1.0]], grid])
-    phi_i = [np.pi] if brdf.is_isotropic else np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    phi_i = [np.pi] if brdf.is_isotropic else _AZIMUTHS
     wi = np.array([from_spherical(t, p) for t in _incidences(source) for p in phi_i])
     values = np.concatenate([_eval(source, w, wo) for w in wi])
     nodes = source.nodes

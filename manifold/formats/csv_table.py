@@ -40,6 +40,7 @@ from manifold.records import Array
 _REMEDY = "correct the table"
 _SEPARATORS = (";", "\t", ",", None)  # None: blanks
 _FORMAT = "manifold readings 1"  # a version that is read, whatever has none
+_OWN_NUMBERS = {"repeatability": "repeatability", "colour error": "colour_error"}
 _MOST_COMMENTS = 40  # lines at the top
 _HEAD = 70  # lines at the top, one of which is the header
 
@@ -86,8 +87,8 @@ def _with_own(readings: Readings, own: Mapping[str, str], context: ErrorContext)
     readings = replace(readings, gloss={**gloss, **readings.gloss})
     if own.get("format") != _FORMAT:
         return readings
-    if "repeatability" in own:
-        readings = replace(readings, repeatability=context.number(own["repeatability"], "repeatability"))
+    numbers = {name: context.number(own[key], key) for key, name in _OWN_NUMBERS.items() if key in own}
+    readings = replace(readings, **numbers)
     return replace(readings, viewing=viewing(own.get("viewing", "")) or readings.viewing)
 
 
@@ -174,6 +175,8 @@ def write(path: Path, readings: Readings) -> None:
     out.writelines(f"# gloss {angle:g}: {units:.9g}\n" for angle, units in readings.gloss.items())
     if readings.repeatability != REPEATABILITY:
         out.write(f"# repeatability: {readings.repeatability:.9g}\n")
+    if readings.colour_error:
+        out.write(f"# colour error: {readings.colour_error:.9g}\n")
     if readings.viewing != DAYLIGHT:
         out.write(f"# viewing: {readings.viewing}\n")
     out.write("# BRDF in 1/sr; angles in degrees about the normal\n")

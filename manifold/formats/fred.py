@@ -60,15 +60,17 @@ def read(path: Path) -> list[Readings]:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """The table of incident and outgoing angles of an isotropic sample in one band, its mirror direction at azimuth 0.
+    """Write a table of incident and outgoing angles in one band.
 
-    The light of the table is at azimuth 180 degrees.
+    The mirror direction of an isotropic sample lies at azimuth 0; others are written in their own azimuths.
     """
-    theta_i, _, theta_o, phi_o = (np.rad2deg(axis) for axis in table.axes)
+    theta_i, phi_i, theta_o, phi_o = (np.rad2deg(axis) for axis in table.axes)
+    shift = 180.0 - phi_i[0] if phi_i.size == 1 else 0.0
     lines = [_TYPE, _FORMAT]
-    for incidence, block in zip(theta_i, np.maximum(table.values[:, 0, :, :, 0], 0.0), strict=True):
-        lines.append(f"{incidence:.6g}\t0")
-        for theta, row in zip(theta_o, block, strict=True):
-            azimuths = phi_o if theta > 0.0 else phi_o[:1]
-            lines += [f"{theta:.6g}\t{phi:.6g}\t{v:.7g}" for phi, v in zip(azimuths, row, strict=False)]
+    for incidence, of_incidence in zip(theta_i, np.maximum(table.values[..., 0], 0.0), strict=True):
+        for azimuth, block in zip(np.mod(phi_i + shift - 180.0, 360.0), of_incidence, strict=True):
+            lines.append(f"{incidence:.6g}\t{azimuth:.6g}")
+            for theta, row in zip(theta_o, block, strict=True):
+                azimuths = phi_o + shift if theta > 0.0 else phi_o[:1] + shift
+                lines += [f"{theta:.6g}\t{phi:.6g}\t{v:.7g}" for phi, v in zip(azimuths, row, strict=False)]
     disk.write_text(path, "\n".join(lines) + "\n")

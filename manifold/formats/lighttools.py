@@ -1,7 +1,8 @@
 """LightTools text `.bsdf`: blocks of `AOI`, `POI`, `Wavelength`, `TIS` and a table of azimuths x polar angles.
 
 Angles are in degrees about the normal. Synopsys' Mini-Diff writes such files, too. Where the incident direction lies
-relative to azimuth 0 differs between programs: it is found from the light's shadow or the highlight.
+relative to azimuth 0 differs between programs. A comment `# incidence at azimuth POI + 90`, as this module writes it,
+decides; without one it is found from the light's shadow or the highlight.
 """
 
 from __future__ import annotations
@@ -26,10 +27,14 @@ from manifold.formats.light_side import hidden
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
+from manifold.names import in_one_line
 from manifold.records import Array
 
 _PADDING_FROM = 75.0  # degrees, of a Mini-Diff
-_USUAL_AZIMUTH = 90.0  # azimuth of incidence relative to POI, where the data do not tell
+_USUAL_AZIMUTH = (
+    90.0  # azimuth of incidence relative to POI, where the data do not tell, and of what is written
+)
+_STATEMENT = re.compile(r"incidence (?:is )?at azimuth poi \+ (\d+(?:\.\d+)?)", re.IGNORECASE)
 _AZIMUTHS = (90.0, 270.0, 180.0, 0.0)  # azimuths at which programs have the light
 _NEAR = np.cos(np.deg2rad(10.0))  # cosine of the radius around a mirror direction
 _AROUND = np.cos(np.deg2rad([20.0, 40.0]))
@@ -73,7 +78,9 @@ def read(path: Path) -> list[Readings]:
             f"{int((~inside).sum())} directions beyond 75 degrees are padding of the Mini-Diff, not data"
         )
         values, theta, phi = values[:, inside], theta[inside], phi[inside]
-    offset = _incident_azimuth(incidences, theta, phi, values, notes)
+    offset = _said_azimuth(text.comments, notes)
+    if offset is None:
+        offset = _incident_azimuth(incidences, theta, phi, values, notes)
     # Isotropic: incidence at azimuth 180, as elsewhere.
     is_isotropic = len({poi for _, poi in incidences}) == 1
     turn = 180.0 - incidences[0][1] - offset if is_isotropic else 0.0
@@ -141,6 +148,15 @@ def _is_ramp(theta: Array, phi: Array, values: Array) -> bool:
     return bool(np.allclose(ramp, line, rtol=0.02, atol=0.02 * float(np.abs(ramp).max() + 1e-300)))
 
 
+def _said_azimuth(comments: list[str], notes: list[str]) -> float | None:
+    """Return the azimuth of incidence relative to POI in degrees that a comment states, or None."""
+    said = next((match for line in comments if (match := _STATEMENT.search(line)) is not None), None)
+    if said is None:
+        return None
+    notes.append(f"incidence is taken at azimuth POI + {float(said[1]):g}, as a comment says")
+    return float(said[1])
+
+
 def _incident_azimuth(
     incidences: list[tuple[float, float]], theta: Array, phi: Array, values: Array, notes: list[str]
 ) -> float:
@@ -196,26 +212,33 @@ def _peak(
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """Blocks of every incidence and wavelength; linear sRGB becomes CIE XYZ. Incidence lies at azimuth 90."""
+    """Write blocks of every incidence and wavelength; linear sRGB becomes CIE XYZ.
+
+    Incidence lies at azimuth POI + 90. An isotropic table has POI 0 and is turned from its own azimuth of incidence; in
+    others azimuths are those of the sample.
+    """
     theta_i, phi_i, theta_o, phi_o = (np.rad2deg(a) for a in table.axes)
     values = np.nan_to_num(table.values)
     if table.bands.is_rgb:
         values = linear_srgb_to_xyz(values)
+    turn = 0
+    poi = np.mod(phi_i - _USUAL_AZIMUTH, 360.0)
+    if phi_i.size == 1:
+        poi, turn = np.zeros(1), -int(np.argmin(np.abs(phi_o - (phi_i[0] - _USUAL_AZIMUTH))))
     closed = np.append(phi_o, phi_o[0] + 360.0)
     lines = [
-        "#LightTools BSDF", f"#{table.name}", "Symmetry Asymmetric",
+        "#LightTools BSDF", f"#incidence at azimuth POI + {_USUAL_AZIMUTH:g}", f"#{in_one_line(table.name)}",
+        "Symmetry Asymmetric",
         f"SpectralContent {'XYZ' if table.bands.is_rgb else 'Monochrome'}", f"ScatterAzimuth {closed.size}",
         angle_line(closed), f"ScatterRadial {theta_o.size}", angle_line(theta_o), "DataBegin",
     ]  # fmt: skip
     nm = table.bands.wavelengths_nm
-    turn = -int(np.argmin(np.abs(phi_o - 90.0)))  # wi of the table at azimuth 180, of the file at 90
     for i, aoi in enumerate(theta_i):
-        for j, poi in enumerate(phi_i if phi_i.size > 1 else [0.0]):
+        for j in np.argsort(poi):
             for b in range(values.shape[-1]):
                 kind = f"Wavelength {nm[b]:g}" if nm is not None else f"TristimulusValue Tris{'XYZ'[b]}"
-                lines += [f"AOI {aoi:.6g}", f"POI {poi:.6g}", "Side Front", kind, "ScatterType BRDF"]
-                by_azimuth = values[i, j, :, :, b].T
-                rows = np.roll(by_azimuth, turn if phi_i.size == 1 else 0, axis=0)
+                lines += [f"AOI {aoi:.6g}", f"POI {poi[j]:.6g}", "Side Front", kind, "ScatterType BRDF"]
+                rows = np.roll(values[i, j, :, :, b].T, turn, axis=0)
                 rows = np.vstack([rows, rows[:1]])
                 tis = total_scatter(rows, np.deg2rad(closed), table.axes[2], np.cos(table.axes[2]))
                 lines += [f"TIS {tis:.6g}", *(" ".join(f"{v:.7g}" for v in row) for row in rows)]

@@ -118,26 +118,36 @@ def _readings(
     return Readings(name, "Zemax BSDF", np.concatenate(wi), np.concatenate(wo), nm, table, notes=tuple(notes))
 
 
-def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, values: Array) -> None:
-    """Tables of one sample rotation, angles in radians, values in 1/sr, (T, A, R, B).
+def write(
+    path: Path,
+    name: str,
+    theta_i: Array,
+    azimuth: Array,
+    radial: Array,
+    values: Array,
+    rotation: Array | None = None,
+) -> None:
+    """Write tables of sample rotations, angles in radians, values in 1/sr, (S, T, A, R, B), or (T, A, R, B) of one.
 
-    B = 3 is linear sRGB and becomes CIE XYZ, B = 1 is monochrome.
+    B = 3 is linear sRGB and becomes CIE XYZ, B = 1 is monochrome. Rotations turn the light as `directions` does.
     """
-    values = np.nan_to_num(values)
+    turns = np.zeros(1) if rotation is None else rotation
+    values = np.nan_to_num(values).reshape(turns.size, *values.shape[-4:])
     if values.shape[-1] == 3:
         values = linear_srgb_to_xyz(values)
     lines = [
         f"# {in_one_line(name)}", "Source Measured", "Symmetry Asymmetrical",
         f"SpectralContent {'XYZ' if values.shape[-1] == 3 else 'Monochrome'}", "ScatterType BRDF",
-        "SampleRotation 1", "0", f"AngleOfIncidence {theta_i.size}", angle_line(np.rad2deg(theta_i)),
-        f"ScatterAzimuth {azimuth.size}", angle_line(np.rad2deg(azimuth)), f"ScatterRadial {radial.size}",
-        angle_line(np.rad2deg(radial)), "",
+        f"SampleRotation {turns.size}", angle_line(np.rad2deg(turns)), f"AngleOfIncidence {theta_i.size}",
+        angle_line(np.rad2deg(theta_i)), f"ScatterAzimuth {azimuth.size}", angle_line(np.rad2deg(azimuth)),
+        f"ScatterRadial {radial.size}", angle_line(np.rad2deg(radial)), "",
     ]  # fmt: skip
     for b in range(values.shape[-1]):
         lines += ["Monochrome" if values.shape[-1] == 1 else f"Tristimulus{'XYZ'[b]}", "DataBegin"]
-        for theta, block in zip(theta_i, values[..., b], strict=True):
-            _, wo = directions(theta, radial[None, :], azimuth[:, None])
-            lines.append(f"TIS {total_scatter(block, azimuth, radial, wo[..., 2]):.6g}")
-            lines += [" ".join(f"{v:.7g}" for v in row) for row in block]
+        for turned in values[..., b]:
+            for theta, block in zip(theta_i, turned, strict=True):
+                _, wo = directions(theta, radial[None, :], azimuth[:, None])
+                lines.append(f"TIS {total_scatter(block, azimuth, radial, wo[..., 2]):.6g}")
+                lines += [" ".join(f"{v:.7g}" for v in row) for row in block]
         lines.append("DataEnd")
     disk.write_text(path, "\n".join(lines) + "\n")

@@ -15,6 +15,7 @@ from manifold.analytic.virtual_instruments import MINI_DIFF_BANDS, write_mini_di
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import run
 from manifold.colour.conversion import to_srgb
+from manifold.colour.difference import lab_under_d65, lab_values
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, with_spectra
 from manifold.convert.conversion import convert
 from manifold.convert.source import open_source
@@ -24,7 +25,7 @@ from manifold.convert.targets import _share as share
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats import astm, csv_table, lighttools, merl, registry
-from manifold.formats.readings import Readings
+from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import cube_root_error
 from manifold.records import Bands
@@ -350,3 +351,82 @@ def test_only_measured_files_are_measurements_to_others(tmp_path, description, o
     convert([tmp_path / "a.bsdf"], tmp_path / "a.json", to="bird")
     words = (tmp_path / "a.json").read_text()
     assert ('"simulation"' in words) == (origin != "measured")
+
+
+def turned_matt(azimuths_deg) -> Readings:
+    """A matt sample without a highlight, brighter along x than along y, at azimuths of incidence."""
+    theta, phi = np.meshgrid(np.deg2rad(np.arange(0.0, 81.0, 10.0)), np.deg2rad(np.arange(0.0, 360.0, 30.0)))
+    wo = from_spherical(theta.reshape(-1), phi.reshape(-1))
+    incidences = [(t, p) for t in (0.0, 30.0, 60.0) for p in (azimuths_deg if t else azimuths_deg[:1])]
+    wi = np.repeat([from_spherical(np.deg2rad(t), np.deg2rad(p)) for t, p in incidences], len(wo), axis=0)
+    wo = np.tile(wo, (len(incidences), 1))
+    values = (0.2 + 0.1 * wi[:, :1] ** 2 + 0.05 * wo[:, :1] ** 2) / np.pi
+    return Readings("felt", "test", wi, wo, np.array([550.0]), values)
+
+
+@pytest.mark.parametrize("name", ["lighttools", "zemax", "fred"])
+def test_an_anisotropic_sample_keeps_its_rotations(name, tmp_path):
+    """LightTools' light was at POI, Zemax' and FRED's rotations were dropped, and a matt sample came back turned."""
+    csv_table.write(tmp_path / "felt.csv", turned_matt(range(0, 360, 30)))
+    made = convert([tmp_path / "felt.csv"], tmp_path / "out.txt", to=name)
+    assert made.errors.linear < 0.01  # between azimuths of 30 degrees
+    found = registry.read_readings(tmp_path / "out.txt")
+    azimuths = np.rad2deg(np.arctan2(found.wi[:, 1], found.wi[:, 0]))[found.wi[:, 2] < 0.9]
+    assert len(np.unique(np.round(azimuths % 360.0, 3))) == 12
+    inside = np.minimum(found.wi[:, 2], found.wo[:, 2]) > 0.3
+    wi, wo = found.wi[inside], found.wo[inside]
+    expected = (0.2 + 0.1 * wi[:, :1] ** 2 + 0.05 * wo[:, :1] ** 2) / np.pi
+    np.testing.assert_allclose(found.values[inside], expected, rtol=0.02)
+
+
+def test_lighttools_files_have_their_light_where_a_comment_says(tmp_path):
+    for azimuths in ([0.0], [0.0, 90.0, 180.0, 270.0]):
+        csv_table.write(tmp_path / "x.csv", turned_matt(azimuths))
+        convert([tmp_path / "x.csv"], tmp_path / "x.bsdf", to="lighttools")
+        assert "#incidence at azimuth POI + 90\n" in (tmp_path / "x.bsdf").read_text()
+        notes = registry.read_readings(tmp_path / "x.bsdf").notes
+        assert "incidence is taken at azimuth POI + 90, as a comment says" in notes
+
+
+def test_colours_of_a_lab_table_are_converted_to_daylight(tmp_path):
+    """The file said D65/10, and the values were written as if it were D65/2."""
+    path = tmp_path / "lab.csv"
+    path.write_text(
+        "Name,Geometry,L* (A/10),a* (A/10),b* (A/10)\nblue,45as45,53,-10,-38\nblue,45as110,50,-9,-35\n"
+    )
+    made = convert([path], tmp_path / "rgb.csv")
+    assert any("colours under A/10 are converted to D65/2" in note for note in made.notes)
+    found, raw = registry.read_readings(tmp_path / "rgb.csv"), registry.read_readings(path)
+    expected = with_spectra(raw)
+    np.testing.assert_allclose(found.values, expected.values, rtol=1e-7)
+    assert np.max(np.abs(raw.values - expected.values)) > 0.01
+    np.testing.assert_allclose(
+        lab_values(found.values, found.bands)[0],
+        lab_under_d65(np.array([53, -10, -38]), Viewing("A", 10)),
+        atol=1e-4,
+    )
+
+
+def test_csv_keeps_what_else_readings_say_and_other_formats_say_what_they_leave_out(files, tmp_path):
+    readings = registry.read_readings(files["mini-diff"])
+    readings = replace(
+        readings, gloss={60.0: 30.0}, scatter=np.linspace(0.0, 0.1, len(readings)), viewing=Viewing("D50", 10),
+        repeatability=0.02, colour_error=0.7,
+    )  # fmt: skip
+    csv_table.write(tmp_path / "all.csv", readings)
+    back = registry.read_readings(tmp_path / "all.csv")
+    for name in ("weights", "scatter"):
+        np.testing.assert_allclose(getattr(back, name), getattr(readings, name), rtol=1e-8)
+    for name in ("gloss", "viewing", "repeatability", "colour_error", "name", "instrument"):
+        assert getattr(back, name) == getattr(readings, name)
+    assert not any("left out" in note for note in convert([tmp_path / "all.csv"], tmp_path / "y.csv").notes)
+    (note,) = [n for n in convert([tmp_path / "all.csv"], tmp_path / "y.astm").notes if "no place" in n]
+    assert note == "left out, as ASTM table has no place for them: weights, uncertainties, gloss"
+
+
+def test_merged_readings_keep_the_gloss_of_every_file(tmp_path):
+    parts = [
+        replace(half_a_goniometer(smooth(MINI_DIFF_BANDS), (t,)), gloss=g)
+        for t, g in ((20.0, {}), (40.0, {60.0: 9.0}))
+    ]
+    assert registry.merge(parts).gloss == {60.0: 9.0}

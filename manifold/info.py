@@ -23,7 +23,7 @@ from manifold.formats.workbook_pictures import picture_directions, picture_geome
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import BALL, Errors
 from manifold.model.expected_error import NOT_CALIBRATED
-from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
+from manifold.model.model_file import MAGIC, read_model
 from manifold.records import Array, Bands, BsdfFile
 
 _MOST_SAMPLES = 40  # listed one by one
@@ -196,7 +196,7 @@ def inspect(
         return _inspect_library(path, verify)
     if verify:
         raise UsageError(f"{path}: only libraries can be verified; this is a file")
-    if path.suffix in (".h5", ".hdf5") or begins_with(path, MAGIC, HDF5_MAGIC):
+    if path.suffix in (".h5", ".hdf5") or begins_with(path, MAGIC):
         return _inspect_model(path, library)
     if begins_with(path, _FIT):
         return _inspect_fit(path)

@@ -19,6 +19,7 @@ _SOFT_BOXES = (
     (98.0, 32.0, 5.0, 26.0, 7.0),  # strip to the right
     (-38.0, 24.0, 22.0, 5.0, 6.0),  # rim, behind the ball
 )
+_MOST_OFF = 0.05  # share of its width by which an environment may be too narrow or too wide
 _EDGE_DEG = 2.0  # angle over which a soft box fades out
 _ZENITH, _HORIZON = 0.9, 0.28
 
@@ -66,7 +67,12 @@ def exposed(environment: Array) -> Array:
 
 
 def require_light(environment: Array) -> None:
-    """Raise UsageError unless an environment (H, W, 3) is finite, nowhere negative, and not black."""
+    """Raise UsageError unless an environment (H, W, 3) is twice as wide as high, finite, not negative, and not black."""
+    H, W = environment.shape[:2]
+    if abs(W - 2 * H) > _MOST_OFF * W:
+        raise UsageError(
+            f"an environment of {W} x {H} pixels, expected twice as wide as high: latitude by longitude"
+        )
     if not np.isfinite(environment).all():
         raise UsageError(
             "an environment with transparent pixels, or values that are not finite, expected light"

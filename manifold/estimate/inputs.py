@@ -57,8 +57,8 @@ class Sample:
 
 
 def is_readings(path: Path) -> bool:
-    """Whether a file's content is an instrument's; what describes files beside them may look like it."""
-    return path.suffix not in (".md", ".json") and registry.identify(path) is not None
+    """Return whether a file's content is an instrument's; texts that describe files beside them may look like it."""
+    return path.suffix != ".md" and registry.identify(path) is not None
 
 
 def safe_name(name: str) -> str:

@@ -57,11 +57,6 @@ class Environment:
     def of(cls, image: Array) -> Environment:
         """From a picture by latitude and longitude of any resolution, shape (H, W, C)."""
         image = np.asarray(image, dtype=np.float64)
-        H, W = image.shape[:2]
-        if abs(W - 2 * H) > 0.05 * W:
-            raise UsageError(
-                f"an environment of {W} x {H} pixels, expected twice as wide as high: latitude by longitude"
-            )
         lights.require_light(image)
         size = _ROWS * _PARTS
         resized = _resized(_resized(image, size, 0), 2 * size, 1)

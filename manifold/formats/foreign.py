@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Iterable
 
 # By how files begin.
 _FOREIGN = (
     (b"tensor_file\0", "an RGL file"),
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (a model, AxF, or another)"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (NetCDF, AxF, MATLAB, or another)"),
+    (b"CDF\x01", "a NetCDF file"),
+    (b"CDF\x02", "a NetCDF file"),
     (b"PK\x03\x04", "a ZIP archive"),
     (b"\x1f\x8b", "a gzip archive"),
     (b"\xd0\xcf\x11\xe0", "an old Office file such as .xls"),
@@ -61,6 +64,27 @@ def resembles_json(text: str) -> bool:
     (True, False)
     """
     return _JSON.match(text) is not None
+
+
+_IN_ARCHIVES = (
+    (r"\.u3m$", "a U3M material"),
+    (r"^word/", "a Word document"),
+    (r"^ppt/", "a PowerPoint presentation"),
+    (r"^content\.xml$", "an OpenDocument file"),
+    (r"\.usd[ac]?$", "a USDZ file"),
+    (r"\.mtlx$", "a MaterialX archive"),
+)  # fmt: skip
+
+
+def name_archive(names: Iterable[str]) -> str:
+    """Return what a ZIP archive seems to be, by the names of its parts.
+
+    >>> name_archive(["fabric.u3m", "textures/base.png"])
+    'a U3M material'
+    """
+    names = list(names)
+    found = (words for pattern, words in _IN_ARCHIVES if any(re.search(pattern, name) for name in names))
+    return next(found, "a ZIP archive")
 
 
 def name_format(head: bytes) -> str:

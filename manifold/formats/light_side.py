@@ -72,10 +72,10 @@ def with_light_side_note(readings: Readings) -> Readings:
     light, mirror = (brightness[is_oblique & (cosine > _NEAR)] for cosine in (towards_light, towards_mirror))
     if len(readings) < _LEAST_PAIRS or not light.size or not mirror.size:
         return readings
-    ratio = light.mean() / max(mirror.mean(), 1e-300)
-    if ratio < _BRIGHTER:
+    if light.mean() < _BRIGHTER * mirror.mean() or not light.mean() > 0.0:
         return readings
+    times = f"{light.mean() / mirror.mean():.3g} times as bright" if mirror.mean() > 0.0 else "bright"
+    than = "as in the mirror direction" if mirror.mean() > 0.0 else "and dark in the mirror direction"
     return readings.with_note(
-        f"{ratio:.3g} times as bright towards the light as in the mirror direction: a retroreflector, or azimuths are "
-        "not counted from the light"
+        f"{times} towards the light {than}: a retroreflector, or azimuths are not counted from the light"
     )

@@ -22,6 +22,7 @@ import numpy as np
 from manifold import disk
 from manifold.errors import FileFormatError
 from manifold.formats.column_heads import lab_head, viewing
+from manifold.formats.foreign import name_archive
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing
 from manifold.formats.tables import (
     HEADERS,
@@ -117,7 +118,11 @@ def _xml_parts(data: bytes, context: ErrorContext) -> io.BytesIO:
         with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(packed, "w") as made:
             parts = archive.infolist()
             if not any(part.filename.startswith("xl/") for part in parts):
-                raise context.error("found a ZIP archive, expected an .xlsx workbook of a spectrophotometer")
+                found = name_archive(part.filename for part in parts)
+                raise context.error(
+                    f"found {found}, expected an .xlsx workbook of a spectrophotometer",
+                    remedy="name another file",
+                )
             if len(parts) > _MOST_PARTS:
                 raise context.error(f"{len(parts)} parts, expected a spectrophotometer's workbook of fewer")
             is_xml = [read_part(archive, part, _HEAD).lstrip(_BEFORE_XML).startswith(b"<") for part in parts]

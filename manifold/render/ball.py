@@ -66,7 +66,12 @@ def make_settings(
     *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
 ) -> RenderSettings:
     """Settings with an illuminant by name or file, and an environment from a file."""
-    image = None if environment is None else lights.exposed(images.read_image(environment))
+    image = None
+    if environment is not None:
+        try:
+            image = lights.exposed(images.read_image(environment))
+        except UsageError as error:
+            raise UsageError(f"{environment}: {error}") from error
     return RenderSettings(size, samples, seed, parse_illuminant(illuminant), image)
 
 

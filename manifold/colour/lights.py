@@ -67,7 +67,7 @@ def exposed(environment: Array) -> Array:
 
 
 def require_light(environment: Array) -> None:
-    """Raise UsageError unless an environment (H, W, 3) is twice as wide as high, finite, not negative, and not black."""
+    """Raise UsageError unless an environment (H, W, 3) is twice as wide as high, finite, and 0 or more, not all 0."""
     H, W = environment.shape[:2]
     if abs(W - 2 * H) > _MOST_OFF * W:
         raise UsageError(

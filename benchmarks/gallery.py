@@ -99,7 +99,7 @@ def draw(rows: list[list[Cell]], path: Path) -> None:
     figure = figures.new_figure(1.35 * len(rows[0]), 1.75 * len(rows))
     for axes_row, row in zip(figure.subplots(len(rows), len(rows[0]), squeeze=False), rows, strict=True):
         for axes, (image, caption) in zip(axes_row, row, strict=True):
-            axes.imshow(thumbnails.cropped(image), interpolation="antialiased")
+            axes.imshow(image, interpolation="antialiased")
             axes.set_axis_off()
             axes.set_title(caption, y=-0.16, va="top", fontsize=6, color=_INK if "\n" in caption else "0.2")
     figures.save(figure, path)

@@ -379,7 +379,7 @@ def compare(
     illuminant: IlluminantOption = "D65",
     environment: EnvironmentOption = None,
     size: SizeOption = 256,
-    samples: SamplesOption = 256,
+    samples: SamplesOption = 96,
     seed: SeedOption = 0,
     json: options.JsonOption = None,
 ) -> None:

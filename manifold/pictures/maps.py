@@ -32,7 +32,6 @@ from manifold.plots.slice_figures import Source
 from manifold.records import Array
 from manifold.render import backend, fit_json, thumbnails
 from manifold.render.fitted_brdf import FittedBRDF
-from manifold.render.thumbnails import cropped
 
 
 def latent_map(
@@ -60,8 +59,8 @@ def latent_map(
     if not backend.is_available():
         figures.save(map_figure.latent_map(loaded, marked=x), output)
         return predicted, ("rendered balls, since Mitsuba is missing",)
-    ball = None if predicted is None else cropped(thumbnails.of_material(predicted.brdf))
-    balls = [cropped(image) for image in thumbnails.of_materials(loaded)]
+    ball = None if predicted is None else thumbnails.of_material(predicted.brdf)
+    balls = thumbnails.of_materials(loaded)
     figures.save(ball_figures.ball_map(loaded, balls, x, ball), output)
     return predicted, ()
 
@@ -96,7 +95,7 @@ def walk(
         for value in t.tolist():
             with progress.listen(None):
                 brdf = along(value)
-                images.append(cropped(thumbnails.of_material(brdf)))
+                images.append(thumbnails.of_material(brdf))
             if not rows and 0.0 < value < 1.0:
                 step = Place(on_line(first, last, value), (str(start), str(end), value))
                 between[value] = diagnostics.diagnose(loaded, step, brdf)

@@ -24,6 +24,7 @@ from manifold.render import backend, scenes
 from manifold.render.plugin.bsdf import register
 
 LARGEST_SIZE = 8192
+_WINDOW = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
 _LANES = 1 << 23  # samples rendered at once: the sampler stratifies those of one pass among each other
 
 backend.on_variant(register)
@@ -38,6 +39,7 @@ class RenderSettings:
         samples: light paths per pixel.
         seed: of the noise; equal seeds give equal pictures.
         environment: linear RGB radiance as `lights.studio` lays it out, (H, W, 3); that by default.
+        window: the part of the picture that is rendered, as left, top, width and height in pixels; all of it if None.
     """
 
     size: int = 256
@@ -45,6 +47,7 @@ class RenderSettings:
     seed: int = 0
     illuminant: Illuminant = field(default_factory=partial(Illuminant.named, "D65"))
     environment: Array | None = None
+    window: tuple[int, int, int, int] | None = None
 
     def __post_init__(self) -> None:
         for name, most in (("size", LARGEST_SIZE), ("samples", 1 << 20)):
@@ -60,16 +63,20 @@ def render_bsdf(
     is_rgb: bool,
     settings: RenderSettings,
 ) -> Array:
-    """The ball of a material, a dictionary of Mitsuba, in linear sRGB, shape (size, size, 3); one without a spectrum,
-    `is_rgb`, is rendered under D65 only.
+    """Render the ball of a material, a dictionary of Mitsuba: linear sRGB, shape (size, size, 3) or that of the window.
+
+    A material without a spectrum, `is_rgb`, is rendered under D65 only.
     """
+    window = {} if settings.window is None else dict(zip(_WINDOW, settings.window, strict=True))
     if is_rgb:
         require_d65(settings.illuminant)
         mi = backend.mitsuba("rgb")
-        scene = mi.load_dict(scenes.material_ball(mi, bsdf, rgb_film(settings.size), settings.environment))
+        scene = mi.load_dict(
+            scenes.material_ball(mi, bsdf, rgb_film(settings.size) | window, settings.environment)
+        )
         return render_scene(mi, scene, settings)
     mi = backend.mitsuba("spectral")
-    film = colorimetric_film(mi, settings.size, settings.illuminant)
+    film = colorimetric_film(mi, settings.size, settings.illuminant) | window
     scene = mi.load_dict(scenes.material_ball(mi, bsdf, film, settings.environment))
     xyz = render_scene(mi, scene, settings)
     return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))

@@ -1,8 +1,9 @@
-"""Small renders of materials for maps and walks: the ball alone, cropped from its scene; measured ones are cached."""
+"""Small renders of materials for maps, walks and sheets: the square around the ball; measured ones are cached."""
 
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,13 @@ from manifold.render import images, scenes
 from manifold.render.ball import read_material, render_material
 from manifold.render.render import RenderSettings
 
-SIZE, SAMPLES = 96, 64
+SIZE, SAMPLES = 96, 48
 _OUTLINE = 4  # samples per pixel and axis of the ball's edge
-_VERSION = "thumbnail-1"  # raise where scene, size or tone mapping change
+_VERSION = "thumbnail-2"  # raise where scene, size or tone mapping change
 
 
 def of_materials(model: Manifold) -> list[Array]:
-    """The materials of `model.pictured` as balls, RGBA in [0, 1], (SIZE, SIZE, 4); cached in the library."""
+    """Return the materials of `model.pictured` as balls, RGBA in [0, 1], (H, W, 4); cached in the library."""
     names = tuple(model.names[k] for k in model.pictured)
     key = hashlib.sha256(
         f"{_VERSION} {model.library.content_hash} {SIZE} {SAMPLES} {names}".encode()
@@ -35,28 +36,35 @@ def of_materials(model: Manifold) -> list[Array]:
 
 
 def of_material(material: BRDF | BsdfFile) -> Array:
-    """A material as a ball under the studio's light, RGBA in [0, 1], (SIZE, SIZE, 4)."""
-    return _cut_out(render_material(material, RenderSettings(size=SIZE, samples=SAMPLES)))
+    """Render a material as a ball under the studio's light, RGBA in [0, 1], (H, W, 4), transparent around it."""
+    return _cut_out(render_material(material, _settings()))
 
 
 def of_file(path: Path) -> Array:
-    """The same of a measured file, or of the JSON of a fit."""
-    return _cut_out(read_material(path).render(RenderSettings(size=SIZE, samples=SAMPLES)))
+    """Render a measured file, or the JSON of a fit, as `of_material` does."""
+    return _cut_out(read_material(path).render(_settings()))
 
 
 def write(path: Path, image: Array) -> None:
-    """Write a ball (SIZE, SIZE, 4) as PNG, transparent around it."""
-    images.write_display(path, cropped(image))
+    """Write a ball (H, W, 4) as PNG, transparent around it."""
+    images.write_display(path, image)
+
+
+def _settings() -> RenderSettings:
+    opacity, (left, top) = _ball()
+    height, width = opacity.shape
+    return RenderSettings(size=SIZE, samples=SAMPLES, window=(left, top, width, height))
+
+
+@cache
+def _ball() -> tuple[Array, tuple[int, int]]:
+    """Return the opacity of the ball in the smallest window that shows all of it (H, W), and its left and top."""
+    fine = scenes.ball_interior(_OUTLINE * SIZE).astype(np.float64)
+    opacity = fine.reshape(SIZE, _OUTLINE, SIZE, _OUTLINE).mean(axis=(1, 3))
+    inside = np.argwhere(opacity > 0)
+    (top, left), (bottom, right) = inside.min(axis=0), inside.max(axis=0) + 1
+    return opacity[top:bottom, left:right], (int(left), int(top))
 
 
 def _cut_out(linear: Array) -> Array:
-    fine = scenes.ball_interior(_OUTLINE * SIZE).astype(np.float64)
-    alpha = fine.reshape(SIZE, _OUTLINE, SIZE, _OUTLINE).mean(axis=(1, 3))
-    return np.dstack([images.tone_map(linear), alpha])
-
-
-def cropped(image: Array) -> Array:
-    """The square around the ball of a thumbnail (SIZE, SIZE, 4)."""
-    inside = np.argwhere(image[..., 3] > 0)
-    (top, left), (bottom, right) = inside.min(axis=0), inside.max(axis=0) + 1
-    return image[top:bottom, left:right]
+    return np.dstack([images.tone_map(linear), _ball()[0]])

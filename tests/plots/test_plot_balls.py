@@ -30,7 +30,7 @@ def model(folder):
 
 @pytest.fixture(scope="module")
 def balls(model):
-    return [thumbnails.cropped(image) for image in thumbnails.of_materials(model)]
+    return thumbnails.of_materials(model)
 
 
 def brightness(image):
@@ -59,7 +59,7 @@ def test_balls_have_the_colour_of_their_material(balls):
 def test_measured_balls_are_rendered_once(model, balls, monkeypatch):
     monkeypatch.setattr(thumbnails, "of_material", lambda *_: pytest.fail("rendered again"))
     again = thumbnails.of_materials(model)
-    np.testing.assert_allclose(thumbnails.cropped(again[0]), balls[0], atol=1e-6)
+    np.testing.assert_allclose(again[0], balls[0], atol=1e-6)
 
 
 def test_balls_stand_near_their_latents_and_do_not_cover_each_other(model, balls):

@@ -3,18 +3,20 @@ BIN := .venv/bin
 OUT ?= demo
 # Tests are shared out among processes, file by file, long files first; SHARED= runs them one after the other.
 # BLAS and compiled loops have one thread in each: where every core has a process, more threads only turn idly.
+# CORE=Prescott computes as a processor of that core type does.
 SHARED ?= -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 SEED ?= 0
 MINUTES ?= 10
 # Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-slow test-lowest check attack bench golden engines docs clean help
+.PHONY: demo test test-machines test-slow test-lowest check attack bench golden engines docs clean help
 
 help:
 	@echo "make demo        run the main job on the built-in corpus, into $(OUT)/"
-	@echo "make test        run the tests, all but the slow ones"
+	@echo "make test        run the tests, all but the slow ones; CORE=Prescott: as a processor of that type computes"
 	@echo "make test-slow   run the slow ones"
+	@echo "make test-machines run the tests as processors of other core types compute, with one thread and two: hours"
 	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
 	@echo "make check       ruff, mypy, import-linter"
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
@@ -40,7 +42,10 @@ demo: .venv/ready
 	$(BIN)/manifold demo $(OUT)
 
 test: .venv/readydev
-	OPENBLAS_NUM_THREADS=1 MANIFOLD_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
+	env $(if $(CORE),$$($(BIN)/python tools/other_machines.py --environment $(CORE))) OPENBLAS_NUM_THREADS=1 MANIFOLD_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
+
+test-machines: .venv/readydev
+	$(BIN)/python tools/other_machines.py
 
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow

@@ -90,11 +90,12 @@ def fix_gauge(X: Array) -> Array:
     """Latents (N, Q) centred, each axis with its longer tail positive.
 
     The likelihood does not depend on either. The longer tail is that with the larger sum of cubes, whose sign is robust
-    against rounding; on a symmetric axis it is that of the latent of largest magnitude.
+    against rounding; on a symmetric axis it is that of the first latent whose magnitude is the largest to rounding.
     """
     X = X - X.mean(axis=0)
     tail = np.sum(X**3, axis=0)
-    largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
+    is_largest = np.abs(X) >= (1.0 - _SYMMETRIC) * np.abs(X).max(axis=0)
+    largest = X[is_largest.argmax(axis=0), np.arange(X.shape[1])]
     is_symmetric = np.abs(tail) <= _SYMMETRIC * np.sum(np.abs(X) ** 3, axis=0)
     return X * np.where(np.where(is_symmetric, largest, tail) < 0, -1.0, 1.0)
 

@@ -230,6 +230,16 @@ def test_gauge_is_centred_with_longer_tails_positive(rng):
     assert np.all(np.sum(X**3, axis=0) > 0)
 
 
+@pytest.mark.parametrize("larger", [0, 1, 2, 3])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_gauge_of_a_symmetric_axis_does_not_depend_on_rounding(sense, larger):
+    """Two materials, for example, are at -1 and 1."""
+    X = np.array([[-1.0], [1.0], [0.5], [-0.5]])
+    rounded = X.copy()
+    rounded[larger] *= 1.0 + 4.0 * np.finfo(float).eps
+    np.testing.assert_allclose(fix_gauge(sense * rounded), -X, atol=1e-14)
+
+
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_gauge_keeps_its_sense_where_the_largest_entries_are_as_good_as_equal(sense):
     X = np.array([[1.0], [-1.0 - 1e-9], [0.7], [-0.3], [-0.4 + 1e-9]])

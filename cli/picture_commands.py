@@ -399,11 +399,13 @@ def compare(
     with progress.shown("Comparing"):
         sources = [options.material_source(text, model, library) for text in (a, b)]
         made = renders.compare(sources[0], sources[1], output, settings)
-    rows = {}
+    rows: dict[str, object] = {}
     for name, key in (("CIEDE2000", "ciede2000"), ("Delta E_ITP", "itp"), ("FLIP", "flip")):
         if made.ball:
             rows[f"{name} of the ball"] = _summary(made.ball[key])
         rows[f"{name} of the picture"] = _summary(made.pixels[key])
+    if made.diagnostics:
+        rows["diagnostics"] = made.diagnostics
     results.rows(f"Compared {made.a} and {made.b} in {output}", rows)
     results.document(made)
 

@@ -261,9 +261,13 @@ def cell(value: Any) -> str:
 
 
 def notes_of(outcome: Outcome[Any]) -> list[str]:
-    """What a user should know of a file, in sentences."""
+    """What a user should know of a file, and of the prediction that it shows, in sentences."""
     content = outcome.content or {}
-    return [*outcome.notes, *content.get("diagnostics", ()), *content.get("notes", ())]
+    parts = (content, content.get("prediction") or {})
+    return [
+        *outcome.notes,
+        *(note for part in parts for kind in ("diagnostics", "notes") for note in part.get(kind, ())),
+    ]
 
 
 def ball_path(path: Path) -> Path:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from manifold import disk
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.correction import read_correction
 from manifold.convert.source import (
     LEAST_COSINE,
@@ -32,6 +32,7 @@ from manifold.estimate.sources import MaterialSource, PlaceSource, source_file
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import Errors
+from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.pairs import cosine_weight
 from manifold.plots import html_page
 from manifold.records import Array, Bands, BsdfFile, plain
@@ -126,14 +127,16 @@ def convert(
     if any(path.exists() and output.exists() and path.samefile(output) for path in files):
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
+    predicted: DiagnosedPrediction | None = None
     opened: Callable[..., Source] = partial(open_source, files, sample, learned, merge=merge, unit=unit)
     if isinstance(paths, PlaceSource):
         if sample is not None or learned is not None:
             raise UsageError(
                 f"{paths}: a prediction, expected an instrument's readings to correct or to choose from"
             )
-        opened = partial(source_of_prediction, *_predicted(paths))
-    source, notes = opened(), list[str]()
+        predicted, file = _predicted(paths)
+        opened = partial(source_of_prediction, predicted.brdf, file)
+    source, notes = opened(), [] if predicted is None else list(predicted.diagnostics)
     is_single, is_rgb = source.nodes.bands.count == 1, source.nodes.bands.is_rgb
     if target.holds == "wavelengths" and is_rgb:
         raise UsageError(
@@ -173,12 +176,12 @@ def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Pat
         yield [files.enter_context(source_file(source)) for source in sources]
 
 
-def _predicted(place: PlaceSource) -> tuple[BRDF, BsdfFile]:
+def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:
     """The prediction at a place, and its file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{place.name}.bsdf"
         made = predict(place.model, place.place, path, library=place.library, colour=place.colour)
-        return made.brdf, read_bsdf(path)
+        return made, read_bsdf(path)
 
 
 def _gaps(source: Source) -> list[str]:

@@ -214,18 +214,20 @@ def _read(material: Path | str | MaterialSource) -> BsdfFile:
 
 def _written(found: _R, source: BsdfFile, output: Path, how: str, options: OutputOptions) -> _R:
     """A reconstruction of a material that is written, or refused, with the plausibility of its file."""
+    clipped = ClippedBRDF(found.brdf)
     written = write_output(
         output,
-        ClippedBRDF(found.brdf),
+        clipped,
         options,
         description=f"Reconstruction of {source.name} {how} by manifold {__version__}",
     )
     measured = MeasuredBRDF(fill_unmeasured(source))
     if written.change is not None and written.file is not None:
         found = replace(found, errors=brdf_errors(measured, MeasuredBRDF(written.file)))
+    before = replace(written.plausibility, negative_share=clipped.clipped_share)
     sentences = (
         *found.diagnostics,
-        *diagnostics.of_prediction(False, written.plausibility, measured=measured),
+        *diagnostics.of_prediction(False, before, measured=measured),
         *written.projection,
     )
     return replace(found, plausibility=written.plausibility, diagnostics=sentences, refusal=written.refusal)

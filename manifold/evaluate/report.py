@@ -64,7 +64,8 @@ class MethodResult(Result):
         bytes: of all measured values that predictions need, and of the numbers of all materials.
         fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
         predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
-        negative_share, clipped_share: of predicted values, below zero; or before the method cut them to 0.
+        negative_share: of predicted values, below zero, before any are cut.
+        clipped_share: of those that the method cuts to 0, before errors are measured.
         reciprocity_error, max_albedo: worst over materials, in the tabulated bands; see `plausibility`.
         standardised_error: z per material, None where the method gives no variance; see
             `errors.standardised_error`.
@@ -278,7 +279,7 @@ def _result(
         predict_seconds=errors.seconds / data.n_materials,
         errors=table.looks(encoded.combinations) | of_values | colours,
         rmse_uncertainty=_difference(errors.of_values(n_pairs, fewer), of_values) if is_estimate else 0.0,
-        negative_share=0.0 if errors.is_clipped else negative,
+        negative_share=negative,
         clipped_share=negative if errors.is_clipped else 0.0,
         reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical])),
         max_albedo=float(np.nanmax([p.max_albedo for p in physical])),

@@ -83,9 +83,10 @@ _PLAUSIBILITY: Columns = (
 _PLAUSIBILITY_NOTE = """\
 RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, which a few directions at the
 horizon decide; RMSE 80: within 80 degrees, weighted by both cosines. negative:
-share of values; measured files have some too. recip., albedo: error of
-reciprocity and largest albedo of the worst material. ball ITP: mean Delta E_ITP
-of the ball (ITU-R BT.2124) on a display whose white has 100 cd/m2, median."""
+share of values, before they are cut to 0; measured files have some. recip.,
+albedo: error of reciprocity and largest albedo of the worst material. ball ITP:
+Delta E_ITP of the ball (ITU-R BT.2124), mean of five lights, on a display whose
+white has 100 cd/m2, median."""
 
 _COLOUR_NOTE = """\
 dE: CIEDE2000 of the radiance factor pi f. angle: spectral angle in degrees

@@ -32,7 +32,8 @@ from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice
+from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
 from manifold.plots import figures, html_page
@@ -57,6 +58,7 @@ class Subject:
         fit: content of its fit's JSON.
         material: what the loss is measured against; the fit itself if None.
         against: what that is: `measured file` or another origin, `prediction` or `fit`.
+        notes: diagnostics of a prediction.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Subject:
     fit: dict[str, Any]
     material: BRDF | None
     against: str
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def fitted(self) -> FittedBRDF:
@@ -127,19 +130,18 @@ def subject_of_prediction(
     place = loaded.place(latent)
     stages.begin("reading materials")
     loaded.prepare()
-    chosen = choose_colour(loaded, place, colour)
-    brdf = loaded.predict(place, chosen.colours)
+    predicted = predict_and_diagnose(loaded, place, colour)
     name = latent if isinstance(latent, str) and latent in loaded.names else "predicted"
     source = {
         "model": model.name,
         "model_sha256": file_sha256(model),
-        "latent": None if place.is_step(chosen.colours) else place.latent.tolist(),
-        "walk": place.walk_in_words if place.is_step(chosen.colours) else None,
-        "colour": chosen.words,
+        "latent": None if predicted.latent is None else predicted.latent.tolist(),
+        "walk": predicted.walk,
+        "colour": predicted.colour,
     }
     stages.begin("fitting")
-    fit = fit_json.document(fit_bsdf(brdf), fit_json.Source(name))
-    return Subject(name, source, fit, brdf, "prediction")
+    fit = fit_json.document(fit_bsdf(predicted.brdf), fit_json.Source(name))
+    return Subject(name, source, fit, predicted.brdf, "prediction", predicted.diagnostics)
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
@@ -202,7 +204,7 @@ def export(
         comparison.picture_of_brdfs(subject.name, sources, picture)
     if balls is not None:
         _write_balls(balls, material, model)
-    notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
+    notes = (*subject.notes, *(f"of principled: {note}" for note in subject.fit["notes"]))
     if made.errors.ball > VISIBLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
         worst = f": CIEDE2000 {made.errors.ball:.1f}, in {made.errors.worst_light} {made.errors.worst:.1f}"

@@ -153,7 +153,7 @@ def _fit_prediction(place: PlaceSource, path: Path, settings: FitSettings) -> Ou
         colour=predicted.colour,
     )
     stages.begin("fitting")
-    content = settings.fit(predicted.brdf, source)
+    content = settings.fit(predicted.brdf, source, predicted.diagnostics)
     fit_json.write_document(path, content)
     return Outcome(source.name, path, predicted, content)
 

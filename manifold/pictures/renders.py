@@ -168,6 +168,7 @@ class Comparison:
     Attributes:
         path: of the figure.
         a, b: what was compared.
+        diagnostics: of the predictions among them.
         pixels: over all pixels, by `ciede2000`, `itp` (Delta E_ITP of ITU-R BT.2124) and `flip`.
         ball: the same over the pixels of the ball; empty where pictures were compared.
     """
@@ -175,13 +176,15 @@ class Comparison:
     path: Path
     a: str
     b: str
+    diagnostics: tuple[str, ...]
     pixels: dict[str, Summary]
     ball: dict[str, Summary]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; those of the ball are None where pictures were compared."""
         balls = {f"{key}_ball": self.ball[key] if self.ball else None for key in self.pixels}
-        return plain({"path": self.path, "a": self.a, "b": self.b, **self.pixels, **balls})
+        compared = {"path": self.path, "a": self.a, "b": self.b, "diagnostics": self.diagnostics}
+        return plain(compared | self.pixels | balls)
 
 
 def compare(
@@ -207,13 +210,16 @@ def compare(
     if len(pictures) == 1:
         raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")
     ball = None
+    diagnostics: list[str] = []
     if pictures:
         first, second = (images.read_display(path) for path in pictures)
         names = (pictures[0].name, pictures[1].name)
     else:
         stages = Stages({"": 1, "rendering": 2, "rendering the other": 2})
         stages.begin("")
-        with ball_material(a) as (one, _), ball_material(b) as (other, _):
+        with ball_material(a) as (one, prediction), ball_material(b) as (other, other_prediction):
+            for source, shown in ((a, prediction), (b, other_prediction)):
+                diagnostics += [f"{source}: {said}" for said in (shown.diagnostics if shown else ())]
             if one.is_rgb or other.is_rgb:
                 require_d65(settings.illuminant)
             stages.begin("rendering")
@@ -230,4 +236,5 @@ def compare(
     drawn = comparison_figure.comparison(first, second, maps["ciede2000"], maps["flip"], names, ball)
     figures.save(drawn, output)
     of_ball = {} if ball is None else {key: Summary.of(values[ball]) for key, values in maps.items()}
-    return Comparison(output, str(a), str(b), {k: Summary.of(v) for k, v in maps.items()}, of_ball)
+    of_pixels = {key: Summary.of(values) for key, values in maps.items()}
+    return Comparison(output, str(a), str(b), tuple(diagnostics), of_pixels, of_ball)

@@ -16,6 +16,7 @@ from manifold.brdf import physical
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured_cells import fill_unmeasured
+from manifold.encoding import encoding_pairs
 from manifold.errors import MissingFileError, UnknownNameError
 from manifold.estimate import completions, predictions
 from manifold.estimate.attributes import readings_of_colour
@@ -35,6 +36,7 @@ from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
+from manifold.model.settings import Settings
 from manifold.pictures.renders import ball_material
 from manifold.plots import map_figure
 
@@ -116,6 +118,55 @@ def test_every_command_takes_a_material_by_any_name(run, folder, command, made):
     status, _, err = run(*command, cwd=folder)
     assert (status, err) == (0, "")
     assert (folder / made).is_file()
+
+
+@pytest.fixture(scope="module")
+def negative(folder):
+    """A Gaussian process on values as they are, and a place where a good part of its values is negative."""
+    model = Manifold.fit(
+        folder / "library.zarr", Settings(kind="material", mapping="identity"), calibrate=False
+    )
+    model.save(folder / "process.h5")
+    grid = encoding_pairs()
+    places = model.X[:, None] * 0.5 + model.X[None] * 0.5
+    shares = [
+        np.mean(model.predict(x).eval(grid.wi, grid.wo) < 0.0) for x in places.reshape(-1, model.X.shape[1])
+    ]
+    x = places.reshape(-1, model.X.shape[1])[int(np.argmax(shares))]
+    assert max(shares) > 0.05
+    return ",".join(repr(float(v)) for v in x)
+
+
+@pytest.mark.parametrize(
+    ("command", "made"),
+    [
+        (("predict",), "n.bsdf"),
+        (("render", *SMALL), "n.png"),
+        (("render", *SMALL, "--from"), "n"),
+        (("predict", "--resolution", "8", "--from"), "n"),
+        (("convert",), "n.csv"),
+        (("export", "--mapped"), "n.glb"),
+        (("fit", "--free", "roughness"), "n.json"),
+        (("slices",), "n.svg"),
+        (("compare", FILE, *SMALL), "n.svg"),
+        (("map", "--mark"), "n.svg"),
+    ],
+    ids=lambda value: "_".join(word for word in value if word.isalpha() or word == "--from")
+    if isinstance(value, tuple) else "",
+)  # fmt: skip
+def test_every_command_says_what_speaks_against_a_prediction(run, folder, negative, command, made):
+    if command[0] in ("render", "compare", "map", "export", "fit"):
+        pytest.importorskip("mitsuba")
+    place = negative
+    if command[-1] == "--from":
+        (folder / "points.csv").write_text(f"latent;name\n{negative.replace(',', ' ')};a\n")
+        place = "points.csv"
+    name = command[0] + made
+    status, shown, err = run(*command, place, "-M", "process.h5", "-o", name, cwd=folder)
+    assert status == 0, err
+    if command[-1] == "--from":
+        shown = (folder / name / f"{command[0]}s.csv".replace("predicts", "predictions")).read_text()
+    assert "of the values were negative" in " ".join(shown.split())
 
 
 def test_a_file_is_predicted_where_it_is_located(run, folder):

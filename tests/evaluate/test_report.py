@@ -151,7 +151,7 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
         assert result.errors.linear[i] == pytest.approx(relative_error(f[i], predicted, w), rel=1e-7)
         assert result.errors.rmse[i] == pytest.approx(rmse(f[i], predicted, n_pairs=n_pairs), rel=1e-7)
     share = negative / f.size
-    assert (result.negative_share, result.clipped_share) == ((0.0, share) if c.is_clipped else (share, 0.0))
+    assert (result.negative_share, result.clipped_share) == (share, share if c.is_clipped else 0.0)
 
 
 def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):

@@ -152,7 +152,8 @@ def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSour
     target = outcome.path.with_suffix(".png")
     with progress.shown("Drawing"), source_file(source) as path:
         delta_e, flip = picture_of_fit(outcome.path, path, target)
-    results.table(["picture", "CIEDE2000", "FLIP"], [[target.name, f"{delta_e:.2f}", f"{flip:.3f}"]])
+    columns = ["picture", "CIEDE2000 (studio, D65)", "FLIP"]
+    results.table(columns, [[target.name, f"{delta_e:.2f}", f"{flip:.3f}"]])
 
 
 def _fit_rows(content: dict[str, Any]) -> dict[str, object]:
@@ -163,7 +164,7 @@ def _fit_rows(content: dict[str, Any]) -> dict[str, object]:
     for statement in content["statements"]:
         rows[statement["name"]] = str(ParameterIdentifiability(**statement))
     if content["errors"] is not None:
-        rows["CIEDE2000 on the ball"] = Errors(**content["errors"])
+        rows["CIEDE2000 of the ball"] = Errors(**content["errors"])
     rows["relative residual"] = [f"{name} {value:.3f}" for name, value in content["residuals"].items()]
     rows["best diffuse"] = f"{content['metric']} {content['diffuse_residual']:.3f}"
     if content["spectral_residual"] is not None:
@@ -234,9 +235,9 @@ def export(
 ) -> None:  # fmt: skip
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
-    The target's own model is fitted to the material, which takes seconds. The error is the mean CIEDE2000 on
-    the ball between the two, in lights that the fit did not see, beside that of Mitsuba's principled, where
-    the fit starts.
+    The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 of the ball
+    between the two, mean of five lights that the fit did not see, beside that of Mitsuba's principled, where the
+    fit starts.
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
@@ -274,7 +275,7 @@ def _show_export(results: terminal.Results, outcome: Outcome[Any], picture: Path
 
     content = outcome.content or {}
     rows = terminal.parameter_rows(content["parameters"])
-    rows["CIEDE2000 on the ball"] = f"{Errors(**content['errors'])}, against the {content['against']}"
+    rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, against the {content['against']}"
     if content["principled_errors"] is not None:
         rows["of Mitsuba's principled"] = Errors(**content["principled_errors"])
     if picture is not None:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 ToleranceOption = Annotated[
     float | None,
     typer.Option(
-        help="Mean CIEDE2000 of the ball that a compact material may differ by.  [default: 0.2]", metavar="E"
+        help="CIEDE2000 of the ball (mean of five lights) that a compact material may differ by.  [default: 0.2]",
+        metavar="E",
     ),
 ]
 
@@ -229,6 +230,7 @@ def compact(
     from manifold.library.compacting import compact_library
     from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.store import Library
+    from manifold.metrics import BALL
 
     results = terminal.Results(json)
     before = Library(library).disk_bytes
@@ -238,7 +240,7 @@ def compact(
     rows: dict[str, object] = {"compacted": len(errors), "compact already": len(result.skipped)}
     if errors:
         rows["largest errors"] = [
-            f"{max(e.ball for e in errors):.2f} CIEDE2000 of the ball",
+            f"{max(e.ball for e in errors):.2f} {BALL}",
             f"{max(e.cube_root for e in errors):.2%} cube-root error",
         ]
     rows["left as they are"] = len(result.failed)
@@ -398,9 +400,9 @@ def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF |
 
 def _show_found(results: terminal.Results, found: Sequence[Found]) -> None:
     angles = list(found[0].gloss) if found else []
-    has_colour = bool(found) and found[0].ciede2000 is not None
+    heads = [f"CIEDE2000 ({found[0].light})"] if found and found[0].light else []
     results.table(
-        ["material", "L (D65/2)", "a", "b", *(["CIEDE2000"] if has_colour else []), *(f"gloss {a:g}" for a in angles)],
+        ["material", "L (D65/2)", "a", "b", *heads, *(f"gloss {a:g}" for a in angles)],
         [
             (
                 one.name, *(f"{v:.1f}" for v in one.lab),

@@ -136,6 +136,7 @@ def embed(
     It runs in this process, on all cores; with --scheduler, as one task of one worker.
     """
     from manifold.evaluate.selection import PAYS, embed
+    from manifold.metrics import BALL_COLUMN
     from manifold.model.manifold import Settings
 
     results = terminal.Results(json)
@@ -167,7 +168,7 @@ def embed(
             f"more dimensions have to lower it by {PAYS:.0%}:\n"
         )
         results.table(
-            ("mapping", "dimensions", "error", "linear", "cube root", "CIEDE2000", "seconds", "chosen"),
+            ("mapping", "dimensions", "error", "linear", "cube root", BALL_COLUMN, "seconds", "chosen"),
             [
                 (
                     c.mapping, c.latent_dim, f"{c.error:.3f}", f"{median.linear:.3f} / {p90.linear:.3f}",

@@ -402,8 +402,8 @@ def compare(
     rows: dict[str, object] = {}
     for name, key in (("CIEDE2000", "ciede2000"), ("Delta E_ITP", "itp"), ("FLIP", "flip")):
         if made.ball:
-            rows[f"{name} of the ball"] = _summary(made.ball[key])
-        rows[f"{name} of the picture"] = _summary(made.pixels[key])
+            rows[f"{name} of the ball ({made.light})"] = _summary(made.ball[key])
+        rows[f"{name} of the picture ({made.light})"] = _summary(made.pixels[key])
     if made.diagnostics:
         rows["diagnostics"] = made.diagnostics
     results.rows(f"Compared {made.a} and {made.b} in {output}", rows)

@@ -191,11 +191,12 @@ def chart(
 def _write_chart(made: Chart, results: terminal.Results, output: Path | None) -> None:
     from manifold.evaluate import chart_figure
     from manifold.evaluate.chart import conclusion
+    from manifold.metrics import BALL_COLUMN
     from manifold.plots import figures
 
     if said := conclusion(made):
         results.sentence(said)
-    columns = "setting,CIEDE2000,front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
+    columns = f"setting,{BALL_COLUMN},front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
     results.table(columns.split(","), _chart_rows(made))
     results.text(
         "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
@@ -238,6 +239,7 @@ def _chart_readings(
     from manifold.evaluate import chart_figure
     from manifold.evaluate.readings import measure_curves
     from manifold.library.store import Library
+    from manifold.metrics import BALL_COLUMN
     from manifold.plots import figures
 
     opened = Library.open(library)
@@ -245,7 +247,7 @@ def _chart_readings(
         curves = measure_curves(LibraryAtoms.of_library(opened), only=only, library=opened)
     results.text("Errors of left-out materials, median / 90th percentile:\n")
     results.table(
-        ["method", "readings", "ball CIEDE2000", "cube root", "linear"],
+        ["method", "readings", BALL_COLUMN, "cube root", "linear"],
         [
             [
                 curve.title, str(n),
@@ -329,7 +331,8 @@ def budget(
         ),
     ] = None,
     max_delta_e: Annotated[
-        float, typer.Option(help="Largest mean CIEDE2000 over the pixels of a material.", metavar="X")
+        float,
+        typer.Option(help="Largest CIEDE2000 in the scene's light, mean over a material's pixels.", metavar="X"),
     ] = 1.0,
     max_flip: Annotated[
         float | None, typer.Option(help="Largest mean FLIP over the pixels of a material.", metavar="X")
@@ -400,7 +403,7 @@ def _show_budget(results: terminal.Results, made: Budget) -> None:
         results.sentence(
             f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, subtracted"
         )
-    results.text("pred., verified: mean CIEDE2000; ms: of a million evaluations\n")
+    results.text("pred., verified: CIEDE2000 in the scene's light, mean; ms: of a million evaluations\n")
     results.text(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files\n")
     for note in made.notes:
         results.sentence(f"note: {note}")

@@ -87,6 +87,8 @@ def surface(
         if len(sources) > 1:
             raise UsageError(f"found --sample {sample} of {len(sources)} files, expected one workbook")
         pictures, readings = read_workbook(sources[0], sample)
+    from manifold.metrics import BALL_COLUMN
+
     folder = or_default(output, f"{sources[0].stem}_surface")
     with progress.shown("Making the surface"):
         made = make_surface(library, pictures, readings, folder, size=size, targets=targets)
@@ -112,7 +114,7 @@ def surface(
             ),
             **({"by the instrument": [_entry(one) for one in made.instrument]} if made.instrument else {}),
             "files": [path.name for path in made.paths.values()],
-            **{f"{target}, ball CIEDE2000": f"{ball:.2f}" for target, ball in made.exports.items()},
+            **{f"{target}, {BALL_COLUMN}": f"{ball:.2f}" for target, ball in made.exports.items()},
             "time": f"{made.seconds:.1f} s",
             **terminal.numbered("note", made.notes),
         },

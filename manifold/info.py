@@ -315,7 +315,7 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
     if errors:
         rows["compact"] = [
             f"{len(errors)} of the materials",
-            f"largest errors {max(e.ball for e in errors):.2f} CIEDE2000 of the ball, "
+            f"largest errors {max(e.ball for e in errors):.2f} {BALL}, "
             f"{max(e.cube_root for e in errors):.2%} cube-root error",
         ]
     problems = library.verify() if verify else []

@@ -26,6 +26,7 @@ from manifold.estimate.sources import PlaceSource
 from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.metrics import BALL, BALL_COLUMN
 from manifold.model.location import Reconstruction
 from manifold.model.manifold import load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
@@ -37,8 +38,9 @@ from manifold.surface.lamp_pictures import read_workbook
 
 Columns = dict[str, Callable[[Content], Any]]
 
+_EXPECTED = f"expected {BALL_COLUMN}"
 _ERRORS: Columns = {
-    "CIEDE2000": lambda content: content["errors"]["ball"],
+    BALL_COLUMN: lambda content: content["errors"]["ball"],
     "cube root": lambda content: content["errors"]["cube_root"],
     "linear": lambda content: content["errors"]["linear"],
 }
@@ -71,7 +73,7 @@ def completions_of(
         "instrument": lambda content: content["instrument"],
         "readings": lambda content: content["readings"],
         **APPEARANCE,
-        "expected CIEDE2000": lambda content: content["expected"]["ball"],
+        _EXPECTED: lambda content: content["expected"]["ball"],
         "expected cube root": lambda content: content["expected"]["cube_root"],
         "expected linear": lambda content: content["expected"]["linear"],
         "residual": lambda content: content["residual"],
@@ -81,7 +83,7 @@ def completions_of(
         pages=pages,
     )  # fmt: skip
     return Command(
-        "completions", make, how, columns=columns, under="expected CIEDE2000", has_balls=True,
+        "completions", make, how, columns=columns, under=_EXPECTED, has_balls=True,
         conclude=None if report is None else partial(_list_reports, report),
     )  # fmt: skip
 
@@ -93,7 +95,7 @@ def _list_reports(report: Path, made: Batch[Sample]) -> None:
             os.path.relpath(ball_path(one.path), report.parent),
             f"{pages}/{one.path.stem}.html",
             one.name,
-            f"expected error of the ball {one.content['expected']['ball']:.1f}",
+            f"expected error {one.content['expected']['ball']:.1f} {BALL}",
         )
         for one in made.outcomes
         if one.content is not None and (report.parent / pages / f"{one.path.stem}.html").is_file()
@@ -120,10 +122,10 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
 
     Mixtures are of the library's materials, as those of samples without gloss always are.
     """
-    columns: Columns = {**APPEARANCE, "expected CIEDE2000": lambda content: content["expected"]["ball"]}
+    columns: Columns = {**APPEARANCE, _EXPECTED: lambda content: content["expected"]["ball"]}
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
     make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
-    return Command("completions", make, how, columns=columns, under="expected CIEDE2000", has_balls=True)
+    return Command("completions", make, how, columns=columns, under=_EXPECTED, has_balls=True)
 
 
 def surfaces(library: Path, *, size: int, targets: Sequence[str]) -> Command[Sample]:
@@ -180,7 +182,7 @@ def predictions_of(
     columns: Columns = {
         "latent": lambda content: " ".join(content["coordinates"]),
         "colour": lambda content: content["colour"],
-        "expected CIEDE2000": lambda content: (content["expected"] or {}).get("ball"),
+        _EXPECTED: lambda content: (content["expected"] or {}).get("ball"),
     }
     return Command(
         "predictions", partial(_predict, options=options), asdict(options), suffix, (".bsdf",), columns,
@@ -206,7 +208,7 @@ def locations(model: Path, *, library: Path | None, options: OutputOptions) -> C
     content_hash = load_model(model, library).library.content_hash
     how = {"model": file_sha256(model), "library": content_hash, **asdict(options)}
     make = partial(_locate, model=model, library=library, options=options)
-    return Command("locations", make, how, columns=columns, under="CIEDE2000", has_balls=True)
+    return Command("locations", make, how, columns=columns, under=BALL_COLUMN, has_balls=True)
 
 
 def _locate(
@@ -224,7 +226,7 @@ def reconstructions_of(
     used = {"library": Library(library).content_hash, "without": sorted(without), "numbers": numbers}
     make = partial(_reconstruct, library=library, without=without, numbers=numbers, options=options)
     return Command(
-        "reconstructions", make, used | asdict(options), columns=columns, under="CIEDE2000", has_balls=True
+        "reconstructions", make, used | asdict(options), columns=columns, under=BALL_COLUMN, has_balls=True
     )
 
 

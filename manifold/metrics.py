@@ -14,6 +14,9 @@ from manifold.records import Array, plain
 BALL = "CIEDE2000 of the ball (mean of five lights)"
 """In words, the error `Errors.ball`; the lights are those of `colour.panel.JUDGED`."""
 
+BALL_COLUMN = "CIEDE2000 (five lights)"
+"""The same at the head of a column."""
+
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
 _UNKNOWN: Any = float("nan")
 
@@ -142,7 +145,7 @@ class Errors(Generic[Number]):
     def __str__(self) -> str:
         worst = f", in {self.worst_light} {self.worst:.2f}" if self.worst_light else ""
         seen = f"; in the lights of the fit {self.fitted_ball:.2f}" if "fitted_ball" in self.known else ""
-        return f"{self.ball:.2f}{worst}{seen}"
+        return f"{self.ball:.2f} (mean of five lights){worst}{seen}"
 
     @property
     def words(self) -> list[str]:

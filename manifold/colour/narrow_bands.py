@@ -55,8 +55,8 @@ def with_spectra(readings: Readings) -> Readings:
     median, most = colour_errors(readings.bands)
     nm = ", ".join(f"{at:g}" for at in readings.bands.wavelengths_nm or ())
     note = (
-        f"spectra are estimated from three bands at {nm} nm: expected colour error {median:.1f} CIEDE2000, above "
-        f"{most:.1f} for one colour in ten; a colour correction of this instrument (`manifold calibrate`) has less"
+        f"spectra are estimated from three bands at {nm} nm: expected colour error {median:.1f} CIEDE2000 (D65/2), "
+        f"above {most:.1f} for one colour in ten; a correction of this instrument (`manifold calibrate`) has less"
     )
     estimated = replace(
         readings, wavelengths_nm=np.array(SPECTRUM.wavelengths_nm), values=values, colour_error=median
@@ -79,7 +79,7 @@ def in_daylight(readings: Readings) -> Readings:
     median, most = conversion_errors(readings.viewing)
     note = (
         f"colours under {readings.viewing} are converted to D65/2 as those of smooth spectra: expected colour error "
-        f"{median:.1f} CIEDE2000, above {most:.1f} for one colour in ten"
+        f"{median:.1f} CIEDE2000 (D65/2), above {most:.1f} for one colour in ten"
     )
     converted = replace(
         readings,

@@ -32,7 +32,7 @@ from manifold.directions import from_spherical, rotate_z
 from manifold.encoding import Decoder
 from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter, gloss_units
-from manifold.formats.readings import Readings, gloss_fault
+from manifold.formats.readings import DAYLIGHT, Readings, gloss_fault
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
@@ -176,7 +176,8 @@ class Adjusted:
         ]
         if self.difference > COLOUR_TOLERANCE:
             asked, reached = ("L {:.1f}, C {:.1f}, h {:.0f}".format(*lch) for lch in self.lch)
-            shortfalls.append(f"colour: {reached} reached, {asked} asked, CIEDE2000 {self.difference:.1f}")
+            difference = f"CIEDE2000 {self.difference:.1f} ({DAYLIGHT}, 45/0)"
+            shortfalls.append(f"colour: {reached} reached, {asked} asked, {difference}")
         return tuple(shortfalls)
 
     def to_json(self) -> dict[str, Any]:
@@ -326,7 +327,8 @@ class Found:
     Attributes:
         lab: its CIELAB colour in the geometry 45/0, shape (3,).
         gloss: its gloss units by angle in degrees.
-        ciede2000: to the colour looked for; None where none was given.
+        ciede2000: to the colour or the material looked for; None where none was given.
+        light: in which that is; None likewise.
         distance: root of the summed squares of CIEDE2000 and of gloss in just visible steps; from a material, the
             CIEDE2000 between both.
     """
@@ -335,6 +337,7 @@ class Found:
     lab: Array
     gloss: Mapping[float, float]
     ciede2000: float | None
+    light: str | None
     distance: float
 
     def to_json(self) -> dict[str, Any]:
@@ -356,6 +359,9 @@ def find(
     gloss is in units by angle, 20, 60 or 85 degrees.
     """
     differs = None if material is None else _difference_from(material)
+    light = None if lab is None else f"{DAYLIGHT}, 45/0"
+    if material is not None:
+        light = str(DAYLIGHT) if isinstance(material, Readings) else "five lights"
     found = []
     for k, name in enumerate(library.names):
         brdf = MeasuredBRDF(fill_unmeasured(library.read(name)))
@@ -368,7 +374,7 @@ def find(
             for a, asked in gloss.items()
         ]
         distance = float(np.hypot(difference or 0.0, np.linalg.norm(steps)))
-        found.append(Found(name, own, units, difference, distance))
+        found.append(Found(name, own, units, difference, light, distance))
         progress.report(k + 1, len(library.names), "materials")
     return sorted(found, key=lambda one: one.distance)
 

@@ -245,8 +245,8 @@ def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> l
     if difference > COLOUR_TOLERANCE:
         reached = ", ".join(f"{v:.1f}" for v in lab)
         notes.append(
-            f"colour: L,a,b {reached} reached, CIEDE2000 {difference:.1f} from what was asked; the coat's own light or "
-            "the base's largest reflectance, 1, does not allow it"
+            f"colour: L,a,b {reached} reached, CIEDE2000 {difference:.1f} ({DAYLIGHT}, 45/0) from what was asked; the "
+            "coat's own light or the base's largest reflectance, 1, does not allow it"
         )
     return notes
 

@@ -93,7 +93,7 @@ class Completed:
         if (between := found.readings.between) is not None:
             rows["between measurements"] = (
                 f"{100 * between.deviation:.1f} % of a value, beyond what each repeats (Mandel-Paule, "
-                f"{counted(between.pairs, 'shared reading')}); CIEDE2000 {between.ciede2000:.2f}"
+                f"{counted(between.pairs, 'shared reading')}); CIEDE2000 ({found.viewing}) {between.ciede2000:.2f}"
             )
         if found.readings.gloss:
             rows["gloss"] = [

@@ -69,7 +69,8 @@ class CalibratedInstrument:
         notes, n_samples = [], len(samples)
         if n_samples > 1 and (worse := np.flatnonzero(learned.is_worse)).size:
             shown = [
-                f"{samples[k]} (CIEDE2000 {learned.colours[k, 0]:.1f} before, {learned.colours[k, 1]:.1f} after)"
+                f"{samples[k]} (CIEDE2000, D65/2: {learned.colours[k, 0]:.1f} before, "
+                f"{learned.colours[k, 1]:.1f} after)"
                 for k in worse[np.argsort(np.diff(learned.colours[worse])[:, 0])[::-1][:_SHOWN_WORSE]]
             ]
             notes.append(

@@ -151,7 +151,7 @@ def _of_colours(made: Completion) -> list[Section]:
         for k in shown
     ]
     lab = ("L* read", "a*", "b*", "L* completed", "a*", "b*")
-    heads = ("incidence", "outgoing", "azimuth", "aspecular", *lab, "CIEDE2000")
+    heads = ("incidence", "outgoing", "azimuth", "aspecular", *lab, f"CIEDE2000 ({made.viewing})")
     rows = {}
     if (flop := flop_index(angles, read)) is not None:
         rows["flop index"] = (

@@ -22,14 +22,14 @@ from manifold.evaluate.held_out import FOLDS, ChartRow, HeldOut
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.metrics import BALL, Errors
 from manifold.names import Registry, counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, plain
 
 ERRORS = {
-    "ball": "CIEDE2000 of the ball", "cube_root": "cube-root error", "linear": "linear error",
-    "ball_itp": "Delta E_ITP of the ball", "rmse": "RMSE of eq. 22",
+    "ball": BALL, "cube_root": "cube-root error", "linear": "linear error",
+    "ball_itp": "Delta E_ITP of the ball (mean of five lights)", "rmse": "RMSE of eq. 22",
 }  # fmt: skip
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 
@@ -87,9 +87,7 @@ def conclusion(made: Chart) -> str:
     best = min(held_out, key=lambda row: row.median.ball)
     near = [row for row in held_out if row.median.ball <= _NEAR_BEST * best.median.ball]
     fast = min(near, key=lambda row: row.predict.median)
-    most_accurate = (
-        f"Most accurate for left-out materials: {best.title}, {best.median.ball:.2f} CIEDE2000 of the ball."
-    )
+    most_accurate = f"Most accurate for left-out materials: {best.title}, {best.median.ball:.2f} {BALL}."
     if fast is best:
         return f"{most_accurate} Choose it: nothing faster comes within {_NEAR_BEST - 1:.0%} of it."
     times = best.predict.median / fast.predict.median

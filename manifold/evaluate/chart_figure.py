@@ -20,6 +20,7 @@ from manifold.evaluate.held_out import ChartRow
 from manifold.evaluate.methods import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
 from manifold.evaluate.readings import Curve
 from manifold.evaluate.seen_fits import FAMILY
+from manifold.metrics import BALL
 from manifold.plots.figures import fix_layout, new_figure, place_names
 from manifold.records import Array
 
@@ -213,7 +214,7 @@ def _title(group: Sequence[ChartRow]) -> str:
 # -- against the number of readings -------------------------------------------------------------------------
 
 _CROWDED = (10, 16)  # counts whose labels would touch their neighbours'
-_READING_LABELS = {"ball": "ball, mean CIEDE2000", "cube_root": "cube-root error", "linear": "linear error"}
+_READING_LABELS = {"ball": BALL, "cube_root": "cube-root error", "linear": "linear error"}
 # Okabe & Ito, and markers that tell them apart without colour.
 _READING_STYLES = (
     ("#000000", "o"),

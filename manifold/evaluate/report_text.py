@@ -54,7 +54,7 @@ are fitted without the material.
 a + b per band: a coordinates that all bands share, and b of every band.
 Medians and 90th percentiles of materials. linear: relative, cosine-weighted,
 dominated by highlights; cube root: the same of cube roots, closer to perceived
-differences; CIEDE2000: mean over a ball, D65, and over the lights below."""
+differences; CIEDE2000: of the ball, mean of the five lights below."""
 
 _LIGHTS: Columns = (
     *((name.removesuffix(" 0"), lambda m, name=name: f"{m.median.lights[name]:.2f}") for name in JUDGED),
@@ -141,7 +141,7 @@ def lead(report: Report) -> str:
     )
     return (
         f"A left-out material, found by {how} from its own data, differs from the measured one by "
-        f"{own.median.ball:.1f} CIEDE2000 of the rendered ball in the median, nine in ten by less than "
+        f"{own.median.ball:.1f} {BALL} in the median, nine in ten by less than "
         f"{own.p90.ball:.1f}. The most similar other material differs by {nearest.median.ball:.1f} in "
         f"the median, a linear mix of the two nearest by {linear.median.ball:.1f}. {last}"
     )
@@ -263,7 +263,7 @@ def _materials(report: Report) -> list[str]:
         for k, name in enumerate(report.names)
     ]
     note = (
-        f"CIEDE2000: of '{first.title}'.\n"
+        f"CIEDE2000: of '{first.title}', mean of five lights.\n"
         f"To its right: linear errors, first of the same method ({_MATERIAL_COLUMNS[shown[0]]})."
     )
     return _table(head, rows, note)

@@ -41,19 +41,19 @@ def picture_of_fit(
         Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
     ]
     inside = scenes.ball_interior(settings.size, RIM)
-    return _draw(content["source"]["name"], (seen, fitted), inside, sources, output)
+    return _draw(content["source"]["name"], (seen, fitted), inside, sources, settings.light, output)
 
 
 def picture_of_brdfs(title: str, sources: Sequence[Source], output: Path) -> tuple[float, float]:
-    """A material and what stands for it, balls by quadrature in the light in which errors are measured, and slices."""
+    """Draw a material and what stands for it, balls by quadrature in the studio, and slices."""
     (first, inside), (second, _) = (ball_image(source.brdf, _PIXELS) for source in sources)
-    return _draw(title, (first, second), inside, sources, output)
+    return _draw(title, (first, second), inside, sources, "studio", output)
 
 
 def _draw(
-    title: str, balls: tuple[Array, Array], inside: Mask, sources: Sequence[Source], output: Path
+    title: str, balls: tuple[Array, Array], inside: Mask, sources: Sequence[Source], light: str, output: Path
 ) -> tuple[float, float]:
     """Draw the display pictures of two balls, their differences and slices."""
     delta_e, flip = images.ciede2000_map(*balls), images.flip_map(*balls)
-    figures.save(fit_figure.fit_picture(title, balls, delta_e, flip, inside, sources), output)
+    figures.save(fit_figure.fit_picture(title, balls, delta_e, flip, inside, sources, light), output)
     return float(delta_e[inside].mean()), float(flip[inside].mean())

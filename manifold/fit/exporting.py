@@ -31,7 +31,7 @@ from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.metrics import BALL, BALL_COLUMN, Errors
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model
@@ -207,7 +207,7 @@ def export(
     notes = (*subject.notes, *(f"of principled: {note}" for note in subject.fit["notes"]))
     if made.errors.ball > VISIBLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
-        worst = f": CIEDE2000 {made.errors.ball:.1f}, in {made.errors.worst_light} {made.errors.worst:.1f}"
+        worst = f": {made.errors.ball:.1f} {BALL}, in {made.errors.worst_light} {made.errors.worst:.1f}"
         notes = (f"visibly different from the {subject.against}{worst}{better}", *notes)
         if (missed := missed_highlight(model, material)) is not None:
             notes = (missed, *notes)
@@ -241,7 +241,7 @@ def exports(
     target's model into NAME.png, and a pack has a page of balls, too, see `pack`.
     """
     columns: dict[str, Callable[[Content], Any]] = {
-        "CIEDE2000": lambda content: content["errors"]["ball"],
+        BALL_COLUMN: lambda content: content["errors"]["ball"],
         "of principled": lambda content: (content["principled_errors"] or {}).get("ball"),
         "in the worst light": lambda content: content["errors"]["worst"],
         "worst light": lambda content: content["errors"]["worst_light"],

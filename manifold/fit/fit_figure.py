@@ -22,9 +22,10 @@ def fit_picture(
     flip: Array,
     inside: Mask,
     sources: Sequence[Source],
+    light: str,
 ) -> Figure:
-    """The check of a fit: display pictures (H, W, 3) and slices of the material and of the fit, and CIEDE2000 and FLIP
-    maps (H, W). The means in the titles are over the pixels `inside` the ball, (H, W).
+    """Draw the check of a fit: display pictures (H, W, 3), in a light by its name, and slices of the material and of
+    the fit, and CIEDE2000 and FLIP maps (H, W). The means in the titles are over the pixels `inside` the ball, (H, W).
     """
     figure = new_figure(11, 9.6)
     figure.suptitle(in_lines(title, 100), fontsize=12)
@@ -35,7 +36,7 @@ def fit_picture(
         axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
         axis.set_title(in_lines(source.label, 32), fontsize=10)
     maps = (
-        (delta_e, _LARGEST_DELTA_E, f"CIEDE2000, mean {delta_e[inside].mean():.2f}"),
+        (delta_e, _LARGEST_DELTA_E, f"CIEDE2000 ({light}), mean {delta_e[inside].mean():.2f}"),
         (flip, 1.0, f"FLIP, mean {flip[inside].mean():.3f}"),
     )
     for axis, (values, largest, name) in zip(axes[2:], maps, strict=True):

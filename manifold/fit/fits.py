@@ -30,6 +30,7 @@ from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.store import Library
+from manifold.metrics import BALL_COLUMN
 from manifold.model import diagnostics
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model
@@ -127,14 +128,14 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     columns: dict[str, Callable[[Content], Any]] = {
         "BSDF": lambda content: content["bsdf"]["type"],
         **APPEARANCE,
-        "CIEDE2000": lambda content: content["errors"] and content["errors"]["ball"],
+        BALL_COLUMN: lambda content: content["errors"] and content["errors"]["ball"],
         "residual": lambda content: content["residuals"][content["metric"]],
         "diffuse": lambda content: content["diffuse_residual"],
         "minima": lambda content: len(content["minima"]),
     }
     return Command(
         "fits", partial(_fit_input, settings=settings, with_pictures=with_pictures),
-        settings.to_json() | {"pictures": with_pictures}, FIT, columns=columns, under="CIEDE2000", has_balls=True,
+        settings.to_json() | {"pictures": with_pictures}, FIT, columns=columns, under=BALL_COLUMN, has_balls=True,
     )  # fmt: skip
 
 

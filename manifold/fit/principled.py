@@ -21,7 +21,7 @@ from manifold.fit.fit_metrics import Criterion, ball_errors
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
-from manifold.metrics import Errors
+from manifold.metrics import BALL, Errors
 from manifold.names import Registry
 from manifold.records import Array, Bands, BsdfFile
 from manifold.render import backend
@@ -168,9 +168,7 @@ def fit_bsdf(
             "x; in Mitsuba, turn the tangents by it",
         )
     if errors.ball > VISIBLE:
-        notes += (
-            f"visibly different: CIEDE2000 {errors.ball:.1f} on the ball, in {errors.worst_light} {errors.worst:.1f}",
-        )
+        notes += (f"visibly different: {errors.ball:.1f} {BALL}, in {errors.worst_light} {errors.worst:.1f}",)
         if (missed := fit_metrics.missed_highlight(fitted, target)) is not None:
             notes += (missed,)
     return replace(found, errors=errors, notes=notes, rotation_deg=degrees)

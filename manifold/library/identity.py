@@ -182,7 +182,7 @@ def require_tolerance(tolerance: float) -> None:
     """Raise UsageError unless the tolerance of compact materials is a number above 0."""
     if not 0.0 < tolerance < np.inf:
         raise UsageError(
-            f"tolerance is {tolerance:g}, expected a CIEDE2000 above 0, such as {DEFAULT_TOLERANCE}"
+            f"tolerance is {tolerance:g}, expected a number above 0, such as {DEFAULT_TOLERANCE}"
         )
 
 

@@ -251,7 +251,7 @@ def of_projection(before: Plausibility, found: Plausibility, change: Errors[floa
     changed = (
         f"made physical: largest albedo {before.max_albedo:.2f} to {found.max_albedo:.2f}, reciprocity error "
         f"{100.0 * before.reciprocity_error:.0f} to {100.0 * found.reciprocity_error:.0f} %; changed by "
-        f"{change.ball:.1f} CIEDE2000 of the ball, {100.0 * change.cube_root:.0f} % in cube roots",
+        f"{change.ball:.1f} {BALL}, {100.0 * change.cube_root:.0f} % in cube roots",
     )
     if found.reciprocity_error <= RECIPROCITY_ERROR:
         return changed
@@ -276,6 +276,6 @@ def of_embedding(errors: Errors[float]) -> tuple[str, ...]:
     if errors.linear <= MOST_EMBEDDING_ERROR and errors.ball <= MOST_EMBEDDING_BALL:
         return ()
     return (
-        f"reconstruction error {errors.linear:.2f}, {errors.ball:.1f} CIEDE2000 of the ball: outside the manifold; "
+        f"reconstruction error {errors.linear:.2f}, {errors.ball:.1f} {BALL}: outside the manifold; "
         "import materials like it and embed again",
     )

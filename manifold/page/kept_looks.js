@@ -100,7 +100,7 @@ export const keptLooks = {
     this.byId("difference").hidden = !isShown;
     if (!isShown) return;
     const { mean, most } = this.balls.difference([1, 0], this.light);
-    this.byId("difference-text").textContent = `CIEDE2000 0 to 10 or more; mean ${mean.toFixed(1)}, largest ${most.toFixed(1)}; visible from 1`;
+    this.byId("difference-text").textContent = `CIEDE2000 in this light, 0 to 10 or more; mean ${mean.toFixed(1)}, largest ${most.toFixed(1)}; visible from 1`;
   },
 
   /** The name of a look. */

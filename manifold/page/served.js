@@ -39,14 +39,14 @@ const headingOf = ({ command, subject }) => `${command} ${subject}`;
 function summary({ command, result }) {
   if (command === "fit" || command === "export") {
     const principled = result.principled_errors, { ball, worst, worst_light } = result.errors;
-    return `error ${ball.toFixed(2)} CIEDE2000`
+    return `error ${ball.toFixed(2)} CIEDE2000 of the ball (mean of five lights)`
       + (worst_light ? `, in ${worst_light} ${worst.toFixed(2)}` : "")
-      + (principled ? `; principled loses ${principled.ball.toFixed(2)}` : "");
+      + (principled ? `; principled ${principled.ball.toFixed(2)}` : "");
   }
   if (result.made_of) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);
     const notes = result.located ? result.diagnostics : []; // of the photograph, too
-    return [`expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`, ...notes].join("; ");
+    return [`expected error ${result.expected.ball.toFixed(1)} CIEDE2000 of the ball (mean of five lights), made of ${like.join(", ")}`, ...notes].join("; ");
   }
   return "";
 }

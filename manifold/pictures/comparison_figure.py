@@ -17,10 +17,11 @@ def comparison(
     delta_e: Array,
     flip: Array,
     titles: tuple[str, str],
+    light: str,
     within: Mask | None = None,
 ) -> Figure:
-    """A figure of two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W); means are over the pixels
-    `within`, those of a ball: the difference of the materials, whatever surrounds them.
+    """Draw two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W), in a light by its name; means are
+    over the pixels `within`, those of a ball: the difference of the materials, whatever surrounds them.
     """
     height, width = delta_e.shape
     figure = new_figure(8.6, 0.6 + 8.0 * height / width)
@@ -32,7 +33,7 @@ def comparison(
     where = "picture" if within is None else "ball"
     means = [float(np.mean(values if within is None else values[within])) for values in (delta_e, flip)]
     maps = (
-        (delta_e, scale, f"CIEDE2000, mean over the {where} {means[0]:.2f}"),
+        (delta_e, scale, f"CIEDE2000 ({light}), mean over the {where} {means[0]:.2f}"),
         (flip, max(0.05, min(1.0, float(flip.max()))), f"FLIP, mean over the {where} {means[1]:.3f}"),
     )
     for axis, (values, largest, title) in zip(axes[1], maps, strict=True):

@@ -168,6 +168,7 @@ class Comparison:
     Attributes:
         path: of the figure.
         a, b: what was compared.
+        light: in which they are seen.
         diagnostics: of the predictions among them.
         pixels: over all pixels, by `ciede2000`, `itp` (Delta E_ITP of ITU-R BT.2124) and `flip`.
         ball: the same over the pixels of the ball; empty where pictures were compared.
@@ -176,6 +177,7 @@ class Comparison:
     path: Path
     a: str
     b: str
+    light: str
     diagnostics: tuple[str, ...]
     pixels: dict[str, Summary]
     ball: dict[str, Summary]
@@ -183,8 +185,8 @@ class Comparison:
     def to_json(self) -> dict[str, Any]:
         """Plain values; those of the ball are None where pictures were compared."""
         balls = {f"{key}_ball": self.ball[key] if self.ball else None for key in self.pixels}
-        compared = {"path": self.path, "a": self.a, "b": self.b, "diagnostics": self.diagnostics}
-        return plain(compared | self.pixels | balls)
+        names = ("path", "a", "b", "light", "diagnostics")
+        return plain({name: getattr(self, name) for name in names} | self.pixels | balls)
 
 
 def compare(
@@ -233,8 +235,9 @@ def compare(
         "itp": images.itp_map(first, second),
         "flip": images.flip_map(first, second),
     }
-    drawn = comparison_figure.comparison(first, second, maps["ciede2000"], maps["flip"], names, ball)
+    light = "as displayed" if ball is None else settings.light
+    drawn = comparison_figure.comparison(first, second, maps["ciede2000"], maps["flip"], names, light, ball)
     figures.save(drawn, output)
     of_ball = {} if ball is None else {key: Summary.of(values[ball]) for key, values in maps.items()}
     of_pixels = {key: Summary.of(values) for key, values in maps.items()}
-    return Comparison(output, str(a), str(b), tuple(diagnostics), of_pixels, of_ball)
+    return Comparison(output, str(a), str(b), light, tuple(diagnostics), of_pixels, of_ball)

@@ -49,6 +49,12 @@ class RenderSettings:
     environment: Array | None = None
     window: tuple[int, int, int, int] | None = None
 
+    @property
+    def light(self) -> str:
+        """Name the light, as beside errors of pictures."""
+        around = "studio" if self.environment is None else "the environment map"
+        return f"{around}, {self.illuminant.name}"
+
     def __post_init__(self) -> None:
         for name, most in (("size", LARGEST_SIZE), ("samples", 1 << 20)):
             if not 1 <= getattr(self, name) <= most:

@@ -105,7 +105,8 @@ def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
     words = ["-o", tmp_path / "x.json", "--target", "unreal", "--picture"]
     result = run("export", folder / "copper_rgb.bsdf", *words)
     assert result.exit_code == 0, result.output
-    assert "CIEDE2000 on the ball" in result.stdout
+    assert "CIEDE2000 of the ball" in result.stdout
+    assert "(mean of five lights), in " in result.stdout
     assert "of Mitsuba's principled" in result.stdout
     assert "in the lights of the fit" in " ".join(result.stdout.split())
     assert imread(tmp_path / "x.png").shape[0] > 400

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from manifold.brdf.plausibility import Plausibility
-from manifold.metrics import Errors
+from manifold.metrics import BALL, Errors
 from manifold.model import diagnostics
 
 SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9, highlight_valley=0.05)
@@ -45,7 +45,7 @@ def test_what_a_measured_file_has_of_its_own_is_not_said_against_the_place():
 def test_a_material_outside_the_manifold_is_diagnosed():
     for error, ball in ((0.8, 1.0), (0.1, 7.5)):
         (sentence,) = diagnostics.of_embedding(Errors(ball=ball, linear=error))
-        assert f"error {error:.2f}, {ball} CIEDE2000 of the ball: outside the manifold" in sentence
+        assert f"error {error:.2f}, {ball} {BALL}: outside the manifold" in sentence
 
 
 def test_unmeasured_cells_are_diagnosed_from_one_percent_on():

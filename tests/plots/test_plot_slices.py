@@ -188,11 +188,14 @@ def test_the_difference_of_two_materials_is_that_of_their_balls():
     """A mean over the picture would shrink with the background around them."""
     pictures, difference = np.zeros((2, 4, 4, 3)), np.zeros((4, 4))
     difference[1:3, 1:3] = 8.0
-    whole = comparison(*pictures, difference, difference / 10, ("a", "b"))
-    ball = comparison(*pictures, difference, difference / 10, ("a", "b"), difference > 0)
+    whole = comparison(*pictures, difference, difference / 10, ("a", "b"), "studio, D65")
+    ball = comparison(*pictures, difference, difference / 10, ("a", "b"), "studio, D65", difference > 0)
     titles = [{axes.get_title() for axes in figure.axes} for figure in (whole, ball)]
-    assert titles[0] >= {"CIEDE2000, mean over the picture 2.00", "FLIP, mean over the picture 0.200"}
-    assert titles[1] >= {"CIEDE2000, mean over the ball 8.00", "FLIP, mean over the ball 0.800"}
+    assert titles[0] >= {
+        "CIEDE2000 (studio, D65), mean over the picture 2.00",
+        "FLIP, mean over the picture 0.200",
+    }
+    assert titles[1] >= {"CIEDE2000 (studio, D65), mean over the ball 8.00", "FLIP, mean over the ball 0.800"}
 
 
 @pytest.mark.parametrize(

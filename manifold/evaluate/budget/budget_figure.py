@@ -40,7 +40,7 @@ def budget_figure(
     shown = right.imshow(
         delta_e, cmap="magma", vmin=0.0, vmax=max(2.0 * tolerance, 1.0), interpolation="nearest"
     )
-    right.set_title(f"CIEDE2000, mean {delta_e.mean():.2f} with noise", fontsize=10)
+    right.set_title(f"CIEDE2000 in the scene's light, mean {delta_e.mean():.2f} with noise", fontsize=10)
     above.colorbar(shown, ax=right, fraction=0.046, extend="max").ax.tick_params(labelsize=8)
     for axis in (left, middle, right):
         axis.set_axis_off()
@@ -74,7 +74,7 @@ def _costs(axis: Axes, material: Mapping[str, Any], tolerance: float) -> None:
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_title(in_lines(material["material"]), fontsize=10)
     axis.set_xlabel("size")
-    axis.set_ylabel("CIEDE2000")
+    axis.set_ylabel("CIEDE2000 in the scene's light")
     axis.grid(alpha=0.25)
     axis.legend(fontsize=8, loc="upper right", framealpha=0.9)
 

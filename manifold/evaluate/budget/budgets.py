@@ -296,7 +296,7 @@ def _reason(cheaper: list[Representation], alone: Mapping[str, Difference]) -> s
     rendered = [one for one in cheaper if one.name in alone]
     if rendered:
         best = min(rendered, key=lambda one: alone[one.name].delta_e)
-        return f"best of the cheaper ones: {best.name}, CIEDE2000 {alone[best.name].delta_e:.2f}"
+        return f"best of the cheaper ones: {best.name}, CIEDE2000 in the scene's light {alone[best.name].delta_e:.2f}"
     best = min(cheaper, key=lambda one: one.predicted)
     return f"best of the cheaper ones: {best.name}, predicted {best.predicted:.1f}"
 

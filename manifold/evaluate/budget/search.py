@@ -130,13 +130,13 @@ def search(
             total = others + sum(candidate.size for candidate in choice.values())
             if tolerance.size is not None and total > tolerance.size:
                 raise UsageError(
-                    f"a CIEDE2000 of {tolerance.delta_e:g} needs {total} bytes, expected at most {tolerance.size}; "
-                    "allow more of either"
+                    f"a CIEDE2000 of {tolerance.delta_e:g} in the scene's light needs {total} bytes, expected at "
+                    f"most {tolerance.size}; allow more of either"
                 )
             return Answer(choice, seen[names], alone)
     raise UsageError(
-        f"no combination meets a CIEDE2000 of {tolerance.delta_e:g} with all materials together; raise the "
-        "tolerance"
+        f"no combination meets a CIEDE2000 of {tolerance.delta_e:g} in the scene's light with all materials together; "
+        "raise the tolerance"
     )
 
 
@@ -158,5 +158,6 @@ def _first(
     found = difference_alone(key, best)
     raise UsageError(
         f"no representation within {tolerance.milliseconds or 0:g} ms meets a CIEDE2000 of "
-        f"{scale * tolerance.delta_e:.3g}; closest is '{best.name}' with {found.delta_e:.2f}; allow more of either"
+        f"{scale * tolerance.delta_e:.3g} in the scene's light; closest is '{best.name}' with {found.delta_e:.2f}; "
+        "allow more of either"
     )

@@ -333,7 +333,7 @@ MODES: tuple[Mode, ...] = (
     Mode(
         "outside_materials", "predictions outside the materials", "length scales from the outermost material",
         (0.0, 0.25, 0.5, 1.0, 2.0),
-        Limit("CIEDE2000 between the balls of the prediction and of the nearest "
+        Limit("CIEDE2000 (studio 0) between the balls of the prediction and of the nearest "
         "plastic", BALL.value, BALL.reason),
         {
             "material": partial(_outside, partial(_from_outermost, "material", "cube-root")),

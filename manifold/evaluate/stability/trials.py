@@ -60,7 +60,7 @@ HALF_OF_NEAREST = Limit(
     "a manifold should at least halve the error of the nearest material",
 )
 BALL = Limit(
-    "CIEDE2000 between the balls of prediction and ground truth, lit from behind",
+    "CIEDE2000 (studio 180) between the balls of prediction and ground truth",
     5.0,
     "an observer sees two different colours (Mokrzycki & Tatol 2011); chosen after the results were known",
 )

@@ -117,7 +117,7 @@ class Export:
         """One line for people."""
         return (
             f"{self.label}: Exported by manifold {__version__} for {self.target}; "
-            f"CIEDE2000 on the ball against the {self.against}: {self.errors}"
+            f"CIEDE2000 of the ball against the {self.against}: {self.errors}"
         )
 
     def to_json(self) -> dict[str, Any]:

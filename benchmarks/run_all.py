@@ -37,6 +37,7 @@ COMMANDS = {
     "walks": "bench_walks.py LIBRARY",
     "page": "bench_page.py MODEL",
     "compact": "bench_compact.py FILES",
+    "inspection": "bench_inspection.py --files FILES",
     "photo": "bench_photo.py FILES",
     "lamps": "bench_lamps.py --files FILES --library LIBRARY",
     "stability": "manifold stability",

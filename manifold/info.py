@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from manifold.disk import begins_with
 from manifold.errors import FileFormatError, LibraryError, UsageError
 from manifold.estimate.picture_colours import colour_of, reading_at
-from manifold.estimate.sources import FileSource, MaterialSource, source_file
+from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, source_file
 from manifold.formats import registry, tensor_file
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
@@ -26,7 +26,10 @@ from manifold.model.expected_error import NOT_CALIBRATED
 from manifold.model.model_file import MAGIC, read_model
 from manifold.records import Array, Bands, BsdfFile
 
-_MOST_SAMPLES = 40  # listed one by one
+if TYPE_CHECKING:
+    from manifold.brdf.consistency import Consistency
+
+_MOST_LISTED = 40  # samples, or cells, one by one
 
 Table = tuple[Sequence[str], Sequence[Sequence[object]]]
 """Column heads, and rows."""
@@ -48,7 +51,7 @@ def inspect_instrument_file(
     rows["size"] = f"{size / 1e6:.3g} MB" if size >= 1e5 else f"{size / 1e3:.3g} kB"
     tables: list[Table] = []
     if len(records) > 1:
-        listed = [(r.name, _count(r), str(r.bands)) for r in records[:_MOST_SAMPLES]]
+        listed = [(r.name, _count(r), str(r.bands)) for r in records[:_MOST_LISTED]]
         tables.append((("sample", "pairs", "bands"), listed))
     textured = [record for record in records if isinstance(record, Readings) and record.texture]
     if textured:
@@ -211,31 +214,47 @@ def inspect_source(source: MaterialSource, *, library: Path | None, verify: bool
     """Inspect what a user names: a path, see `inspect`, or a material of a library or a prediction."""
     if isinstance(source, FileSource):
         return inspect(source.path, library=library, verify=verify)
+    if verify:
+        raise UsageError(f"{source}: only libraries can be verified; this is a material")
     with source_file(source) as path:
-        found = inspect(path, verify=verify)
+        found = _inspect_file(read_bsdf(path), path, is_compact=_is_compact(source))
     return replace(found, title=f"{source}: RGL material", document=found.document | {"path": str(source)})
 
 
-def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
+def _is_compact(source: MaterialSource) -> bool:
+    from manifold.library.store import Library
+
+    if not isinstance(source, LibrarySource):
+        return False
+    return Library(source.library).attributes(source.name).accuracy is not None
+
+
+def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> Inspection:
+    from manifold.brdf.consistency import check_consistency
     from manifold.brdf.unmeasured_cells import unmeasured_cells, unmeasured_share
 
     P, T, B, H, W = file.spectra.shape
     mask = file.measured_mask
     share = unmeasured_share(file, unmeasured_cells(file))
+    checked = check_consistency(file, has_exact_luminance=not is_compact)
+    unit = (
+        "times ndf / (4 sigma) they are f cos(theta_o) in 1/sr" if file.jacobian else "f cos(theta_o) in 1/sr"
+    )
     rows: dict[str, object] = {
         "description": file.description,
         "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
         "bands": str(file.bands),
         "theta_i in degrees": [f"{np.rad2deg(t):.1f}" for t in file.theta_i_rad],
-        "outgoing grid": f"{H} x {W}",
-        "ndf": " x ".join(str(n) for n in file.ndf.shape),
-        "vndf": " x ".join(str(n) for n in file.vndf.shape[2:]),
+        "outgoing grid": f"{H} x {W} cells",
+        "ndf": f"{' x '.join(str(n) for n in file.ndf.shape)} nodes",
+        "vndf": f"{' x '.join(str(n) for n in file.vndf.shape[2:])} nodes",
         "pipeline version": ".".join(str(v) for v in file.version),
         "measured cells": f"{mask.mean():.1%}",
         "exact zeros": f"{np.mean(file.spectra == 0):.1%}",
         "unmeasured cells above the horizon": f"{share:.1%}",
-        "values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g}",
+        "stored values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g} ({unit})",
         "size": f"{path.stat().st_size / 1e6:.1f} MB",
+        "findings": checked.findings or "none",
     }
     document = {
         "path": str(path),
@@ -249,8 +268,46 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
         "measured_share": float(mask.mean()),
         "zero_share": float(np.mean(file.spectra == 0)),
         "unmeasured_share": share,
+        "consistency": checked.to_json(),
     }
-    return Inspection(f"{path.name}: RGL material", rows, document)
+    tables = [_incidence_table(file, checked), _cell_table(file, checked)]
+    return Inspection(f"{path.name}: RGL material", rows, document, tables)
+
+
+def _incidence_table(file: BsdfFile, checked: Consistency) -> Table:
+    """Albedo, negative values and reciprocity by elevation, each the worst over the azimuths."""
+    albedo, negative = checked.albedo.max(axis=0), checked.negative_share.max(axis=0)  # [T, B]
+    distance = np.abs(np.log(np.nan_to_num(checked.reciprocity, nan=1.0)))
+    ratio = np.take_along_axis(checked.reciprocity, distance.argmax(axis=0)[None], axis=0)[0]  # [T]
+    labels = file.bands.labels
+    heads = ["theta_i in degrees"]
+    if file.bands.is_rgb:
+        heads += [f"{what} {label}" for what in ("albedo", "negative") for label in labels]
+    else:
+        heads += ["mean albedo", "largest albedo", "at", "negative"]
+    rows = []
+    for t, theta in enumerate(np.rad2deg(file.theta_i_rad)):
+        row = [f"{theta:.1f}"]
+        if file.bands.is_rgb:
+            row += [f"{a:#.3g}" for a in albedo[t]] + [f"{share:.1%}" for share in negative[t]]
+        else:
+            row += [f"{albedo[t].mean():#.3g}", f"{albedo[t].max():#.3g}", labels[albedo[t].argmax()]]
+            row += [f"{negative[t].mean():.1%}"]
+        rows.append([*row, "" if np.isnan(ratio[t]) else f"{ratio[t]:.2f}"])
+    return [*heads, "f(wi, wo) / f(wo, wi), median"], rows
+
+
+def _cell_table(file: BsdfFile, checked: Consistency) -> Table:
+    """The stored values that disagree most, beside their neighbours."""
+    heads = ("phi_i, theta_i in degrees", "band", "row", "column", "stored value", "expected", "neighbours")
+    rows = []
+    for cell in checked.cells[:_MOST_LISTED]:
+        p, t, b, row, column = cell.at
+        degrees = f"{np.rad2deg(file.phi_i_rad[p]):.1f}, {np.rad2deg(file.theta_i_rad[t]):.1f}"
+        around = "" if np.isnan(cell.low) else f"{cell.low:.4g} to {cell.high:.4g}"
+        numbers = (f"{cell.value:.4g}", f"{cell.expected:.4g}")
+        rows.append((degrees, file.bands.labels[b], row, column, *numbers, around))
+    return heads, rows
 
 
 def _inspect_fit(path: Path) -> Inspection:

@@ -155,13 +155,13 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
     return D, projected_area(D)
 
 
-def _normals(n: int) -> Array:
+def node_normals(n: int) -> Array:
     """Normals (n, n, 3) of the nodes of a square grid over the unit square: rows azimuths, columns elevations."""
     u = np.linspace(0.0, 1.0, n)
     return from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
 
 
-def _visible_normals(ndf: Array, cos_im: Array) -> Array:
+def visible_normals(ndf: Array, cos_im: Array) -> Array:
     """Density of visible normals over the unit square (C, C), not normalised, by their cosines with `wi`, (C, C)."""
     u = np.linspace(0.0, 1.0, ndf.shape[1])
     if len(ndf) != ndf.shape[1]:  # rows are alike in isotropic files
@@ -177,7 +177,7 @@ def _node_density(ndf: Array, m: Array, wi: Array, exponent: float) -> Array:
     (exponent 1).
     """
     cos_im = m @ wi
-    visible = _visible_normals(ndf, cos_im)
+    visible = visible_normals(ndf, cos_im)
     if exponent == 1.0:
         return visible
     cos_o = 2.0 * cos_im * m[..., 2] - wi[2]
@@ -254,7 +254,7 @@ def measure(
     ndf, sigma = ndf.astype(np.float32), sigma.astype(np.float32)
 
     vndf = np.empty((len(phi_i), len(theta_i), WARP_NODES, WARP_NODES), dtype=np.float32)
-    m = _normals(WARP_NODES)
+    m = node_normals(WARP_NODES)
     for p, t in np.ndindex(vndf.shape[:2]):
         wi = from_spherical(min(theta_i[t], HORIZON), phi_i[p])
         vndf[p, t] = _node_density(ndf, m, wi, warp_exponent)
@@ -303,13 +303,13 @@ def with_luminance(file: BsdfFile, cells: list[Cells] | None = None) -> BsdfFile
     density = np.maximum(luminance_of(np.moveaxis(file.spectra, 2, -1), file.bands), 0.0)  # [P, T, H, W]
     if not file.jacobian:
         return replace(file, luminance=density.astype(np.float32))
-    m = _normals(file.ndf.shape[1])
+    m = node_normals(file.ndf.shape[1])
     cells = [one for _, _, one in cells_of(file)] if cells is None else cells
     for (p, t), one in zip(np.ndindex(density.shape[:2]), cells, strict=True):
         phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])
         wi = from_spherical(min(theta_i, HORIZON), 0.0 if file.is_isotropic else phi_i)
         points = np.ascontiguousarray(one.points).reshape(-1, 2)
-        visible = interpolate(_visible_normals(file.ndf, m @ wi), points).reshape(density.shape[2:])
+        visible = interpolate(visible_normals(file.ndf, m @ wi), points).reshape(density.shape[2:])
         density[p, t] *= np.divide(visible, one.density, out=np.zeros_like(visible), where=one.density > 0.0)
     return replace(file, luminance=density.astype(np.float32))
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.sample_files import WAVELENGTHS_NM, write_samples
 from helpers.small_library import NAMES, measured, small_model
 
 from manifold import progress
 from manifold.errors import FileFormatError, LibraryError, ModelError, UsageError
+from manifold.estimate.sources import LibrarySource
 from manifold.fit.principled import fit_bsdf
-from manifold.info import inspect
+from manifold.info import inspect, inspect_source
+from manifold.io_rgl import write_bsdf
+from manifold.library.compacting import compact_library
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
@@ -43,11 +48,45 @@ def test_a_file_is_described_by_what_it_holds(folder):
     file = measured(NAMES[0])
     assert found.title == f"{NAMES[0]}_rgb.bsdf: RGL material"
     assert found.rows["bands"] == "RGB"
-    assert found.rows["outgoing grid"] == "32 x 32"
+    assert found.rows["outgoing grid"] == "32 x 32 cells"
     assert found.document["shape"] == list(file.spectra.shape)
     np.testing.assert_array_equal(found.document["theta_i_rad"], file.theta_i_rad)
     assert found.document["zero_share"] == pytest.approx(np.mean(file.spectra == 0))
     assert found.document["measured_share"] == pytest.approx(file.measured_mask.mean())
+
+
+def test_a_damaged_file_is_named_with_its_cells_and_what_stands_at_each_incidence(tmp_path):
+    file = measured("syn_paper_white")
+    spectra = file.spectra.copy()
+    spectra[0, 2, 1, 10, 12] *= 1000.0
+    write_bsdf(tmp_path / "damaged_rgb.bsdf", replace(file, spectra=spectra))
+    found = inspect(tmp_path / "damaged_rgb.bsdf")
+    (finding,) = found.rows["findings"]
+    assert "1 stored value disagrees" in finding
+    (heads, incidences), (_, cells) = found.tables
+    degrees = [f"{np.rad2deg(theta):.1f}" for theta in file.theta_i_rad]
+    assert [row[0] for row in incidences] == degrees
+    assert heads[1:4] == ["albedo R", "albedo G", "albedo B"]
+    assert float(incidences[0][heads.index("albedo G")]) == pytest.approx(0.83, abs=0.02)
+    ((where, band, row, column, *_),) = cells
+    assert (where, band, row, column) == (f"0.0, {degrees[2]}", "G", 10, 12)
+    assert found.document["consistency"]["findings"] == [finding]
+
+
+def test_a_spectral_file_has_the_largest_albedo_of_its_bands(tmp_path):
+    (path,) = write_samples(tmp_path, 1)
+    (heads, incidences), _ = inspect(path).tables
+    largest = np.array(inspect(path).document["consistency"]["albedo"])[0, 0]
+    row = dict(zip(heads, incidences[0], strict=True))
+    assert float(row["largest albedo"]) == pytest.approx(largest.max(), rel=5e-3)  # three digits
+    assert row["at"] == f"{WAVELENGTHS_NM[largest.argmax()]:.1f} nm"
+
+
+def test_the_approximation_of_a_compact_library_is_no_finding(copy):
+    compact_library(copy / "library.zarr")
+    for name in NAMES:
+        source = LibrarySource(copy / "library.zarr", name)
+        assert inspect_source(source, library=None, verify=False).rows["findings"] == "none"
 
 
 def test_a_library_lists_its_materials(folder):

@@ -1,0 +1,427 @@
+"""Whether the values of an RGL file agree with each other, with its other fields, and with what surfaces can reflect.
+
+Six comparisons find values that were scaled, exchanged or damaged; docs/explanation/rgl-files.md says what they rest on
+and how far measured files are from their limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from manifold.brdf.goniometer import node_normals, visible_normals
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured_cells import cells_of
+from manifold.colour.colour_science import frozen
+from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
+from manifold.colour.illuminants import Illuminant
+from manifold.directions import HORIZON, from_spherical
+from manifold.names import counted, first_few
+from manifold.records import Array, BsdfFile, Indices, Mask, evenly_spaced, plain
+
+# Limits, and in brackets what 20 measured files and the corpus reach.
+_STEEPEST_DEG = 75.0  # nearer to the horizon, files hold little that was measured
+_MOST_ALBEDO = 1.2  # 1, and room for calibration and fluorescence (1.02)
+_MOST_ALBEDO_GRAZING = 1.5  # ... and for extrapolation (1.00)
+_BEYOND_COLOURS = 0.15  # of the norm of a colour, beyond the colours of all reflectances (-0.01)
+_MOST_NEGATIVE = 0.005  # share of the values of a spectral band (0)
+_MOST_DEPARTURE = 10.0  # of a value from the range of its neighbours, in widths of that range (6.6)
+_MOST_STEP = 1.5  # factor between an albedo and both albedos beside it (1.08)
+_MOST_NON_RECIPROCAL = 2.0  # factor, median over the pairs of an incidence (1.19)
+_LUMINANCE_TOLERANCE = 0.01  # relative (0.0005)
+_SPECTRAL_LUMINANCE_TOLERANCE = 0.1  # relative: the weights that the database sums spectra with are not known
+_MOST_WARP_DIFFERENCE = (
+    0.03  # total variation from the visible normals (0.005; files written here: 0.08 and more)
+)
+_LEAST_EXPLAINED = 0.9  # least share of the cells of several slices that one change explains
+_DARK = 0.01  # albedo, or stored value relative to the median
+_BROAD_NM = 10.0  # bands this far apart may differ by any factor
+_MOST_BANDS = 8  # in which reciprocity is measured
+_MOST_SLICES = 4  # that a sentence names
+_NORMALS = 1000  # of the solid of colours
+
+
+class Cell(NamedTuple):
+    """A stored value that disagrees with its neighbours, or with the luminance of its cell.
+
+    Attributes:
+        at: indices of azimuth, elevation, band, row and column.
+        value: as stored.
+        expected: what the luminance implies where it disagrees, else the median of its neighbours.
+        low, high: the range of its neighbours; NaN where there are fewer than three.
+    """
+
+    at: tuple[int, ...]
+    value: float
+    expected: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """Measurements on the values of a file with P azimuths, T elevations and B bands, and what is wrong with them.
+
+    Attributes:
+        albedo: directional, (P, T, B).
+        reciprocity: median of f(wi, wo) / f(wo, wi) over the pairs of an incidence, (P, T); NaN beyond 75 degrees.
+        negative_share: of the values, (P, T, B).
+        cells: values that disagree with their neighbours, or with the luminance of their cell.
+        findings: sentences; none where the file is consistent.
+    """
+
+    albedo: Array
+    reciprocity: Array
+    negative_share: Array
+    cells: tuple[Cell, ...]
+    findings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {name: plain(value) for name, value in vars(self).items()}
+
+
+def check_consistency(file: BsdfFile, *, has_exact_luminance: bool = True) -> Consistency:
+    """Measure a file, and compare its values with each other, with its other fields, and with what is possible.
+
+    Compact libraries approximate values and luminance: their materials have no exact luminance, which is then left out.
+    """
+    filled: Mask = np.any(file.spectra != 0, axis=2)  # [P, T, H, W]
+    negative_share = np.sum(file.spectra < 0, axis=(3, 4)) / np.maximum(filled.sum(axis=(2, 3)), 1)[..., None]
+    luminance = _LuminanceComparison((), np.broadcast_to(np.nan, file.spectra.shape))
+    if has_exact_luminance and file.jacobian and _has_warp_of_visible_normals(file):
+        luminance = _compare_luminance(file)
+    cells, mended = _disagreeing_cells(file, filled, luminance.implied)
+    albedo, reciprocity = _measure(file, filled)
+    # What is said of whole slices does not follow from what is said of their cells.
+    rest = _measure(mended, filled) if cells else (albedo, reciprocity)
+    findings = (
+        *luminance.findings,
+        *_of_cells(file, cells),
+        *_of_albedo(file, rest[0]),
+        *(_of_colours(file, rest[0]) if file.bands.is_rgb else _of_bands(file, rest[0], negative_share)),
+        *_of_incidences(file, rest[0].mean(axis=2), rest[1]),
+    )
+    return Consistency(albedo, reciprocity, negative_share, cells, findings)
+
+
+def _measure(file: BsdfFile, filled: Mask) -> tuple[Array, Array]:
+    """Albedo (P, T, B) at the incidences of a file, and reciprocity (P, T)."""
+    brdf = MeasuredBRDF(file)
+    elevations = np.minimum(file.theta_i_rad.astype(float), HORIZON)
+    albedo = brdf.albedo(from_spherical(elevations, file.phi_i_rad[:, None]), resolution=32)
+    return albedo, _reciprocity(file, brdf, filled)
+
+
+def _reciprocity(file: BsdfFile, brdf: MeasuredBRDF, filled: Mask) -> Array:
+    """Median of f(wi, wo) / f(wo, wi) over the filled cells of each slice, both up to 75 degrees, (P, T)."""
+    ratios = np.full(filled.shape[:2], np.nan)
+    brdf = brdf.select_bands(list(evenly_spaced(file.bands.count, _MOST_BANDS)))
+    least_cosine = np.cos(np.deg2rad(_STEEPEST_DEG))
+    for p, t, cells in cells_of(file):
+        if cells.wi[2] < least_cosine:
+            continue
+        wo = cells.wo[filled[p, t] & cells.is_above & (cells.wo[..., 2] > least_cosine)]
+        f, exchanged = (brdf.eval(*pair).sum(axis=-1) for pair in ((cells.wi, wo), (wo, cells.wi)))
+        bright = (f > 0.0) & (exchanged > 0.0)
+        if np.any(bright):
+            ratios[p, t] = np.exp(np.median(np.log(f[bright] / exchanged[bright])))
+    return ratios
+
+
+class _LuminanceComparison(NamedTuple):
+    """What the luminance of cells tells about their values.
+
+    Attributes:
+        findings: about slices that disagree as a whole.
+        implied: the value of each channel that agrees with the luminance and with the other two channels, in cells that
+            disagree while their slice does not; NaN elsewhere, (P, T, B, H, W).
+    """
+
+    findings: tuple[str, ...]
+    implied: Array
+
+
+def _compare_luminance(file: BsdfFile) -> _LuminanceComparison:
+    """Compare the values of a file whose warp is that of the visible normals with its `luminance`.
+
+    In the database's RGB files, that is the luminance of `rgb` up to rounding. Spectral files may have it in another
+    unit: each slice is compared with the others.
+    """
+    expected, is_rgb = file.luminance.astype(float), file.bands.is_rgb
+    bright: Mask = expected > 0.1 * np.mean(expected, axis=(2, 3), keepdims=True)  # [P, T, H, W]
+    unknown = np.broadcast_to(np.nan, file.spectra.shape)
+    if not np.any(bright):
+        return _LuminanceComparison((), unknown)
+    weights = xyz_weights(file.bands)[:, 1]
+    total = np.einsum("b,ptbhw->pthw", weights, file.spectra)
+    if not is_rgb:
+        expected *= np.median(total[bright] / expected[bright])
+    agrees = _agree(total, expected, is_rgb)
+    n_bright, n_agreeing = np.sum(bright, axis=(2, 3)), np.sum(agrees & bright, axis=(2, 3))
+    is_changed: Mask = n_agreeing < 0.5 * n_bright  # [P, T]
+    if not is_rgb and np.mean(is_changed) > 0.5:
+        return _LuminanceComparison((), unknown)  # the file's luminance is not that under D65
+    terms = weights[:, None, None] * file.spectra if is_rgb else total[:, :, None]
+    parts = {f"values of {label}": terms[:, :, b] for b, label in enumerate(file.bands.labels) if is_rgb}
+    findings, is_named = [], np.zeros_like(is_changed)
+    single = (np.arange(is_changed.size).reshape(is_changed.shape) == k for k in np.flatnonzero(is_changed))
+    for slices in (is_changed, *single):  # one change of all of them, else one of each
+        slices = slices & ~is_named
+        if not np.any(slices):
+            continue
+        change = _likeliest_change(
+            {"values": total} | parts, total, expected, bright & slices[..., None, None]
+        )
+        if change.share < _LEAST_EXPLAINED and np.sum(slices) > 1:
+            continue
+        if change.share > 0.5:  # also in slices where it is too small to be seen
+            slices |= (np.sum(change.agrees & bright, axis=(2, 3)) > n_agreeing) & ~is_named
+        words = change.words if change.share > 0.5 else "values disagree with the field 'luminance'"
+        findings.append(f"{words}, {_in_words(file, np.argwhere(slices))}")
+        is_named |= slices
+    if not is_rgb:
+        return _LuminanceComparison(tuple(findings), unknown)
+    others = terms[:, :, [1, 2, 0]] + terms[:, :, [2, 0, 1]]
+    implied = (expected[:, :, None] - others) / weights[:, None, None]
+    is_single = ~agrees & ~is_named[:, :, None, None]
+    return _LuminanceComparison(tuple(findings), np.where(is_single[:, :, None], implied, np.nan))
+
+
+class _Change(NamedTuple):
+    """A factor of a part of the luminance of some cells, in words; the share of them that then agrees; and all that do,
+    (P, T, H, W).
+    """
+
+    words: str
+    share: float
+    agrees: Mask
+
+
+def _likeliest_change(parts: dict[str, Array], total: Array, expected: Array, cells: Mask) -> _Change:
+    """The change of one part of the luminance that explains the most cells (P, T, H, W)."""
+    changes, is_rgb = [], len(parts) > 1
+    for name, part in parts.items():
+        rest = total - part
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = float(np.median((part / (expected - rest))[cells]))
+            agrees = _agree(rest + part / factor, expected, is_rgb)
+        words = f"{name} are {factor:.3g} times what the field 'luminance' implies"
+        changes.append(_Change(words, float(np.mean(agrees[cells])), agrees))
+    return max(changes, key=lambda change: change.share)
+
+
+def _agree(total: Array, expected: Array, is_rgb: bool) -> Mask:
+    """Whether luminances of cells (P, T, H, W) are the same but for a tolerance and the noise of dark cells."""
+    tolerance = _LUMINANCE_TOLERANCE if is_rgb else _SPECTRAL_LUMINANCE_TOLERANCE
+    noise = 0.1 * tolerance * np.mean(np.abs(expected), axis=(2, 3), keepdims=True)
+    largest = np.maximum(np.abs(total), np.abs(expected))
+    return np.asarray(np.abs(total - expected) <= tolerance * largest + noise)
+
+
+def _has_warp_of_visible_normals(file: BsdfFile) -> bool:
+    """Whether `vndf` follows from `ndf`, as in measured files; files that this package writes have another warp."""
+    nodes = file.ndf.shape[1]
+    if file.vndf.shape[2:] != (nodes, nodes):
+        return False
+    normals = node_normals(nodes)
+    for p, t in np.argwhere(_is_measured(file)):
+        azimuth = 0.0 if file.is_isotropic else float(file.phi_i_rad[p])
+        wi = from_spherical(float(file.theta_i_rad[t]), azimuth)
+        expected, stored = visible_normals(file.ndf, normals @ wi), file.vndf[p, t].astype(float)
+        if not np.any(expected):
+            return False
+        difference = np.abs(stored / stored.sum() - expected / expected.sum())
+        if 0.5 * difference.sum() > _MOST_WARP_DIFFERENCE:
+            return False
+    return True
+
+
+def _disagreeing_cells(file: BsdfFile, filled: Mask, implied: Array) -> tuple[tuple[Cell, ...], BsdfFile]:
+    """Values far from all their neighbours, and the likeliest value of each cell that disagrees with its luminance,
+    farthest first; and the file with values in their place that agree.
+    """
+    disagreeing, spectra = [], file.spectra.copy(order="K")
+    for p, t in np.argwhere(np.any(filled, axis=(2, 3))):
+        values = file.spectra[p, t]
+        floor = _DARK * float(np.median(np.abs(values[:, filled[p, t]])))  # the mean may be a damaged value
+        low, high = _neighbour_range(values, filled[p, t])
+        with np.errstate(over="ignore"):
+            width = high - low + 0.1 * np.maximum(np.abs(low), np.abs(high)) + floor
+            is_off: Mask = filled[p, t] & (np.maximum(values - high, low - values) > _MOST_DEPARTURE * width)
+        for i, j in np.argwhere(np.isfinite(implied[p, t, 0])):
+            around = _median_around(values, filled[p, t], i, j)
+            is_off[_likeliest_channel(values[:, i, j], implied[p, t, :, i, j], around, floor), i, j] = True
+        for b, i, j in np.argwhere(is_off):
+            at = (int(p), int(t), int(b), int(i), int(j))
+            expected = implied[at]
+            if np.isnan(expected):
+                expected = _median_around(values, filled[p, t], i, j)[b]
+            numbers = (values[b, i, j], expected, low[b, i, j], high[b, i, j])
+            disagreeing.append(Cell(at, *map(float, numbers)))
+            spectra[at] = expected
+    disagreeing.sort(key=lambda cell: -abs(cell.value - cell.expected))
+    return tuple(disagreeing), replace(file, spectra=spectra)
+
+
+def _likeliest_channel(values: Array, implied: Array, around: Array, floor: float) -> int:
+    """The channel of a cell (3,) that comes nearest to its neighbours by its implied value."""
+    gain = np.abs(values - around) - np.abs(implied - around)
+    return int(np.argmax(gain / (np.abs(around) + floor)))
+
+
+def _median_around(values: Array, filled: Mask, i: int, j: int) -> Array:
+    """Medians (B,) of the filled neighbours of a cell of values (B, H, W), else 0, which empty cells hold."""
+    near = np.s_[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
+    is_neighbour = filled[near].copy()
+    is_neighbour[min(i, 1), min(j, 1)] = False
+    return (
+        np.median(values[:, *near][:, is_neighbour], axis=1)
+        if np.any(is_neighbour)
+        else np.zeros(len(values))
+    )
+
+
+def _neighbour_range(values: Array, filled: Mask) -> tuple[Array, Array]:
+    """Least and largest of the filled neighbours of values (B, H, W), NaN where fewer than three are filled."""
+    H, W = filled.shape
+    values, filled = np.pad(values, ((0, 0), (1, 1), (1, 1))), np.pad(filled, 1)
+    for_low, for_high = np.where(filled, values, np.inf), np.where(filled, values, -np.inf)
+    low, high = for_low[:, :H, :W].copy(), for_high[:, :H, :W].copy()
+    count = np.zeros((H, W), dtype=int)
+    for i, j in np.ndindex(3, 3):
+        if (i, j) != (1, 1):
+            near = np.s_[i : i + H, j : j + W]
+            np.minimum(low, for_low[:, *near], out=low)
+            np.maximum(high, for_high[:, *near], out=high)
+            count += filled[near]
+    few = count < 3
+    low[:, few], high[:, few] = np.nan, np.nan
+    return low, high
+
+
+def _of_cells(file: BsdfFile, cells: Sequence[Cell]) -> list[str]:
+    """One sentence on values that disagree, with the farthest of them."""
+    if not cells:
+        return []
+    p, t, b, row, column = cells[0].at
+    where = f"{file.bands.labels[b]} {_in_words(file, np.array([(p, t)]))}, row {row}, column {column}"
+    around = "" if np.isnan(cells[0].low) else f" (neighbours {cells[0].low:.3g} to {cells[0].high:.3g})"
+    disagree = "disagrees" if len(cells) == 1 else "disagree"
+    return [
+        f"{counted(len(cells), 'stored value')} {disagree} with neighbours or with the field 'luminance', "
+        f"farthest {where}: {cells[0].value:.3g}, expected {cells[0].expected:.3g}{around}"
+    ]
+
+
+def _of_albedo(file: BsdfFile, albedo: Array) -> list[str]:
+    """One sentence where more light is reflected than arrives."""
+    limits = np.where(_is_measured(file), _MOST_ALBEDO, _MOST_ALBEDO_GRAZING)
+    is_off = albedo.max(axis=2) > limits
+    if not np.any(is_off):
+        return []
+    p, t, b = np.unravel_index(int(np.argmax(np.where(is_off[..., None], albedo, 0.0))), albedo.shape)
+    largest = f"{albedo[p, t, b]:.3g} in {file.bands.labels[b]} {_in_words(file, np.array([(p, t)]))}"
+    return [f"albedo above 1 {_in_words(file, np.argwhere(is_off))}, up to {largest}"]
+
+
+def _of_colours(file: BsdfFile, albedo: Array) -> list[str]:
+    """One sentence where an albedo in RGB is a colour that no reflectance from 0 to 1 has."""
+    normals, extent = _solid_of_reflectances()
+    norm = np.linalg.norm(albedo, axis=2)
+    beyond = np.max(albedo @ normals.T - extent, axis=2)
+    is_off = (beyond > _BEYOND_COLOURS * norm) & (norm > _DARK)
+    if not np.any(is_off):
+        return []
+    worst = np.unravel_index(
+        int(np.argmax(np.where(is_off, beyond / np.maximum(norm, _DARK), 0.0))), norm.shape
+    )
+    colour = ", ".join(
+        f"{label} {value:.3g}" for label, value in zip(file.bands.labels, albedo[worst], strict=True)
+    )
+    where = _in_words(file, np.argwhere(is_off))
+    return [f"colours that no reflectance has, such as an albedo of {colour}, {where}"]
+
+
+@lru_cache(maxsize=1)
+def _solid_of_reflectances() -> tuple[Array, Array]:
+    """Normals (K, 3) of the solid of all reflectances from 0 to 1 under D65 in linear sRGB, and its extent along each.
+
+    Source: Schroedinger 1920; the extent is reached by a reflectance of 1 where the normal's response is positive.
+    """
+    _, responses = sensor_responses(Illuminant.named("D65"), 2)
+    k = np.arange(_NORMALS) + 0.5  # a Fibonacci lattice
+    normals = from_spherical(np.arccos(1.0 - 2.0 * k / _NORMALS), np.pi * (1.0 + 5.0**0.5) * k)
+    return frozen(normals), frozen(np.maximum(normals @ xyz_to_srgb(responses).T, 0.0).sum(axis=1))
+
+
+def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]:
+    """Sentences on bands of a spectral file that are negative, or unlike the bands on both sides."""
+    labels, sentences = file.bands.labels, []
+    negative = negative_share.max(axis=(0, 1))
+    if np.any(negative > _MOST_NEGATIVE):
+        named = [f"{share:.0%} at {labels[b]}" for b, share in enumerate(negative) if share > _MOST_NEGATIVE]
+        sentences.append(f"negative values: {first_few(named, 3)}")
+    nm = np.asarray(file.bands.wavelengths_nm)
+    is_close = np.maximum(nm[1:-1] - nm[:-2], nm[2:] - nm[1:-1]) <= _BROAD_NM
+    is_step = _is_step(albedo[..., :-2], albedo[..., 1:-1], albedo[..., 2:]) & is_close
+    steps = np.flatnonzero(is_step.any(axis=(0, 1))) + 1
+    if steps.size:
+        named = []
+        for b in steps:
+            where = np.argwhere(is_step[..., b - 1])
+            before, here, after = albedo[where[0, 0], where[0, 1], b - 1 : b + 2]
+            named.append(
+                f"{here:.3g} at {labels[b]} between {before:.3g} and {after:.3g}, {_in_words(file, where)}"
+            )
+        sentences.append(f"albedo unlike that of the bands beside it: {first_few(named, 3, '; ')}")
+    return sentences
+
+
+def _of_incidences(file: BsdfFile, albedo: Array, reciprocity: Array) -> list[str]:
+    """Sentences on incidences whose mean albedo (P, T) is unlike those on both sides, and on exchanged directions."""
+    sentences = []
+    is_step = _is_step(albedo[:, :-2], albedo[:, 1:-1], albedo[:, 2:])
+    for p, t in np.argwhere(is_step)[:3]:
+        before, here, after = albedo[p, t : t + 3]
+        where = _in_words(file, np.array([(p, t + 1)]))
+        sentences.append(
+            f"albedo of {here:.3g} {where}, between incidences with {before:.3g} and {after:.3g}"
+        )
+    distance = np.abs(np.log(np.where(np.isnan(reciprocity), 1.0, reciprocity)))
+    if distance.max() > np.log(_MOST_NON_RECIPROCAL):
+        worst = np.unravel_index(int(np.argmax(distance)), distance.shape)
+        where = _in_words(file, np.array([worst]))
+        sentences.append(
+            f"not reciprocal: f(wi, wo) is {reciprocity[worst]:.2g} times f(wo, wi) {where} (median)"
+        )
+    return sentences
+
+
+def _is_step(before: Array, here: Array, after: Array) -> Mask:
+    """Where an albedo is far above or far below both that stand beside it; negative ones count as 0."""
+    before, here, after = (np.maximum(albedo, 0.0) for albedo in (before, here, after))
+    above = here > _MOST_STEP * np.maximum(before, after) + _DARK
+    return np.asarray(above | (here < np.minimum(before, after) / _MOST_STEP - _DARK))
+
+
+def _is_measured(file: BsdfFile) -> Mask:
+    """Whether slices are far enough from the horizon, (P, T)."""
+    is_far = np.rad2deg(file.theta_i_rad) <= _STEEPEST_DEG
+    return np.broadcast_to(is_far, file.spectra.shape[:2])
+
+
+def _in_words(file: BsdfFile, slices: Indices) -> str:
+    """Slices (p, t) by their incident directions."""
+    if len(slices) == file.spectra.shape[0] * file.spectra.shape[1]:
+        return "at all incidences"
+    degrees, azimuths = np.rad2deg(file.theta_i_rad), np.rad2deg(file.phi_i_rad)
+    words = [
+        f"{degrees[t]:.1f}" + ("" if file.is_isotropic else f" (azimuth {azimuths[p]:.0f})")
+        for p, t in slices
+    ]
+    return f"at {first_few(words, _MOST_SLICES)} degrees"

@@ -56,7 +56,7 @@ def inspect_instrument_file(
     textured = [record for record in records if isinstance(record, Readings) and record.texture]
     if textured:
         rows["texture"] = "graininess, sparkle or pictures of the sample are below"
-    for record in textured[:_MOST_SAMPLES]:
+    for record in textured[:_MOST_LISTED]:
         for key, value in record.texture.items():
             heads, cells = _picture_table(record) if key == "images" else _texture_table(key, value)
             if len(records) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from manifold import progress, work
+from manifold.brdf.consistency import check_consistency
 from manifold.brdf.orientation import rotation_of
 from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
 from manifold.io_rgl import read_bsdf
@@ -27,6 +29,7 @@ from manifold.library.identity import (
 )
 from manifold.library.staging import make_store, write_material
 from manifold.library.store import Library
+from manifold.names import counted
 from manifold.records import Bands
 
 _MANY_TASKS = 64  # number of tasks from which on they have several files
@@ -38,6 +41,10 @@ Outcome = Literal["imported", "skipped", "replaced"]
 T = TypeVar("T")
 
 
+class InconsistentFileWarning(UserWarning):
+    """Values of a file disagree with each other, or are not those of a surface; it is imported."""
+
+
 @dataclass(frozen=True)
 class ImportResult:
     """What became of each file.
@@ -47,12 +54,15 @@ class ImportResult:
         skipped: names of materials that were there already with the same SHA-256, sorted.
         replaced: names of materials whose content was exchanged, sorted.
         failed: why a file was left out, by its path; all the others were imported.
+        inconsistent: what is wrong with the values of files that were imported all the same, by their paths; see
+            `brdf.consistency`.
     """
 
     imported: tuple[str, ...]
     skipped: tuple[str, ...]
     replaced: tuple[str, ...]
     failed: dict[str, str]
+    inconsistent: dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -64,6 +74,7 @@ class _Source:
     name: str
     bands: Bands
     rotation_rad: float | None
+    findings: tuple[str, ...]
 
 
 def import_files(
@@ -78,7 +89,8 @@ def import_files(
     """Import RGL files into a library, which is made with the bands of the first file if there is none.
 
     A material appears in the library in one step, when it is whole: a killed import leaves exactly the
-    finished ones, and importing again adds the rest. One bad file stops no other.
+    finished ones, and importing again adds the rest. One bad file stops no other. A file whose values are inconsistent
+    is warned of (`InconsistentFileWarning`), and imported.
 
     Args:
         library_path: the library.
@@ -109,15 +121,30 @@ def import_files(
     report = _Report(2 * len(paths))
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
         workers = workers or threads
-        loaded = _load(paths, rotation_rad, workers, report)
+        stored = frozenset() if is_new else _stored_hashes(Library(library))
+        loaded = _load(paths, rotation_rad, stored, workers, report)
         _require_one_grid(loaded, expected, library)
+        for source in loaded:
+            _warn_if_inconsistent(source)
         if loaded:
             with staging.writing(library) as staged:
                 if is_new:
                     make_store(library, loaded[0].bands, staged)
                 chosen = _choose(Library(library), loaded, replace, tolerance, report)
                 _store_all(library, chosen, staged, tolerance, workers, report)
-    return report.result()
+    return report.result({str(source.path): source.findings for source in loaded if source.findings})
+
+
+def _warn_if_inconsistent(source: _Source) -> None:
+    if not source.findings:
+        return
+    first, *others = source.findings
+    more = f", and {counted(len(others), 'other finding')}" if others else ""
+    warnings.warn(
+        f"{source.path.name}: {first}{more}; see `manifold info`, and replace it by an intact file",
+        InconsistentFileWarning,
+        stacklevel=3,
+    )
 
 
 def find_files(
@@ -169,19 +196,26 @@ class _Report:
     def fail(self, path: Path, message: str) -> None:
         self.failed[str(path)] = message
 
-    def result(self) -> ImportResult:
+    def result(self, inconsistent: dict[str, tuple[str, ...]]) -> ImportResult:
         def names(kind: Outcome) -> tuple[str, ...]:
             return tuple(sorted(name for name, outcome in self.outcomes.items() if outcome == kind))
 
         failed = dict(sorted(self.failed.items()))
-        return ImportResult(names("imported"), names("skipped"), names("replaced"), failed)
+        return ImportResult(names("imported"), names("skipped"), names("replaced"), failed, inconsistent)
 
 
-def _load(paths: Sequence[Path], rotation_rad: Rotation, workers: Executor, report: _Report) -> list[_Source]:
+def _stored_hashes(library: Library) -> frozenset[str]:
+    """SHA-256 of the files whose materials are in a library."""
+    return frozenset(library.attributes(name).sha256 for name in library.names)
+
+
+def _load(
+    paths: Sequence[Path], rotation_rad: Rotation, stored: frozenset[str], workers: Executor, report: _Report
+) -> list[_Source]:
     """Check and hash every file; the bad ones are reported and left out."""
     tasks = _in_groups(paths)
     loaded: dict[int, list[_Source]] = {}
-    for k, checked, _ in work.run(partial(_check, rotation_rad=rotation_rad), tasks, workers):
+    for k, checked, _ in work.run(partial(_check, rotation_rad=rotation_rad, stored=stored), tasks, workers):
         assert checked is not None
         for path, source in zip(tasks[k], checked, strict=True):
             if isinstance(source, str):
@@ -191,18 +225,20 @@ def _load(paths: Sequence[Path], rotation_rad: Rotation, workers: Executor, repo
     return [source for k in range(len(tasks)) for source in loaded[k]]
 
 
-def _check(paths: Sequence[Path], *, rotation_rad: Rotation) -> list[_Source | str]:
+def _check(paths: Sequence[Path], *, rotation_rad: Rotation, stored: frozenset[str]) -> list[_Source | str]:
     """What is known of files, or why one cannot be imported."""
-    return [_checked(path, rotation_rad) for path in paths]
+    return [_checked(path, rotation_rad, stored) for path in paths]
 
 
-def _checked(path: Path, rotation_rad: Rotation) -> _Source | str:
+def _checked(path: Path, rotation_rad: Rotation, stored: frozenset[str]) -> _Source | str:
     try:
         file = read_bsdf(path)
         require_material_name(file.name)
         if rotation_rad == "auto" or file.is_isotropic:
             rotation_rad = rotation_of(file) or 0.0
-        return _Source(path, file_sha256(path), file.name, file.bands, rotation_rad)
+        sha256 = file_sha256(path)
+        findings = () if sha256 in stored else check_consistency(file).findings
+        return _Source(path, sha256, file.name, file.bands, rotation_rad, findings)
     except ManifoldError as error:
         return str(error)
     except OSError as error:

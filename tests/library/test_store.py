@@ -21,15 +21,20 @@ import numpy as np
 import pytest
 import zarr
 from helpers.sample_files import WAVELENGTHS_NM, assert_same, assert_same_array, sample_file, write_samples
+from helpers.small_library import measured
 
 from manifold import progress
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library import staging
 from manifold.library.identity import is_material_name
-from manifold.library.importing import ImportResult, import_files
+from manifold.library.importing import ImportResult, InconsistentFileWarning, import_files
 from manifold.library.store import Library
 from manifold.records import Bands, BsdfFile
+
+
+def _outcomes(result: ImportResult) -> tuple[object, ...]:
+    return result.imported, result.skipped, result.replaced, result.failed
 
 
 @pytest.fixture
@@ -69,7 +74,7 @@ def beside(library: Path) -> set[str]:
 def test_a_material_reads_back_as_the_imported_file_bit_for_bit(tmp_path: Path, options: dict) -> None:
     paths = write_samples(tmp_path, 2, **options)
     result = import_files(tmp_path / "library.zarr", paths)
-    assert result == ImportResult(("m00", "m01"), (), (), {})
+    assert _outcomes(result) == (("m00", "m01"), (), (), {})
     library = Library.open(tmp_path / "library.zarr")
     for path in paths:
         file = read_bsdf(path)
@@ -147,6 +152,7 @@ def test_the_store_opens_in_xarray_with_coordinates(library: Library, folder: Pa
     xarray = pytest.importorskip("xarray")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("ignore", InconsistentFileWarning)  # values of samples are random
         data = xarray.open_zarr(library.path, group="materials/m00", consolidated=False, zarr_format=3)
     file = read_bsdf(folder / "m00_spec.bsdf")
     assert set(data.coords) == {"phi_i", "theta_i", "wavelengths"}
@@ -167,9 +173,28 @@ def test_an_rgb_store_opens_in_xarray_with_channels(tmp_path: Path) -> None:
     assert data.spectra.attrs["channels"] == ["R", "G", "B"]
 
 
+def test_an_inconsistent_file_is_imported_with_a_warning_once(tmp_path: Path) -> None:
+    file = measured("syn_paper_white")
+    write_bsdf(tmp_path / "paper_rgb.bsdf", file)
+    write_bsdf(tmp_path / "scaled_rgb.bsdf", dataclasses.replace(file, spectra=file.spectra * 3.0))
+    with pytest.warns(InconsistentFileWarning) as warned:
+        result = import_files(tmp_path / "library.zarr", [tmp_path])
+    (message,) = (str(warning.message) for warning in warned)
+    assert message.startswith("scaled_rgb.bsdf: values are 3 times what the field 'luminance' implies")
+    assert "\n" not in message
+    assert result.imported == ("paper", "scaled")
+    assert list(result.inconsistent) == [str(tmp_path / "scaled_rgb.bsdf")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = import_files(tmp_path / "library.zarr", [tmp_path])
+    assert again.skipped == ("paper", "scaled")
+    assert again.inconsistent == {}
+
+
 def test_no_zarr_warning_reaches_the_user(tmp_path: Path, folder: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("ignore", InconsistentFileWarning)  # values of samples are random
         import_files(tmp_path / "library.zarr", [folder])
         library = Library.open(tmp_path / "library.zarr")
         library.verify()
@@ -247,7 +272,7 @@ def test_importing_again_skips_what_is_there(library: Library, folder: Path) -> 
     seen: list[tuple[int, int, str]] = []
     with progress.listen(lambda *step: seen.append(step)):
         result = import_files(library.path, [folder])
-    assert result == ImportResult(("new",), ("m00", "m01", "m02"), (), {})
+    assert _outcomes(result) == (("new",), ("m00", "m01", "m02"), (), {})
     assert before == {
         path: path.stat().st_mtime_ns for path in (library.path / "materials" / "m00").rglob("*")
     }
@@ -322,7 +347,7 @@ def test_other_content_under_a_name_needs_replace(library: Library, folder: Path
     assert "'m00' is in the library with SHA-256" in refused.failed[str(folder / "m00_spec.bsdf")]
     assert_same(library.read("m00"), sample_file("m00", 0))
     replaced = import_files(library.path, [folder], replace=True)
-    assert replaced == ImportResult((), ("m01", "m02"), ("m00",), {})
+    assert _outcomes(replaced) == ((), ("m01", "m02"), ("m00",), {})
     assert_same(library.read("m00"), sample_file("m00", 99))
     assert old.name == "m00"
     assert beside(library.path) == set()

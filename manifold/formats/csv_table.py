@@ -12,6 +12,7 @@ import io
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,9 @@ def _with_own(readings: Readings, own: Mapping[str, str], context: ErrorContext)
     readings = replace(readings, gloss={**gloss, **readings.gloss})
     if own.get("format") != _FORMAT:
         return readings
-    numbers = {name: context.number(own[key], key) for key, name in _OWN_NUMBERS.items() if key in own}
+    numbers: dict[str, Any] = {
+        name: context.number(own[key], key) for key, name in _OWN_NUMBERS.items() if key in own
+    }
     readings = replace(readings, **numbers)
     return replace(readings, viewing=viewing(own.get("viewing", "")) or readings.viewing)
 

@@ -25,10 +25,9 @@ TUTORIALS = [
 SLOW = (
     "corpus",
     "extend",
+    "few-readings",
     "inverse-rendering",
     "merl",
-    "next-readings",
-    "one-angle",
     "photograph",
     "rgl-files",
     "spectrophotometer",

@@ -273,7 +273,7 @@ def test_standardised_errors_are_errors_over_expected_deviations(data):
 
 
 def errors_on_the_real_files(keys):
-    """Median and 90th percentile by method, as in docs/explanation/gplvm.md."""
+    """Median and 90th percentile by method, as in docs/explanation/accuracy.md."""
     folder = real_rgl_folder()
     files = [] if folder is None else sorted(folder.glob("*_rgb.bsdf"))
     if len(files) != 20:

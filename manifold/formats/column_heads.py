@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from manifold.formats import quantities
-from manifold.formats.quantities import Quantity
+from manifold.formats.quantities import BRDF, FACTORS, Quantity
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Viewing
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, wavelength_nm
 
@@ -170,8 +170,9 @@ def value_head(head: str) -> ValueHead | None:
         text = f"{text[: bands[0].start()]} {text[bands[0].end() :]}"
     words = quantities.phrase(text).split()
     others = " ".join(word for word in words if word not in _BAND_WORDS)
-    letter = None if bands else _CHANNELS.get(others.removeprefix("brdf ").removeprefix("bsdf "))
-    quantity = quantities.quantity_of(others)
+    of_channel = others.removeprefix("brdf ").removeprefix("bsdf ")
+    letter = None if bands else _CHANNELS.get(of_channel)
+    quantity = BRDF if letter is not None and of_channel != others else quantities.quantity_of(others)
     is_wavelength = bool(words) and not others and not bands and words != ["value"]
     if (others and quantity is None and letter is None) or is_wavelength:
         return None
@@ -230,16 +231,14 @@ def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantit
     Raises:
         FileFormatError: heads name different quantities.
     """
-    if len(heads) == 3 and all(map(channel, heads)):
-        return None
-    said = {
-        head.quantity for head in map(value_head, heads) if head is not None and head.quantity is not None
-    }
-    if len(said) > 1:
+    is_rgb = len(heads) == 3 and all(map(channel, heads))  # `R` is red
+    said = {head.quantity for head in map(value_head, heads) if head is not None}
+    named = [q for q in said if q is not None and not (is_rgb and q == FACTORS)]
+    if len(named) > 1:
         raise context.error(
-            f"columns of {' and of '.join(sorted(q.title for q in said))}, expected one quantity", where
+            f"columns of {' and of '.join(sorted(q.title for q in named))}, expected one quantity", where
         )
-    return next(iter(said), None)
+    return named[0] if named else None
 
 
 def is_percent(heads: Sequence[str]) -> bool:

@@ -160,7 +160,11 @@ def quantity_in_prose(
     found = next((q for i, j in spans if (q := quantity_of(" ".join(words[i:j])))), None)
     if found is None:
         light = "transmitted light, " if _TRANSMITTED.search(" ".join(words)) else ""
-        raise context.error(f"{what} is '{text.strip()[:60]}': {light}expected {KNOWN}", where)
+        raise context.error(
+            f"{what} is '{text.strip()[:60]}': {light}expected {KNOWN}",
+            where,
+            remedy="convert the values to one of these",
+        )
     return found
 
 

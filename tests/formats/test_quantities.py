@@ -253,6 +253,14 @@ def test_columns_of_another_quantity_are_refused(heads, words, tmp_path):
         read(tmp_path, f"{HEAD},{heads}\n" + rows(*[F] * (heads.count(",") + 1)))
 
 
+def test_channels_may_name_their_quantity_and_r_is_red(tmp_path):
+    found = read(tmp_path, f"{HEAD},BRDF R,BRDF G,BRDF B\n" + rows(F, F, F))
+    assert found.assumed_unit is None
+    found = read(tmp_path, f"{HEAD},R,G,B\n" + rows(F, F, F))
+    assert found.assumed_unit == "brdf"
+    np.testing.assert_allclose(found.values[:, 1], F)
+
+
 def test_a_planetary_table_has_its_light_at_azimuth_0(tmp_path):
     """Source of the phase angle: Hapke 1993, cos g = cos i cos e + sin i sin e cos psi."""
     i, e, psi = np.deg2rad([[30.0, 30.0, 20.0], [0.0, 40.0, 60.0], [0.0, 180.0, 90.0]])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,14 @@ from manifold.formats.column_heads import (
     angle_unit,
     is_percent,
     quantity,
+    uncertainty_head,
     value_head,
     wavelength,
 )
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.geometries import directions, exceed_radians
 from manifold.formats.quantities import BRDF, FACTORS, I_OVER_F, Quantity, quantity_in_prose
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import (
     MOST_ROWS,
     ErrorContext,
@@ -35,7 +37,14 @@ from manifold.formats.text import (
     split_cells,
     wavelength_nm,
 )
-from manifold.formats.values import as_brdf, assumed_unit, bands_of, named_wavelength
+from manifold.formats.values import (
+    as_brdf,
+    assumed_unit,
+    bands_of,
+    named_wavelength,
+    relative_uncertainties,
+    weights_of,
+)
 from manifold.names import in_one_line
 from manifold.records import Array
 
@@ -46,7 +55,7 @@ _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 d
 
 @dataclass(frozen=True)
 class _Columns:
-    """What the columns of the rows are, in their order: names of angles, and heads of bands.
+    """What the columns of the rows are, in their order: names of angles, heads of bands, and of uncertainties.
 
     Attributes:
         kind: what the values are; None where the file does not say it.
@@ -55,6 +64,7 @@ class _Columns:
 
     names: list[str]
     bands: list[str]
+    uncertain: list[str]
     is_degrees: bool | None
     kind: Quantity | None
     white: float
@@ -105,13 +115,15 @@ def _header(lines: list[str]) -> dict[str, str]:
 def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Columns:
     """The columns that the line VARS names; `measured` is what MEAS_NAME says of the values."""
     heads = split_cells(text, find_separator([text]))
-    names, bands = [], []
+    names, bands, uncertain = list[str](), list[str](), list[str]()
     for angle, head in zip(angle_names(heads), heads, strict=True):
         if angle is not None and angle in names:
             raise context.error(f"{angle} appears twice, expected each angle once", where)
         if angle is None:
-            bands.append(head)
+            (bands if uncertainty_head(head) is None else uncertain).append(head)
         names.append(angle or head)
+    if not bands:
+        bands, uncertain = uncertain, bands
     missing = [name for name in ("theta_i", "theta_o") if name not in names]
     if missing or not bands:
         raise context.error(
@@ -122,7 +134,7 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
         raise context.error(
             f"column {bands[0][:24]}, expected values with a head such as 465nm or BRDF", where
         )
-    unit = angle_unit([head for head in heads if head not in bands], context, where)
+    unit = angle_unit([head for head in heads if head not in (*bands, *uncertain)], context, where)
     # Goniometers call the measurement "Reflectance" where it is no transmission, whatever the values are.
     is_side = re.fullmatch(r"refl(ectance|ection|ected)\W*", measured.strip(), re.IGNORECASE) is not None
     kind = None if is_side else quantity_in_prose(measured, "MEAS_NAME", context)
@@ -135,9 +147,8 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
     kind = kind or of_heads or (FACTORS if percent else None)
     if percent and kind not in (FACTORS, I_OVER_F):
         raise context.error(f"percent of {(kind or BRDF).title}, expected reflectance factors", where)
-    return _Columns(
-        names, bands, None if unit is None else unit == "degrees", kind, 100.0 if percent else 1.0
-    )
+    is_degrees = None if unit is None else unit == "degrees"
+    return _Columns(names, bands, uncertain, is_degrees, kind, 100.0 if percent else 1.0)
 
 
 def _wavelength_of_header(
@@ -190,7 +201,8 @@ def _readings(
     notes: list[str],
     context: ErrorContext,
 ) -> Readings:
-    angle = {name: table[:, k] for k, name in enumerate(columns.names) if name not in columns.bands}
+    others = (*columns.bands, *columns.uncertain)
+    angle = {name: table[:, k] for k, name in enumerate(columns.names) if name not in others}
     is_degrees = columns.is_degrees
     if is_degrees is None:
         is_degrees = exceed_radians(angle)
@@ -214,25 +226,25 @@ def _readings(
         if kind is not BRDF:  # which the standard means
             notes.append(assumed.note)
     values = as_brdf(raw, kind or BRDF, wi, wo, notes, white)
+    uncertain = {head: table[keep][:, columns.names.index(head)] for head in columns.uncertain}
+    said = weights_of(
+        relative_uncertainties(uncertain, columns.bands, raw, kind or BRDF, white, notes, context)
+    )
     nm, values = bands_of(columns.bands, values, notes, context)
-    weights = np.ones(len(wi))
+    weighed: dict[str, Any] = {"weights": np.ones(len(wi)), "repeatability": GONIOMETER}
+    if said is not None:
+        notes.append(said.note)
+        weighed = said.readings
     if is_mini_diff:
-        weights[np.abs(angle["theta_i"][keep]) > _STEEP_INCIDENCE] = _STEEP_WEIGHT
+        weighed["weights"][np.abs(angle["theta_i"][keep]) > _STEEP_INCIDENCE] = _STEEP_WEIGHT
     if np.any(values < 0):
         notes.append(
             f"{int((values < 0).sum())} values are negative, down to {np.nanmin(values):.3g}: noise, kept"
         )
     return Readings(
-        name,
-        instrument,
-        wi,
-        wo,
-        nm,
-        values,
-        weights,
-        tuple(notes),
-        assumed_unit=None if assumed is None else assumed.unit,
-    )
+        name, instrument, wi, wo, nm, values, notes=tuple(notes),
+        assumed_unit=None if assumed is None else assumed.unit, **weighed,
+    )  # fmt: skip
 
 
 def write(path: Path, readings: Readings) -> None:

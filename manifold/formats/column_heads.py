@@ -84,6 +84,9 @@ _OF_VIEWING = (
     r"(?P<deg_first>2|10)\s*[\u00b0\u00ba]?\s*/\s*(?P<light_last>[A-Za-z]+[0-9]*))"
 )
 _VIEWING = re.compile(_OF_VIEWING)
+_VIEWING_OF_CIE = re.compile(
+    rf"(?<![\w/]){_OF_VIEWING.replace('[A-Za-z]+[0-9]*', '(?:[ACE]|D[0-9]{2}|FL?[0-9]{1,2})')}(?![\w/])"
+)
 _LAB_AXES = "lab"
 _LAB = re.compile(rf"(?:CIE\s*)?(?P<axis>[LAaBbl])\s*\*?\s*([(\[]?\s*{_OF_VIEWING}\s*[)\]]?)?")
 
@@ -322,6 +325,12 @@ def lab_head(head: str) -> LabHead | None:
 def viewing(text: str) -> Viewing | None:
     """The light and the observer that a text such as `D65/10` is; None for others."""
     found = _VIEWING.fullmatch(text.strip()) if len(text) <= _LONGEST else None
+    return None if found is None else _viewing(found)
+
+
+def viewing_in(text: str) -> Viewing | None:
+    """Return the CIE light and observer that a text such as `Illuminant: D65/10` names; None for others."""
+    found = _VIEWING_OF_CIE.search(text) if len(text) <= _LONGEST else None
     return None if found is None else _viewing(found)
 
 

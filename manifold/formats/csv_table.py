@@ -73,6 +73,7 @@ def read(path: Path) -> list[Readings]:
     columns = replace(
         columns, comments=(*comments, *columns.comments), kind=BRDF if own.get("format") == _FORMAT else None
     )
+    columns = columns.seen_under(columns.comments)
     is_spectro = columns.geometry is not None
     instrument = own.get("instrument") or f"{'spectrophotometer' if is_spectro else 'goniometer'} (CSV)"
     found = read_table(table, columns, context, own.get("name") or path.stem, instrument)

@@ -21,7 +21,7 @@ import numpy as np
 
 from manifold import disk
 from manifold.errors import FileFormatError
-from manifold.formats.column_heads import lab_head, viewing
+from manifold.formats.column_heads import lab_head, viewing_in
 from manifold.formats.foreign import name_archive
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Readings, Viewing
 from manifold.formats.tables import (
@@ -67,7 +67,11 @@ def read(path: Path) -> list[Readings]:
         (
             table.sheet,
             read_table(
-                table, columns, context, str(table.sheet) if len(found) > 1 else path.stem, instrument
+                table,
+                columns.seen_under(_titles(sheets)),
+                context,
+                str(table.sheet) if len(found) > 1 else path.stem,
+                instrument,
             ),
         )
         for table, columns in found
@@ -187,13 +191,17 @@ def _instrument(sheets: Mapping[str, list[list[Cell]]]) -> str:
     return "multi-angle spectrophotometer (workbook)"
 
 
+def _titles(sheets: Mapping[str, list[list[Cell]]]) -> list[str]:
+    """Return the texts at the top of all sheets."""
+    return [str(cell) for rows in sheets.values() for row in rows[:8] for cell in row if cell is not None]
+
+
 def _viewing(sheets: Mapping[str, list[list[Cell]]]) -> Viewing:
     """Light and observer of the workbook's own colours, which a title or the heads of its columns name."""
-    for rows in sheets.values():
-        for cell in (str(cell) for row in rows[:8] for cell in row if cell is not None):
-            lab = lab_head(cell)
-            if found := viewing(cell) or (lab and lab.viewing):
-                return found
+    for cell in _titles(sheets):
+        lab = lab_head(cell)
+        if found := viewing_in(cell) or (lab and lab.viewing):
+            return found
     return DAYLIGHT
 
 

@@ -51,7 +51,7 @@ class Format(NamedTuple):
     Attributes:
         sniff: whether a file's first bytes are of it.
         read: all samples of a file.
-        repeatability: of the instruments that write it, see `Readings`; None where a file says it.
+        repeatability: of the instruments that write it, see `Readings`; None if the reader decides.
     """
 
     name: str
@@ -72,7 +72,7 @@ _KNOWN = (
     Format("pab-opto text", pab_opto.sniff, pab_opto.read),
     Format("LightTools BSDF text", lighttools.sniff, lighttools.read),
     Format("Zemax BSDF text", zemax.sniff, zemax.read),
-    Format("ASTM table", astm.sniff, astm.read),
+    Format("ASTM table", astm.sniff, astm.read, None),
     Format("UTIA", utia.sniff, utia.read),
     Format("CSV table", csv_table.sniff, csv_table.read, None),
 )

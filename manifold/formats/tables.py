@@ -8,7 +8,7 @@ Tables with a row per value beside its wavelength, or a row per wavelength below
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +16,6 @@ import numpy as np
 
 from manifold.formats import column_heads
 from manifold.formats.column_heads import (
-    UncertaintyHead,
     angle_names,
     channel,
     gloss_angle,
@@ -52,6 +51,7 @@ from manifold.formats.values import (
     assumed_unit,
     bands_of,
     lab_to_linear_srgb,
+    relative_uncertainties,
     weights_of,
 )
 from manifold.records import Array, Mask
@@ -110,7 +110,7 @@ class Columns:
         comments: lines of the file that may name a wavelength.
         viewing: of CIELAB values, which are linear sRGB relative to it in these columns; None of other values.
         kind: what the file says of its values elsewhere than in heads; None where it says nothing.
-        uncertainties: columns of uncertainties, with what their heads say.
+        uncertainties: columns of uncertainties.
         own: columns of weights and scatter, as the package writes them, by head.
     """
 
@@ -125,8 +125,15 @@ class Columns:
     viewing: Viewing | None = None
     is_viewing_assumed: bool = False
     kind: Quantity | None = None
-    uncertainties: dict[int, UncertaintyHead] = field(default_factory=dict)
+    uncertainties: list[int] = field(default_factory=list)
     own: dict[str, int] = field(default_factory=dict)
+
+    def seen_under(self, texts: Iterable[str]) -> Columns:
+        """Return the columns with the light and observer that one of the texts names, where no head does."""
+        named = next((seen for text in texts if (seen := column_heads.viewing_in(text)) is not None), None)
+        if not self.is_viewing_assumed or named is None:
+            return self
+        return replace(self, viewing=named, is_viewing_assumed=False)
 
     @property
     def band_heads(self) -> list[str]:
@@ -346,7 +353,7 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
     free = [k for k, head in enumerate(heads) if k not in angles.values() and head]
     name = column_heads.name_column([heads[k] if k in free else "" for k in range(len(heads))])
     gloss = {k: a for k in free if (a := gloss_angle(heads[k])) is not None}
-    uncertainties = {k: u for k in free if (u := uncertainty_head(heads[k])) is not None}
+    uncertainties = [k for k in free if uncertainty_head(heads[k]) is not None]
     own = {head: heads.index(head) for head in (WEIGHT_HEAD, SCATTER_HEAD) if head in heads}
     bands = [k for k in free if k not in (name, *gloss, *uncertainties, *own.values())]
     said = [column_heads.value_head(heads[k]) for k in bands]
@@ -397,7 +404,7 @@ def _geometry_columns(
     if not lab and len(set(nm)) < len(nm):
         raise context.error("two columns of the same wavelength, expected different ones", table.where(index))
     name = column_heads.name_column(["" if k in (geometry, *bands) else head for k, head in enumerate(heads)])
-    return Columns(index, heads, {}, geometry, bands, name, gloss)
+    return Columns(index, heads, {}, geometry, bands, name, gloss, _above(table, index))
 
 
 def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
@@ -654,7 +661,14 @@ def _readings(
     if not np.any(np.isfinite(raw)):
         raise context.error(f"sample '{name[:40]}' has no values, expected reflectance or f in 1/sr")
     values = as_brdf(raw, kind, wi, wo, notes if columns.geometry is None else [], white)
-    relative = _relative_uncertainties(columns, sample, keep, raw, kind, white, notes, context)
+    uncertain = dict(
+        zip(
+            (columns.heads[k] for k in columns.uncertainties),
+            np.array(sample.uncertainties)[keep].T,
+            strict=True,
+        )
+    )
+    relative = relative_uncertainties(uncertain, columns.band_heads, raw, kind, white, notes, context)
     _, _, relative, *_ = mean_of_repeats(wi, wo, relative)
     nm, values = bands_of(columns.band_heads, values, notes, context, columns.comments)
     wi, wo, values, scatter, repeats = mean_of_repeats(wi, wo, values)
@@ -675,39 +689,6 @@ def _readings(
         notes.append(f"{int(np.isnan(values).sum())} empty cells are not measured")
     gloss = {angle: float(np.mean(units)) for angle, units in sample.gloss.items()}
     return Readings(name, instrument, wi, wo, nm, values, notes=tuple(notes), gloss=gloss, **weighed)
-
-
-def _relative_uncertainties(
-    columns: Columns, sample: _Sample, keep: Mask, raw: Array, kind: Quantity, white: float, notes: list[str],
-    context: ErrorContext,
-) -> Array:  # fmt: skip
-    """Relative standard uncertainties (P, B) of values (P, B) as they stand in the file; NaN where none is given."""
-    relative = np.full(raw.shape, np.nan)
-    nm = [wavelength(head) for head in columns.band_heads]
-    left_out = []
-    for j, (column, head) in enumerate(columns.uncertainties.items()):
-        own = [k for k in range(len(nm)) if head.nm is None or head.nm == nm[k]]
-        if not own or head.coverage == 0.0 or np.any(np.isfinite(relative[:, own])):
-            left_out.append(columns.heads[column])
-            continue
-        given = np.array([row[j] for row in sample.uncertainties])[keep, None] / head.coverage
-        if np.any(given < 0.0):
-            raise context.error(
-                f"a negative uncertainty in column '{columns.heads[column][:24]}', expected 0 or more"
-            )
-        is_percent = column_heads.is_percent([columns.heads[column]])
-        if head.is_relative or (is_percent and white == 1.0):
-            relative[:, own] = given / (100.0 if is_percent else 1.0)
-        elif kind.base:
-            relative[:, own] = given * np.log(kind.base)
-        else:
-            size = np.abs(raw[:, own])
-            relative[:, own] = np.divide(given, size, out=np.full(size.shape, np.nan), where=size > 0.0)
-    if left_out:
-        notes.append(
-            f"{', '.join(left_out)[:80]}: left out, expected standard uncertainties, one column for each of the values"
-        )
-    return relative
 
 
 def in_one_unit(found: Sequence[Readings]) -> list[Readings]:

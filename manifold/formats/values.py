@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.formats.column_heads import channel, wavelength
+from manifold.formats.column_heads import channel, is_percent, uncertainty_head, wavelength
 from manifold.formats.quantities import BRDF, FACTORS, Quantity
 from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wavelength_nm
 from manifold.records import Array
@@ -120,6 +120,41 @@ def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
     if any(looks_like_percent(*of_sample) for of_sample in raw):
         return Assumed("percent", FACTORS, 100.0, TAKEN_AS_PERCENT)
     return Assumed("factor", FACTORS, 1.0, TAKEN_AS_FACTORS)
+
+
+def relative_uncertainties(
+    columns: Mapping[str, Array], band_heads: Sequence[str], raw: Array, kind: Quantity, white: float,
+    notes: list[str], context: ErrorContext,
+) -> Array:  # fmt: skip
+    """Return relative standard uncertainties (P, B) of values (P, B) as they stand in a file; NaN where none is given.
+
+    Columns of uncertainties (P,) are by their heads, see `column_heads.uncertainty_head`; what is left out is noted.
+    """
+    relative = np.full(raw.shape, np.nan)
+    nm = [wavelength(head) for head in band_heads]
+    left_out = []
+    for text, column in columns.items():
+        head = uncertainty_head(text)
+        own = [k for k in range(len(nm)) if head is not None and head.nm in (None, nm[k])]
+        if head is None or not own or head.coverage == 0.0 or np.any(np.isfinite(relative[:, own])):
+            left_out.append(text)
+            continue
+        given = column[:, None] / head.coverage
+        if np.any(given < 0.0):
+            raise context.error(f"a negative uncertainty in column '{text[:24]}', expected 0 or more")
+        in_percent = is_percent([text])
+        if head.is_relative or (in_percent and white == 1.0):
+            relative[:, own] = given / (100.0 if in_percent else 1.0)
+        elif kind.base:
+            relative[:, own] = given * np.log(kind.base)
+        else:
+            size = np.abs(raw[:, own])
+            relative[:, own] = np.divide(given, size, out=np.full(size.shape, np.nan), where=size > 0.0)
+    if left_out:
+        notes.append(
+            f"{', '.join(left_out)[:80]}: left out, expected standard uncertainties, one column for each of the values"
+        )
+    return relative
 
 
 class Weights(NamedTuple):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manifold.errors import FileFormatError
+from manifold.errors import FileFormatError, UsageError
 from manifold.formats import registry
 from manifold.formats.column_heads import (
     PHASE,
@@ -383,6 +383,32 @@ def test_astm_values_whose_unit_is_not_said_may_be_given_one(tmp_path):
     found = astm(tmp_path, "550nm", "Reflectance")
     np.testing.assert_allclose(found.values[:, 0], F)
     np.testing.assert_allclose(found.in_unit("factor").values[:, 0], F / np.pi)
+
+
+def test_uncertainties_of_an_astm_table_weigh_its_readings(tmp_path):
+    found = astm(tmp_path, "BRDF,uBRDF", values=np.column_stack([F, 0.03 * F]))
+    np.testing.assert_allclose(found.values[:, 0], F)
+    np.testing.assert_allclose(found.weights, 0.8, rtol=1e-6)
+    assert found.repeatability == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("before", "viewing"),
+    [
+        ("Illuminant: A/10", Viewing("A", 10)),
+        ("# 10\u00b0/D50", Viewing("D50", 10)),
+        ("45/0, 2026", Viewing("D65", 10)),
+    ],
+)
+def test_a_title_may_name_the_light_of_colours_whose_heads_name_none(before, viewing, tmp_path):
+    found = read(tmp_path, f"{before}\nName,Geometry,L*,a*,b*\nred,45as45,40,45,25\nred,45as110,30,35,20\n")
+    assert found.viewing == viewing
+    assert found.is_viewing_assumed == (before == "45/0, 2026")
+    if found.is_viewing_assumed:
+        assert found.seen_under(Viewing("A", 2)).viewing == Viewing("A", 2)
+    else:
+        with pytest.raises(UsageError, match="leave --illuminant and --observer out"):
+            found.seen_under(Viewing("A", 2))
 
 
 @pytest.mark.parametrize(("said", "nm"), [("WAVELENGTH 1.55um", 1550.0), ("WAVELENGTH 632,8nm", 632.8)])

@@ -176,7 +176,11 @@ def value_head(head: str) -> ValueHead | None:
     of_channel = others.removeprefix("brdf ").removeprefix("bsdf ")
     letter = None if bands else _CHANNELS.get(of_channel)
     quantity = BRDF if letter is not None and of_channel != others else quantities.quantity_of(others)
-    is_wavelength = bool(words) and not others and not bands and words != ["value"]
+    if quantities.is_per_steradian(head):
+        if quantity is not None and quantity.scale != 1.0:
+            return None
+        quantity = BRDF if quantity is None and not others else quantity
+    is_wavelength = bool(words) and not others and not bands
     if (others and quantity is None and letter is None) or is_wavelength:
         return None
     return ValueHead(nm, quantity, letter)

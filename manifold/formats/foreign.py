@@ -15,6 +15,8 @@ _FOREIGN = (
     (b"PK\x03\x04", "a ZIP archive"),
     (b"\x1f\x8b", "a gzip archive"),
     (b"\xd0\xcf\x11\xe0", "an old Office file such as .xls"),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive (Substance .sbsar, or another)"),
+    (b"glTF", "a binary glTF file"),
     (b"%PDF", "a PDF document"),
     (b"\x89PNG", "a PNG picture"),
     (b"\xff\xd8\xff", "a JPEG picture"),

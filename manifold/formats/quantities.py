@@ -115,6 +115,11 @@ _TELLING = re.compile(
     r"luminan\w*|intensit\w*|cos|ln|lg|log|absor\w*|extin\w*|transmi\w*|factors?|coefficients?|normali[sz]ed|relative|"
     r"arbitrary|counts?|signal|voltage|power|flux|albedo|b?rr?f|reff|radf|ars|dsf"
 )  # fmt: skip
+# Reflectances of other geometries, or of which nothing says whether they are relative to a diffuser.
+_UNCLEAR = re.compile(
+    rf"\b(bidirectional|bi directional|directional|hemispherical|diffuse|total|specular) {_REFLECTANCE}\b"
+    r"(?! (factor|distribution))"
+)
 _TRANSMITTED = re.compile(r"btdf|transmi\w*")
 
 
@@ -133,6 +138,11 @@ def phrase(text: str) -> str:
 def is_percent(text: str) -> bool:
     """Whether a text names percent."""
     return _PERCENT.search(text.lower()) is not None
+
+
+def is_per_steradian(text: str) -> bool:
+    """Whether a text names the unit of a BRDF."""
+    return _PER_STERADIAN.search(text.lower().replace("_", " ")) is not None
 
 
 def quantity_of(words: str) -> Quantity | None:
@@ -155,10 +165,11 @@ def quantity_in_prose(
     words = phrase(_NOT_WEIGHTED.sub(" ", plain(text))).split()
     telling = [k for k, word in enumerate(words) if _TELLING.fullmatch(word)]
     if not telling:
-        return None
+        return BRDF if is_per_steradian(text) else None
     spans = ((i, j) for i in range(telling[0] + 1) for j in range(len(words), telling[-1], -1))
     found = next((q for i, j in spans if (q := quantity_of(" ".join(words[i:j])))), None)
-    if found is None:
+    is_contradiction = found is not None and found.scale != 1.0 and is_per_steradian(text)
+    if found is None or is_contradiction or _UNCLEAR.search(" ".join(words)):
         light = "transmitted light, " if _TRANSMITTED.search(" ".join(words)) else ""
         raise context.error(
             f"{what} is '{text.strip()[:60]}': {light}expected {KNOWN}",

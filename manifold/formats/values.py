@@ -27,7 +27,8 @@ _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are be
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
 _STATEMENT = re.compile(
-    rf"(?<![a-z])(?:wavelength|lambda|\u03bb)\s*(?:in\s)?[(\[]?(?P<unit>{LENGTH_UNIT}(?![a-z]))?[)\]]?\s*(?:is\s|[:=,;])?\s*"
+    r"(?<![a-z])(?:wavelength|wellenl(?:\u00e4|ae)nge|lambda|\u03bb)[\s_/]*(?:in\s)?"
+    rf"[(\[]?(?P<unit>{LENGTH_UNIT}(?![a-z]))?[)\]]?\s*(?:is\s|[:=,;])?\s*"
     r"(?P<number>(?:\d+(?:[.,]\d+)?|[.,]\d+)(?:e[-+]?\d+)?)(?P<rest>.*)"
 )
 _UNIT_BEHIND = re.compile(r"\s*[(\[]?(?P<unit>[^\W\d_]+(?:\s?\^?-1)?)[)\]]?")

@@ -12,6 +12,7 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.difference import lab_under_d65
+from manifold.colour.narrow_bands import in_daylight
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.attributes import (
@@ -259,6 +260,41 @@ def test_the_header_of_a_list_names_the_light_of_its_colours(tmp_path):
         UsageError, match="the header says D50/2, found A/2; leave --illuminant and --observer out"
     ):
         read_colours(path, {}, Viewing("A", 2))
+
+
+def test_a_colour_under_another_light_is_converted_once(run, model, tmp_path):
+    """With an RGB library, the colour that was converted already was taken as one under the other light again."""
+    viewing = Viewing("A", 2)
+    lab = lab_under_d65(np.array([50.0, 20.0, 10.0]), viewing)
+    library = ("-L", model.library.path)
+    assert (
+        run("complete", "--lab", "50,20,10", "--illuminant", "A", *library, "-o", "a.bsdf", cwd=tmp_path)[0]
+        == 0
+    )
+    assert run("complete", "--lab", ",".join(map(str, lab)), *library, "-o", "b.bsdf", cwd=tmp_path)[0] == 0
+    found, expected = (read_bsdf(tmp_path / name).spectra for name in ("a.bsdf", "b.bsdf"))
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_colours_of_a_file_are_not_taken_under_another_light(run, model, tmp_path):
+    (tmp_path / "lab.csv").write_text(
+        "Geometry,L* (D65/10),a* (D65/10),b* (D65/10)\n45as45,50,20,10\n45as110,45,18,9\n"
+    )
+    arguments = ("complete", "lab.csv", "--illuminant", "A", "-L", model.library.path, "-o", "x.bsdf")
+    code, _, error = run(*arguments, cwd=tmp_path)
+    assert (code, "colours under D65/10, found A/10; leave --illuminant" in error) == (2, True)
+
+
+def test_readings_under_another_light_are_compared_in_daylight(model):
+    name = model.names[1]
+    wi, wo = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
+    seen = Readings(
+        "seen", "table", wi, wo, None, model.material(name).eval(wi, wo), viewing=Viewing("A", 10)
+    )
+    distance = {one.name: one.distance for one in find(model.library, seen)}
+    daylight = {one.name: one.distance for one in find(model.library, in_daylight(seen))}
+    assert distance == daylight
+    assert distance[name] > 0.1
 
 
 def test_what_looks_most_like_a_material_is_found(run, model, tmp_path):

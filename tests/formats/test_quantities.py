@@ -58,7 +58,9 @@ def test_numbers_keep_their_unit_whether_attached_or_in_brackets():
     [
         ("# wavelength: 1.55um", 1550), ("# Wavelength: 632.8nm", 632.8), ("# wavelength = 10.6um", 10600),
         ("# wavelength: 632,8 nm", 632.8), ("# wavelength: 0.6328 [um]", 632.8), ("# wavelength [A]: 6328", 632.8),
-        ("# \u03bb = 633nm", 633), ("# wavelength: 633 nm (HeNe)", 633), ("Wavelength (nm), 633", 633),
+        ("# \u03bb = 633nm", 633),
+        ("# wavelength_nm: 633", 633), ("# Wellenl\u00e4nge: 632,8nm", 632.8),
+        ("# wavelength: 633 nm (HeNe)", 633), ("Wavelength (nm), 633", 633),
         ("# wavelength 850 measured by x", 850), ("# wavelength: 400-700 nm", None), ("# wavelengths: 450, 550", None),
         ("# wavelength: 450, 550, 650 nm", None), ("# wavelength 1 of 3", None), ("# wavelength: red", None),
     ],
@@ -84,7 +86,8 @@ def test_a_comment_with_a_wavelength_that_is_none_is_refused(comment):
         ("I/F", None, I_OVER_F), ("RADF", None, I_OVER_F), ("REFF", None, FACTORS), ("BRDF [sr^-1]", None, BRDF),
         ("Radiance coefficient (1/sr)", None, BRDF), ("Reflectance factor (%)", None, FACTORS),
         ("Cosine-corrected BSDF", None, COSINE_BRDF), ("BRDF cos(theta_s)", None, COSINE_BRDF),
-        ("angle-resolved scattering", None, COSINE_BRDF), ("465nm", 465, None),
+        ("angle-resolved scattering", None, COSINE_BRDF), ("465nm", 465, None), ("465nm [1/sr]", 465, BRDF),
+        ("value (1/sr)", None, BRDF),
     ],
 )  # fmt: skip
 def test_heads_say_what_their_values_are(head, nm, quantity):
@@ -104,6 +107,8 @@ def test_heads_say_what_their_values_are(head, nm, quantity):
         "BTDF",
         "BRDF (s-pol)",
         "Reflectance (sr)",
+        "Reflectance (1/sr)",
+        "Bidirectional reflectance",
         "dB",
         "BRDF 2",
     ],
@@ -136,6 +141,9 @@ def test_prose_names_a_quantity_or_none(text, quantity):
         "Absorbance",
         "Radiance",
         "BRDF and BTDF",
+        "Bidirectional reflectance",
+        "Hemispherical reflectance",
+        "Reflectance factor [1/sr]",
     ],
 )
 def test_prose_on_another_quantity_is_refused(text):

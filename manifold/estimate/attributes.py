@@ -9,6 +9,7 @@ are found by the same, or by their likeness to another material.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -52,6 +53,10 @@ _LEAST_REFLECTANCE = 1e-3  # so that black can be tinted
 _LIGHT, _NORMAL = from_spherical(np.pi / 4, 0.0), from_spherical(0.0, 0.0)
 GLOSS_TOLERANCE, COLOUR_TOLERANCE = 0.05, 1.0  # relative; CIEDE2000: beyond them something was not reached
 _JUST_VISIBLE = np.log(1.2)  # difference of log gloss: a fifth more, about as visible as a CIEDE2000 of 1
+
+
+class NotReachedWarning(UserWarning):
+    """A material that is about to be written does not have all attributes that were asked for."""
 
 
 @dataclass(frozen=True)
@@ -179,6 +184,11 @@ class Adjusted:
             difference = f"CIEDE2000 {self.difference:.1f} ({DAYLIGHT}, 45/0)"
             shortfalls.append(f"colour: {reached} reached, {asked} asked, {difference}")
         return tuple(shortfalls)
+
+    def warn(self) -> None:
+        """Warn of what could not be reached, before anything is written."""
+        for shortfall in self.shortfalls:
+            warnings.warn(shortfall, NotReachedWarning, stacklevel=3)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

@@ -154,7 +154,7 @@ def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Pla
         reached = np.array(list(gloss_units(made, gloss).values()))
         return np.append(gloss_misfits(reached, gloss), (lab_of(made) - lab) / COLOUR_ROUNDING)
 
-    return nearest_coat(target, bands, off)
+    return nearest_coat(lambda surface: target - surface, bands, off)
 
 
 def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
@@ -164,19 +164,19 @@ def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
 
 
 def nearest_coat(
-    target: Array, bands: Bands, off: Callable[[Plastic], Array], index: float = _INDEX
+    below: Callable[[Array], Array], bands: Bands, off: Callable[[Plastic], Array], index: float = _INDEX
 ) -> tuple[Plastic, float]:
-    """The coat over a Lambertian with the least sum of squares of residuals `off` (n,), and its alpha.
+    """Find the coat over a Lambertian with the least sum of squares of residuals `off` (n,), and its alpha.
 
-    Its reflectance factor at 45/0 is `target` (B,), or nearest to it where a base from 0 to 1 does not allow it; its
-    refractive index stays near `index`.
+    Of its reflectance factor at 45/0, `below` says by the part of the surface (B,) what comes from the base (B,); the
+    nearest base from 0 to 1 is taken. Its refractive index stays near `index`.
     """
 
     def coat(x: Array) -> Plastic:
         bare = Plastic(GGX.isotropic(float(np.exp(x[0]))), np.array(x[1]), np.zeros(bands.count), bands)
         white = Plastic(bare.ggx, bare.eta, np.ones(bands.count), bands)
         of_coat, of_base = factor_of(bare), factor_of(white)
-        return Plastic(bare.ggx, bare.eta, np.clip((target - of_coat) / (of_base - of_coat), 0.0, 1.0), bands)
+        return Plastic(bare.ggx, bare.eta, np.clip(below(of_coat) / (of_base - of_coat), 0.0, 1.0), bands)
 
     def residuals(x: Array) -> Array:
         return np.append(off(coat(x)), (x[1] - index) / _INDEX_SPREAD)
@@ -365,17 +365,25 @@ def _parts(coat: Plastic, wi: Array, wo: Array) -> tuple[Array, Array]:
 def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], strength: Array) -> Array:
     """Values f >= 0 of a material with a new coat instead of an old one, in 1/sr, shape (..., B).
 
-    What the old coat's base explains of them changes as the base does. The rest, the highlight, changes as the surface
-    does: it is taken away in proportion, and added as strongly, at most `strength` (B,) >= 1, as the material's
-    highlight is to the old coat's, so that a metal's stays coloured. For coats see `_parts`.
+    What the old coat's base explains of them changes as the base does, also where that was black. The rest, the
+    highlight, changes as the surface does: it is taken away in proportion, and added as strongly, at most `strength`
+    (B,) >= 1, as the material's highlight is to the old coat's, so that a metal's stays coloured. For coats see
+    `_parts`.
     """
-    (surface, base), (new_surface, new_base) = old, new
-    below = np.minimum(f, base)
-    ratio = (f - below) / np.maximum(surface, _LEAST_SURFACE)
+    above, share = _highlight(f, old, new[0], strength)
+    return np.asarray(above + share * new[1])
+
+
+def _highlight(
+    f: Array, old: tuple[Array, Array], new_surface: Array, strength: Array
+) -> tuple[Array, Array]:
+    """Return what a new surface makes of the highlight of values f (..., B), and the share of the old base in them."""
+    surface, base = old
+    rest = f - np.minimum(f, base)
+    ratio = rest / np.maximum(surface, _LEAST_SURFACE)
     ratio = np.where(new_surface > surface, np.clip(ratio, 1.0, strength), ratio)
-    return np.asarray(
-        f - below + ratio * (new_surface - surface) + below * new_base / np.maximum(base, _LEAST_SURFACE)
-    )
+    share = np.minimum(f / np.maximum(base, _LEAST_SURFACE), 1.0)
+    return rest + ratio * (new_surface - surface), share
 
 
 def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
@@ -401,7 +409,12 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
         seen = lab_of_factor(exchanged(factor, of_old, _factors(new), strength), bands)
         return np.append(gloss_misfits(np.array(made), gloss), (seen - colour) / COLOUR_ROUNDING)
 
-    new, _ = nearest_coat(factor_of(old), bands, off, float(np.mean(old.eta)))
+    def below(surface: Array) -> Array:
+        """Keep the colour: what the new surface makes of the highlight lacks."""
+        above, share = _highlight(factor, of_old, surface, strength)
+        return (factor - above) / np.maximum(share, _LEAST_SURFACE)
+
+    new, _ = nearest_coat(below, bands, off, float(np.mean(old.eta)))
     return RecoatedBRDF(brdf, old, new, strength)
 
 

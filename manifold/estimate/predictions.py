@@ -90,6 +90,8 @@ def predict(
         brdf = with_gloss(brdf, units)
         adjusted = adjusted.reached_by(brdf, units)
         chosen = replace(chosen, words=str(adjusted))
+    if adjusted is not None:
+        adjusted.warn()
     start = time.perf_counter()
     clipped = ClippedBRDF(brdf)
     description = _describe(model, place, chosen, options.physical)

@@ -226,7 +226,7 @@ def _fixed(error: float) -> str:
 def _expected_errors(report: Report) -> list[str]:
     """Calibration of the expected errors."""
     if report.expected_errors is None:
-        return [f"No expected errors: {NOT_CALIBRATED[0]};", f"{NOT_CALIBRATED[1]}.", ""]
+        return [*textwrap.wrap(f"Expected errors: {'; '.join(NOT_CALIBRATED)}.", _WIDTH), ""]
     rows = [
         (
             _EXPECTED_NAMES[name],
@@ -272,10 +272,11 @@ def _materials(report: Report) -> list[str]:
 def _closing(report: Report) -> list[str]:
     """Times, and what was not run."""
     s = report.seconds
-    lines = [
+    lines = textwrap.wrap(
         f"Loading {s['load']:.1f} s, tabulating {s['tabulate']:.1f} s, fitting and encoding "
-        f"{s['encode']:.1f} s, evaluating {s['evaluate']:.1f} s."
-    ]
+        f"{s['encode']:.1f} s, evaluating {s['evaluate']:.1f} s.",
+        _WIDTH,
+    )
     if report.left_out:
         lines.append(f"{len(report.left_out)} more methods take long: a comparison runs them too.")
     return lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from manifold.estimate.attributes import (
     GLOSS_TOLERANCE,
     Adjusted,
     Attributes,
+    NotReachedWarning,
     Wanted,
     adjust,
     find,
@@ -27,6 +29,7 @@ from manifold.estimate.attributes import (
 )
 from manifold.estimate.coat import read_colours, with_gloss
 from manifold.estimate.gloss import gloss_units
+from manifold.estimate.predictions import predict
 from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf
 from manifold.model.manifold import Manifold, Settings
@@ -170,6 +173,38 @@ def test_another_gloss_is_another_coat_over_the_same_base(before, after, rng):
     np.testing.assert_allclose(np.cbrt(made.eval(wi, wo)), np.cbrt(wanted.eval(wi, wo)), rtol=0.02)
     np.testing.assert_allclose(made.eval(wo, wi), made.eval(wi, wo), rtol=1e-9)
     np.testing.assert_allclose(lab_of(made), lab_of(paint(before)), atol=0.5)
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.8])
+def test_another_gloss_keeps_a_colour_darker_than_the_coat(alpha):
+    """In blue there is no base that a coat of less light at 45/0 could uncover: chroma rose from 47 to 57."""
+    paint = Plastic(GGX.isotropic(alpha), np.array(1.5), np.array([0.35, 0.16, 0.0]), Bands(None))
+    glossy = with_gloss(paint, {60.0: 40.0})
+    assert gloss_units(glossy, [60.0])[60.0] == pytest.approx(40.0, rel=GLOSS_TOLERANCE)
+    np.testing.assert_allclose(lab_of(glossy), lab_of(paint), atol=0.1)
+
+
+def test_a_colour_and_a_gloss_asked_for_together_are_both_reached(model, tmp_path):
+    name = "syn_felt_orange"
+    asked = Attributes({60.0: Wanted(30.0)}, chroma=Wanted(35.0))
+    made = predict(model, name, tmp_path / "a_rgb.bsdf", attributes=asked).attributes
+    assert made["shortfalls"] == []
+    assert made["reached"]["chroma"] == pytest.approx(35.0, abs=1.0)
+    assert made["reached"]["gloss"]["60"] == pytest.approx(30.0, rel=GLOSS_TOLERANCE)
+
+
+def test_what_cannot_be_reached_is_said_before_anything_is_written(model, tmp_path):
+    """The light of a matt coat alone is brighter."""
+    asked, path = Attributes({60.0: Wanted(3.0)}, lightness=Wanted(1.0)), tmp_path / "a_rgb.bsdf"
+    with pytest.warns(NotReachedWarning, match="colour: .* reached, L 1.0, .* asked"):
+        made = predict(model, "syn_gloss_red", path, attributes=asked)
+    assert made.attributes["shortfalls"]
+    path.unlink()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NotReachedWarning)
+        with pytest.raises(NotReachedWarning):
+            predict(model, "syn_gloss_red", path, attributes=asked)
+    assert not path.exists()
 
 
 def test_gloss_that_no_dielectric_has_is_said(run, model, tmp_path):

@@ -3,8 +3,7 @@
     python benchmarks/bench_gloss.py library.zarr
 
 The paints are simulated: a rough dielectric of index 1.4 to 1.6, of one roughness or of two (haze), over a coloured
-base. Materials of the library with more than 10 gloss units at 60 degrees are left out. Results:
-docs/explanation/completion.md.
+base. Materials of the library with more than 10 gloss units at 60 degrees are left out.
 """
 
 from __future__ import annotations

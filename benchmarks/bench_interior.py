@@ -1,4 +1,4 @@
-"""Plausibility of random latents of a map: the table of docs/explanation/blends.md.
+"""Plausibility of random latents of a map, for docs/explanation/blends.md.
 
     python benchmarks/bench_interior.py LIBRARY [--latent-dim Q] [--kind KIND] [--count N] [--seeds 0,1,2] [--written N]
 

@@ -5,7 +5,7 @@
 
 `--numbers 8 12 16 24 40` adds the curve of error against numbers. Encoded at every sixth direction pair of the default
 grid, evaluated at all of them, and by the ball in the judged lights: their mean, and the worst.
-Results: docs/explanation/reconstruction.md.
+Results: docs/explanation/accuracy.md.
 """
 
 from __future__ import annotations

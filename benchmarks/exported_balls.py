@@ -2,7 +2,7 @@
 
     python benchmarks/exported_balls.py balls.png FILE ... [--target gltf]
 
-A file with a fit beside it (`NAME.fit.json`) is not fitted again. Shown in docs/how-to/export.md.
+A file with a fit beside it (`NAME.fit.json`) is not fitted again. Shown in docs/explanation/fits.md.
 """
 
 from __future__ import annotations

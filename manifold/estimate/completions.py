@@ -209,12 +209,23 @@ def complete(
         *made.notes,
         *calibration.notes(made),
         *diagnostics.of_prediction(False, plausibility),
+        *_of_unit(made.readings, plausibility),
         *written.projection,
     )
     return Completed(
         output, picture, made, correction, expected, plausibility, suggested, notes,
         time.perf_counter() - start,
     )  # fmt: skip
+
+
+def _of_unit(readings: Readings, plausibility: Plausibility) -> tuple[str, ...]:
+    """Return a note if readings without a unit make a material that reflects more light than it receives."""
+    if readings.assumed_unit != "brdf" or plausibility.max_albedo <= diagnostics.MOST_ALBEDO:
+        return ()
+    return (
+        "the values have no unit and were taken as BRDF in 1/sr: with this albedo they may be reflectance factors "
+        "(--unit factor); the expected error does not include that",
+    )
 
 
 def draw_ball(file: Path, picture: Path) -> None:

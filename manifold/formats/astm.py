@@ -38,6 +38,7 @@ from manifold.formats.text import (
     wavelength_nm,
 )
 from manifold.formats.values import (
+    TAKEN_AS_BRDF,
     as_brdf,
     assumed_unit,
     bands_of,
@@ -223,7 +224,7 @@ def _readings(
     assumed = None if kind is not None else assumed_unit([(wi, wo, raw)])
     if assumed is not None:
         kind, white = assumed.quantity, assumed.white
-        if kind is not BRDF:  # which the standard means
+        if assumed.note != TAKEN_AS_BRDF:  # which the standard means
             notes.append(assumed.note)
     values = as_brdf(raw, kind or BRDF, wi, wo, notes, white)
     uncertain = {head: table[keep][:, columns.names.index(head)] for head in columns.uncertain}

@@ -18,6 +18,11 @@ SHORTEST_NM, LONGEST_NM = 100.0, 1e5
 
 _NO_UNIT = "no unit given (--unit brdf, factor or percent): "
 TAKEN_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
+LOOKS_LIKE_FACTORS = (
+    TAKEN_AS_BRDF
+    + "; the few values away from the mirror direction look like reflectance factors, since as BRDF they "
+    "would reflect more light than they receive: give --unit factor if they are"
+)
 TAKEN_AS_FACTORS = _NO_UNIT + "taken as reflectance factors, 1 being the perfect diffuser"
 TAKEN_AS_PERCENT = _NO_UNIT + "values above 2 away from the mirror direction, or above 30, taken as percent"
 TOO_BRIGHT = _NO_UNIT + "as BRDF in 1/sr it would reflect more light than it receives: "
@@ -105,12 +110,14 @@ class Assumed(NamedTuple):
 
 
 def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
-    """BRDF in 1/sr; where it would reflect more light than it receives, reflectance factors, or these in percent.
+    """Take values for BRDF in 1/sr; where that would reflect more light than it receives, for reflectance factors, or
+    for these in percent. Where few values say so, they stay a BRDF, with a note.
 
     Each of several samples is wi (P, 3), wo (P, 3) and values (P, B) of one file.
     """
     if not any(is_too_bright(*of_sample) for of_sample in raw):
-        return Assumed("brdf", BRDF, 1.0, TAKEN_AS_BRDF)
+        few_say_so = any(is_too_bright(*of_sample, fewest=1) for of_sample in raw)
+        return Assumed("brdf", BRDF, 1.0, LOOKS_LIKE_FACTORS if few_say_so else TAKEN_AS_BRDF)
     if any(is_too_bright(wi, wo, values / np.pi) for wi, wo, values in raw):
         return Assumed("percent", FACTORS, 100.0, TOO_BRIGHT + "taken as per cent")
     return Assumed("factor", FACTORS, 1.0, TOO_BRIGHT + "taken as reflectance factors")
@@ -223,15 +230,17 @@ def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float =
     return bool(np.max(off, initial=0.0) > most_factor or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
 
 
-def is_too_bright(wi: Array, wo: Array, values: Array) -> bool:
-    """Whether values (P, B) in 1/sr are too large in the median, away from the mirror direction and the horizon."""
+def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = _FEWEST) -> bool:
+    """Tell whether values (P, B) in 1/sr are too large in the median, away from the mirror direction and the horizon,
+    where there are at least so many.
+    """
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
     is_diffuse = (mirror < np.cos(np.deg2rad(40.0))) & (
         np.minimum(wi[:, 2], wo[:, 2]) > np.cos(np.deg2rad(70.0))
     )
     seen = values[is_diffuse].mean(axis=1)
     seen = seen[np.isfinite(seen)]
-    return bool(len(seen) >= _FEWEST and np.pi * np.median(seen) > _MOST_BRDF)
+    return bool(len(seen) >= fewest and np.pi * np.median(seen) > _MOST_BRDF)
 
 
 def xyz_to_linear_srgb(xyz: Array) -> Array:

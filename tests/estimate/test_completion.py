@@ -17,6 +17,7 @@ from helpers.small_library import NAMES
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
 from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
@@ -26,6 +27,7 @@ from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import completion_weights, for_library, in_all_bands, in_srgb
+from manifold.estimate.completions import _of_unit as of_unit
 from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
 from manifold.estimate.mixtures import (
     COATED,
@@ -709,3 +711,15 @@ def test_without_readings_the_first_directions_are_suggested_or_asked_for(run, l
     ):
         status, _, err = run(*arguments, cwd=tmp_path)
         assert (status, what in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("unit", "albedo", "is_said"), [("brdf", 2.5, True), ("brdf", 0.9, False), (None, 2.5, False)]
+)
+def test_an_albedo_above_1_of_values_without_a_unit_asks_for_the_unit(unit, albedo, is_said):
+    read = replace(readings(np.full((len(DIRECTIONS[0]), 3), 0.8)), assumed_unit=unit)
+    plausibility = Plausibility(
+        negative_share=0.0, reciprocity_error=0.0, max_albedo=albedo, highlight_valley=0.0
+    )
+    notes = of_unit(read, plausibility)
+    assert [("--unit factor" in note and "expected error" in note) for note in notes] == [True] * is_said

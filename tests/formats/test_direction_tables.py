@@ -249,6 +249,26 @@ def test_values_that_only_one_unit_makes_plausible_decide_it(head, factor, unit,
         assert any("reflect more light than it receives" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(("factor", "is_said"), [(0.8, True), (0.25, False)])
+def test_few_values_that_look_like_factors_stay_a_brdf_with_a_note(factor, is_said, tmp_path):
+    """Two of these directions are away from the mirror direction: too few to decide the unit."""
+    path = tmp_path / "few.csv"
+    pairs = [(45, 0), (45, 30), (45, 60), (15, 0), (60, 0)]
+    path.write_text(
+        "theta_i,theta_o,R,G,B\n" + "".join(f"{i},{o}" + f",{factor}" * 3 + "\n" for i, o in pairs)
+    )
+    found = registry.read_readings(path)
+    assert found.assumed_unit == "brdf"
+    np.testing.assert_allclose(found.values, factor)
+    assert (
+        any("look like reflectance factors" in note and "--unit factor" in note for note in found.notes)
+        == is_said
+    )
+    told = registry.read_readings(path, unit="factor")
+    np.testing.assert_allclose(told.values, factor / np.pi)
+    assert not any("--unit factor" in note for note in told.notes)
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [

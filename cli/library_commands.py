@@ -353,6 +353,7 @@ def find(
     a fifth, about as visible as a CIEDE2000 of 1.
     """
     from manifold.estimate import attributes, coat, completions
+    from manifold.formats.readings import Readings
     from manifold.library.store import Library
 
     if (material is None) == (lab is None and not gloss):
@@ -382,7 +383,10 @@ def find(
         colour = None if lab is None else completions.parse_lab(lab, viewing)
         found = attributes.find(opened, sought, lab=colour, gloss=units)
     _show_found(results, found[:count])
-    results.document({"found": found[:count]})
+    notes = sought.notes if isinstance(sought, Readings) else ()
+    for note in notes:
+        results.sentence(f"note: {note}")
+    results.document({"found": found[:count], "notes": notes})
 
 
 def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:

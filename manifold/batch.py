@@ -345,6 +345,7 @@ def _only_run_in(folder: Path, what: str) -> Iterator[None]:
     """Make a folder, and hold its lock: results of two runs would be mixed."""
     make_folder(folder, what)
     lock = FileLock(folder / ".manifold.lock")
+    disk.require_lockable(Path(lock.lock_file))
     try:
         lock.acquire(blocking=False)
     except Timeout:

@@ -69,6 +69,12 @@ def _cannot_write(path: Path, reason: str) -> UsageError:
     return UsageError(f"{path}: cannot write this file ({reason}); check the folder, or name another")
 
 
+def require_lockable(path: Path) -> None:
+    """Raise UsageError where a lock is something other than a regular file: opening a pipe waits for ever."""
+    if os.path.lexists(path) and not os.path.isfile(path):
+        raise UsageError(f"{path}: not a regular file, expected a lock; remove it")
+
+
 MOST_TEXT = 16 << 20
 """Bytes of a text: scenes, fits and spectra have kilobytes."""
 

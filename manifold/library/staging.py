@@ -20,6 +20,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from manifold import disk
 from manifold.errors import LibraryError
 from manifold.library import visible_normals
 from manifold.library.compact import Compact
@@ -49,6 +50,7 @@ def writing(library: Path) -> Iterator[Path]:
     prefix = f".{library.name}.importing-"
     home = library if os.path.ismount(library) else library.parent
     lock = FileLock(home / f".{library.name}.lock")
+    disk.require_lockable(Path(lock.lock_file))
     try:
         home.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from concurrent.futures import Executor, Future
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import Input, find_inputs, find_samples
 from manifold.estimate.instruments import calibrate
 from manifold.estimate.sources import FileSource, PlaceSource
+from manifold.library import staging
 from manifold.model.colours import ColourChoice
 from manifold.plots import figures
 
@@ -137,6 +139,22 @@ def test_a_folder_is_one_runs_at_a_time(tmp_path):
     (outcome,) = run(tmp_path, ["a"], make)
     assert outcome.failure is None
     assert [o.was_there for o in run(tmp_path, ["a", "b"], written)] == [True, False]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder"])
+def test_a_lock_that_is_no_file_is_refused(tmp_path, kind):
+    """Some versions of filelock wait for ever for who opens the other end of a pipe."""
+    lock = tmp_path / ".manifold.lock"
+    os.mkfifo(lock) if kind == "pipe" else lock.mkdir()
+    with pytest.raises(UsageError, match=r"\.manifold\.lock: not a regular file, expected a lock; remove it"):
+        run(tmp_path, ["a"], written)
+    library = tmp_path / ".library.lock"
+    os.mkfifo(library) if kind == "pipe" else library.mkdir()
+    with (
+        pytest.raises(UsageError, match=r"\.library\.lock: not a regular file, expected a lock"),
+        staging.writing(tmp_path / "library"),
+    ):
+        pass
 
 
 def test_a_file_that_another_program_replaces_at_once_is_made_again(tmp_path):

@@ -7,6 +7,7 @@ changed. A file is noted there as soon as it is whole. One run at a time writes 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import os
@@ -379,8 +380,11 @@ class OutputIndex:
             if not all(line.startswith(_ENTRY[: len(line)]) for line in (*lines, torn)):
                 raise ValueError
             for entry in map(json.loads, lines):
-                self._entries[entry["file"]] = entry
-        except (ValueError, KeyError):
+                if not isinstance(entry["file"], str):
+                    raise ValueError
+                if entry.pop("digest", None) == _digest(entry):  # what was changed by others is made again
+                    self._entries[entry["file"]] = entry
+        except (ValueError, KeyError, RecursionError):
             raise FileFormatError(
                 f"{self._path}: not an index of {what}; name another folder, or remove it"
             ) from None
@@ -408,11 +412,16 @@ class OutputIndex:
         self._entries[path.name] = entry
         try:
             with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(entry, allow_nan=False) + "\n")
+                file.write(json.dumps(entry | {"digest": _digest(entry)}, allow_nan=False) + "\n")
         except OSError as error:
             raise UsageError(
                 f"{self._path}: cannot be written ({error.strerror}); check the folder"
             ) from error
+
+
+def _digest(entry: dict[str, Any]) -> str:
+    """Return a hash of an entry of an index, of plain values."""
+    return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
 
 
 def _stamped(made_of: dict[str, Any]) -> dict[str, Any]:

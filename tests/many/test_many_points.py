@@ -185,7 +185,14 @@ def test_pictures_are_rendered_and_kept(model, tmp_path):
     assert "kept" not in run(*words, "--seed", "1").stdout
 
 
-@pytest.mark.parametrize("content", ["{}", "[]\n", '{"file": 1\n'], ids=str)
+DEEP = '{"file": ' + "[" * 100_000 + "]" * 100_000 + "}\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["{}", "[]\n", '{"file": 1\n', '{"file": [1]}\n', '{"file": {"a": 1}}\n', '{"file": null}\n', DEEP],
+    ids=lambda content: content[:15],
+)
 def test_an_index_of_other_content_is_refused(tmp_path, content):
     folder = tmp_path / "out"
     folder.mkdir()
@@ -232,6 +239,19 @@ def test_an_index_knows_what_unchanged_files_were_made_of(tmp_path):
     assert index.result(path, {"of": 2}) is None
     path.write_bytes(b"changed")
     assert index.result(path, {"of": 1}) is None
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"result": {}}, {"result": []}, {"result": None}, {"made_of": []}, {"file_sha256": 1}, {"digest": 2}],
+)
+def test_a_line_that_others_have_changed_is_made_again(tmp_path, changed):
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"made")
+    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5}, file_sha256(path))
+    lines = tmp_path / "exports.jsonl"
+    lines.write_text(json.dumps(json.loads(lines.read_text()) | changed) + "\n")
+    assert OutputIndex(tmp_path, "exports").result(path, {"of": 1}) is None
 
 
 def test_a_line_that_a_killed_run_left_half_is_dropped(tmp_path):

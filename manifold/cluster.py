@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from manifold.errors import ManifoldError, UsageError
 from manifold.extras import require
+from manifold.names import printable
 from manifold.threads import VARIABLE
 
 if TYPE_CHECKING:
@@ -31,7 +32,10 @@ R = TypeVar("R")
 
 _PACKAGES = ("brdf-manifold", "numpy", "scipy", "mitsuba")  # on which results depend
 _CONNECT_S = 8.0
-_ADDRESS = re.compile(r"inproc://\S+|((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.%]+\]|[^\s:/\[\]]+):\d{1,5}")
+_ADDRESS = re.compile(
+    r"inproc://\S+|((tcp|tls|wss?)://)?(\[[0-9A-Fa-f:.]+\]|[\w.-]+):(?P<port>\d{1,5})", re.ASCII
+)
+_MOST_PORT = 65535
 # Of workers with several threads: the folder and the renderer are the process's.
 _one_at_a_time = threading.Lock()
 
@@ -71,13 +75,21 @@ def _connected(address: str) -> Iterator[Client]:
     from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported in one line here
-    if not _ADDRESS.fullmatch(address):
+    parts = _ADDRESS.fullmatch(address)
+    if parts is None or not 1 <= int(parts["port"] or 1) <= _MOST_PORT:
         raise UsageError(f"scheduler '{address}', expected an address such as tcp://10.0.0.1:8786")
     found: queue.Queue[Client | Exception] = queue.Queue()
 
+    class Connected(Client):
+        """A client that is closed on deletion only if it is connected: otherwise that waits, and prints its failure."""
+
+        def __del__(self) -> None:
+            if self.status == "running":
+                super().__del__()
+
     def connect() -> None:
         try:
-            found.put(Client(address, timeout=_CONNECT_S, set_as_default=False))
+            found.put(Connected(address, timeout=_CONNECT_S, set_as_default=False))
         except Exception as error:
             found.put(error)
 
@@ -89,7 +101,7 @@ def _connected(address: str) -> Iterator[Client]:
         client = TimeoutError(f"nothing was heard in {_CONNECT_S + 1.0:g} s")
     if isinstance(client, Exception):
         raise ManifoldError(
-            f"{address}: no Dask scheduler answers ({client}); start one, or check the address"
+            f"{address}: no Dask scheduler answers ({printable(str(client), 160)}); start one, or check the address"
         ) from client
     with client:
         yield client

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import socket
@@ -166,8 +167,30 @@ def test_a_peer_that_says_nothing_is_no_scheduler(monkeypatch):
             there(address, squared, [1])
 
 
+@pytest.mark.parametrize("address", ["inproc://x", "tls://127.0.0.1:1"])
+def test_a_client_that_never_connected_prints_nothing_when_it_is_deleted(address, monkeypatch):
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
+    with pytest.raises(ManifoldError, match="no Dask scheduler answers"):
+        there(address, squared, [1])
+    gc.collect()
+    assert not unraisable
+
+
 @pytest.mark.parametrize(
-    "address", ["", "nonsense", "tcp://", "http://a:1", "tcp://a:b", "tcp://127.0.0.1", "tcp://a b:1"]
+    "address",
+    [
+        "",
+        "nonsense",
+        "tcp://",
+        "http://a:1",
+        "tcp://a:b",
+        "tcp://127.0.0.1",
+        "tcp://a b:1",
+        "a:99999",
+        "a:0",
+        "@:1",
+    ],
 )
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(UsageError, match=r"expected an address such as tcp://10\.0\.0\.1:8786"):

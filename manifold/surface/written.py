@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from manifold.colour.conversion import decode_srgb
 from manifold.directions import normalize
 from manifold.errors import FileFormatError, MissingFileError, UsageError
 from manifold.io_rgl import read_bsdf
+from manifold.names import printable
 from manifold.records import Array
 from manifold.render.images import read_display, read_image
 from manifold.surface.sparkle import DrawnFlakes, Flakes
@@ -20,6 +22,12 @@ from manifold.surface.tiling import Textures
 
 _NEEDED = ("mean", "albedo", "normal", "height")
 _ADVICE = "run manifold surface again"
+_LEAST_MEAN = 1e-6  # of a channel: albedos relative to it stay finite
+_MOST_BALL = 1000.0  # CIEDE2000
+_FLAKES = {
+    "density": (0.0, 1e4), "size_px": (0.0, 1e4), "slope_std": (0.0, 10.0), "roughness": (1e-6, 1.0),
+    "reflectance": (1e-6, 1.0),
+}  # fmt: skip
 _LEAST_UP = 0.05  # z component of a normal: slopes stay finite whatever a picture holds
 
 
@@ -57,30 +65,52 @@ def read_surface(path: Path | str) -> WrittenSurface:
     content = disk.read_json(document, "the JSON of a surface")
     try:
         files = {kind: document.parent / Path(name).name for kind, name in content["files"].items()}
-        mean = np.array(content["mean_srgb_linear"], dtype=np.float64).reshape(3)
-        flakes = content["sparkle"]["flakes"]
-        completion, name = content["completion"], str(content["sample"])
+        mean = np.array([_number(value, _LEAST_MEAN, 1.0) for value in content["mean_srgb_linear"]]).reshape(
+            3
+        )
+        completion, name = content["completion"], content["sample"]
         expected = None if completion is None else (completion["expected"] or {}).get("ball")
-        drawn = Flakes(**flakes) if "flakes" in files else None
+        expected = None if expected is None else _number(expected, 0.0, _MOST_BALL)
+        drawn = _flakes(content["sparkle"]["flakes"]) if "flakes" in files else None
+        if not isinstance(name, str):
+            raise TypeError(f"sample {name!r}")
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(f"{document}: is not the JSON of a surface ({error!r}); {_ADVICE}") from None
+        reason = printable(repr(error), 120)
+        raise FileFormatError(f"{document}: is not the JSON of a surface ({reason}); {_ADVICE}") from None
     if missing := [kind for kind in _NEEDED if kind not in files]:
         raise FileFormatError(
             f"{document}: no file of its {missing[0]}; {_ADVICE}, of a workbook with readings"
         )
-    normal = _normals(files["normal"])
+    pictures = {kind: read_display(files[kind]) for kind in ("albedo", "normal")}
+    pictures["height"] = read_image(files["height"])
+    if drawn is not None:
+        pictures |= {kind: read_display(files[kind]) for kind in ("flakes", "flake_weights")}
+    if odd := [kind for kind, values in pictures.items() if values.shape != pictures["albedo"].shape]:
+        raise FileFormatError(f"{files[odd[0]]}: of another size than {files['albedo'].name}; {_ADVICE}")
+    normal = _normals(pictures["normal"])
     textures = Textures(
-        decode_srgb(read_display(files["albedo"])) / mean,
-        normal[..., :2] / normal[..., 2:],
-        read_image(files["height"])[..., 0],
+        decode_srgb(pictures["albedo"]) / mean, normal[..., :2] / normal[..., 2:], pictures["height"][..., 0]
     )
-    if drawn is None:
-        flakes = None
-    else:
-        mask = read_display(files["flake_weights"])[..., 0] > 0.0
+    flakes = None
+    if drawn is not None:
+        mask = pictures["flake_weights"][..., 0] > 0.0
         upwards = np.array([0.0, 0.0, 1.0])
-        flakes = DrawnFlakes(drawn, np.where(mask[..., None], _normals(files["flakes"]), upwards), mask)
+        flakes = DrawnFlakes(drawn, np.where(mask[..., None], _normals(pictures["flakes"]), upwards), mask)
     return WrittenSurface(name, MeasuredBRDF(read_bsdf(files["mean"])), textures, flakes, expected)
+
+
+def _flakes(content: Any) -> Flakes:
+    """Flakes of the entry of a JSON document; KeyError, TypeError or ValueError of any other."""
+    return Flakes(**{name: _number(content[name], *limits) for name, limits in _FLAKES.items()})
+
+
+def _number(value: Any, least: float, most: float) -> float:
+    """A number of a JSON document within limits; TypeError or ValueError of anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{value!r} is not a number")
+    if not least <= value <= most:
+        raise ValueError(f"{printable(repr(value), 24)} is not within {least:g} and {most:g}")
+    return float(value)
 
 
 def _document_in(folder: Path) -> Path:
@@ -93,7 +123,7 @@ def _document_in(folder: Path) -> Path:
     return found[0]
 
 
-def _normals(path: Path) -> Array:
+def _normals(display: Array) -> Array:
     """Unit normals of a picture of them, shape (S, S, 3)."""
-    normal = 2.0 * read_display(path) - 1.0
+    normal = 2.0 * display - 1.0
     return normalize(np.concatenate([normal[..., :2], np.maximum(normal[..., 2:], _LEAST_UP)], axis=-1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from helpers.browser import chromium
 from helpers.exported_files import read_glb
 from helpers.small_library import small_model
 from helpers.three_js import ThreeJs, node_modules
+from PIL import Image
 from surface_twins import CAPTIONS, workbook
 from typer.testing import CliRunner
 
@@ -267,6 +269,44 @@ def test_a_folder_that_is_no_surface_is_refused(printed, tmp_path):
         document.write_text(json.dumps(content | {"files": named}))
         with pytest.raises(FileFormatError, match=said):
             read_surface(document)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"mean_srgb_linear": [0, 0, 0]}, "0 is not within 1e-06 and 1"),
+        ({"mean_srgb_linear": [1e-320, 0.5, 0.5]}, "is not within 1e-06 and 1"),
+        ({"mean_srgb_linear": [-1, 0.5, 1e308]}, "-1 is not within 1e-06 and 1"),
+        ({"mean_srgb_linear": "abc"}, "'a' is not a number"),
+        ({"mean_srgb_linear": [0.5, 0.5]}, "is not the JSON of a surface"),
+        ({"completion": {"expected": {"ball": "<b>x</b>"}}}, "'<b>x</b>' is not a number"),
+        ({"completion": {"expected": {"ball": {"a": 1}}}}, "is not a number"),
+        ({"completion": {"expected": {"ball": True}}}, "True is not a number"),
+        ({"completion": {"expected": {"ball": 10**400}}}, "is not within 0 and 1000"),
+        ({"sample": ["twin"]}, "is not the JSON of a surface"),
+        ({"flakes": dict.fromkeys(("density", "size_px", "slope_std", "roughness", "reflectance"), "x")}, "'x' is not"),
+        ({"flakes": None}, "is not the JSON of a surface"),
+    ],
+)  # fmt: skip
+def test_numbers_of_a_surface_are_checked_where_they_are_read(printed, tmp_path, changed, said):
+    folder = shutil.copytree(printed[1], tmp_path / "made")
+    document = folder / "twin.json"
+    content = json.loads(document.read_text())
+    if "flakes" in changed:
+        content["files"]["flakes"] = content["files"]["normal"]
+        changed = {"sparkle": changed}
+    document.write_text(json.dumps(content | changed))
+    with pytest.raises(FileFormatError, match=re.escape(said)) as error:
+        read_surface(document)
+    assert "\n" not in str(error.value)
+
+
+def test_pictures_of_a_surface_are_of_one_size(printed, tmp_path):
+    folder = shutil.copytree(printed[1], tmp_path / "made")
+    with Image.open(folder / "twin_normal.png") as image:
+        image.resize((96, 96)).save(folder / "twin_normal.png")
+    with pytest.raises(FileFormatError, match=r"twin_normal\.png: of another size than twin_albedo\.png"):
+        read_surface(folder)
 
 
 def test_mitsuba_loads_the_surface_s_document_with_its_flakes(printed):

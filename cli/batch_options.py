@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     S = TypeVar("S", bound=BatchSource)
 
 
+_MOST_WORKERS = 1024
+
+
 def _workers_option(by_default: str) -> Any:
     """The option `--workers`, to stand in an annotation."""
     return typer.Option(
@@ -36,6 +39,7 @@ def _workers_option(by_default: str) -> Any:
         help=f"Local processes that share the work. [default: {by_default}]",
         metavar="N",
         min=1,
+        max=_MOST_WORKERS,
         rich_help_panel=SHARED,
     )
 

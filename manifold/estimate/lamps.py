@@ -27,6 +27,8 @@ from manifold.records import Array
 
 LEAST_DISTANCE = 1.2
 """Of a lamp from the middle of a ball, in its radii."""
+MOST_DISTANCE = 1e6
+"""Of a near lamp or camera; farther ones have no distance."""
 SAMPLES = 24
 """Points of a block that are lit."""
 
@@ -66,8 +68,10 @@ class Lamp:
         length = float(np.linalg.norm(vector))
         if not (np.isfinite(length) and length > 0.0):
             raise UsageError(f"a lamp at {','.join(f'{v:g}' for v in vector)}, expected a direction")
-        if not distance >= LEAST_DISTANCE:
-            raise UsageError(f"a lamp at {distance:g} radii of the ball, expected {LEAST_DISTANCE} or more")
+        if not (LEAST_DISTANCE <= distance <= MOST_DISTANCE or np.isinf(distance)):
+            raise UsageError(
+                f"a lamp at {distance:g} radii of the ball, expected {LEAST_DISTANCE} to {MOST_DISTANCE:g}, or none"
+            )
         return cls(vector / length, distance, np.ones(3) if colour is None else colour)
 
 

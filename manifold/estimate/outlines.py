@@ -17,6 +17,7 @@ from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array, Mask
 
 _LEAST_SIZE = 16
+_LEAST_RADIUS = 8.0  # pixels
 _SEARCHED = 800  # pixels of the longer side in which outlines and lamps are sought, at least, where pictures have more
 _BRIGHT = 0.995  # quantile of values that is white in what is searched
 _COARSE = 128  # pixels of the longer side in which circles are searched
@@ -105,6 +106,19 @@ class Circle:
         """Which places, right and up of the centre in radii, lie within a share of the radius."""
         return np.asarray(x * x + y * y < rim**2)
 
+    def require_inside(self, photograph: Photograph) -> None:
+        """Raise UsageError unless the centre lies in a photograph, and the radius suits its size."""
+        height, width = photograph.values.shape[:2]
+        if not (
+            0.0 <= self.x <= width
+            and 0.0 <= self.y <= height
+            and _LEAST_RADIUS <= self.radius <= np.hypot(width, height)
+        ):
+            raise UsageError(
+                f"{photograph.path}: circle {self.x:.6g},{self.y:.6g},{self.radius:.6g} in a picture of {width} x "
+                f"{height}, expected one inside it, of a radius from {_LEAST_RADIUS:g} pixels to its diagonal"
+            )
+
     @classmethod
     def parse(cls, text: str) -> Circle:
         """A circle of `X,Y,R`, or the outline of an upright cylinder, of `X,Y,R,H`."""
@@ -134,6 +148,15 @@ class Cylinder(Circle):
     def contains(self, x: Array, y: Array, rim: float) -> Mask:
         """As of circles."""
         return np.asarray((np.abs(x) < rim) & (np.abs(y) < 0.5 * self.height / self.radius))
+
+
+def outside(photograph: Photograph, circle: Circle) -> float:
+    """Share of the area of a circle that lies outside a photograph."""
+    across = np.linspace(-circle.radius, circle.radius, _ANGLES)
+    x, y = np.meshgrid(circle.x + across, circle.y + across)
+    within = np.hypot(x - circle.x, y - circle.y) <= circle.radius
+    height, width = photograph.values.shape[:2]
+    return float(np.mean((x < 0.0) | (x > width) | (y < 0.0) | (y > height), where=within))
 
 
 class Outline(NamedTuple):

@@ -359,7 +359,8 @@ def residual_figure(
             axis.imshow(encode_srgb(np.nan_to_num(picture)), interpolation="nearest")
         shown = row[2].imshow(error, cmap="magma", vmin=0.0, vmax=_LARGEST_ERROR, interpolation="nearest")
         figure.colorbar(shown, ax=row[2], shrink=0.8, extend="max")
-        titles = name, "predicted", f"CIEDE2000 in this light, mean {np.nanmean(error):.1f}"
+        difference = f"CIEDE2000 in this light, mean {np.nanmean(error):.1f}"
+        titles = figures.in_lines(name), "predicted", difference
         for axis, title in zip(row, titles, strict=True):
             axis.set_title(title, fontsize=9)
             axis.set_axis_off()

@@ -172,15 +172,12 @@ def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Bloc
     """The blocks of a ball, or of a cylinder, in a photograph; where there are more than ten of it, each has fewer
     blocks.
     """
-    path, (H, W) = photograph.path, photograph.values.shape[:2]
+    path = photograph.path
     is_cylinder = isinstance(circle, Cylinder)
     if is_cylinder:
         _require_curved(photograph, circle)
-    elif not (0.0 <= circle.x <= W and 0.0 <= circle.y <= H and 8.0 <= circle.radius <= np.hypot(W, H)):
-        raise UsageError(
-            f"{path}: circle {circle.x:.6g},{circle.y:.6g},{circle.radius:.6g} in a picture of {W} x {H}, expected one "
-            "inside it, of a radius from 8 pixels to its diagonal"
-        )
+    else:
+        circle.require_inside(photograph)
     factor = max(1, round(2.0 * circle.radius / _DIAMETER))
     values = reduced(photograph.values, factor)
     is_clipped = reduced(photograph.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0

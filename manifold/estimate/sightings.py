@@ -17,6 +17,7 @@ from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.lamps import (
     LEAST_DISTANCE,
+    MOST_DISTANCE,
     Lamp,
     clipped_spots,
     lamp_pairs,
@@ -30,6 +31,7 @@ from manifold.estimate.outlines import (
     Photograph,
     given_outline_notes,
     outlines_in,
+    outside,
     read_photograph,
 )
 from manifold.estimate.pixels import (
@@ -48,6 +50,7 @@ _BRIGHT = 0.9  # share of a light's largest value; most pixels above it are clip
 _LEAST_COSINE = 0.05  # least cosine of a grey card's angle to its lamp
 _HIGHLIGHT_DEG = 15.0  # largest angle of a highlight's half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # edges of bins of angles between directions and half vector
+_MOST_OUTSIDE = 0.02  # share of a mirror ball outside its picture, where an outline touches the edge
 _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 
 
@@ -151,8 +154,10 @@ class SeenBall:
 
 def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
     """Read photographs and lights, and find the balls."""
-    if not request.distance > 1.0:
-        raise UsageError(f"a camera at {request.distance:g} radii of the ball, expected more than 1")
+    if not (1.0 < request.distance <= MOST_DISTANCE or np.isinf(request.distance)):
+        raise UsageError(
+            f"a camera at {request.distance:g} radii of the ball, expected more than 1 and at most {MOST_DISTANCE:g}"
+        )
     if request.exposure is not None and not 0.0 < request.exposure < np.inf:
         raise UsageError(f"exposure {request.exposure:g}, expected a number above 0")
     angles_deg = (*request.turns_deg, request.elevation_deg)
@@ -207,7 +212,8 @@ def _under_lamps(
     if (apart := _found_at(request)) is not None:
         if len(set(circles)) > 1:
             raise UsageError("different circles, expected one for all photographs to find their lamps")
-        probe = find_light(photographs, Circle.parse(circles[0]) if circles[0] else None, apart)
+        given_circle = _outline_of(photographs, circles[0])[0] if circles[0] else None
+        probe = find_light(photographs, given_circle, apart)
         lamps, notes = list(probe.lamps), probe.notes
         outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
     else:
@@ -230,6 +236,11 @@ def _under_lamps(
         own = photograph.notes + notes + doubts
         if apart is None and not isinstance(circle, Cylinder):
             own += given_lamp_notes(photograph, circle, lamp)
+        if not sighting.pairs[2].any():
+            raise UsageError(
+                f"{photograph.path}: a lamp at {lamp} lights no part of the ball that the camera sees, expected one in "
+                "front of it: x to the right, y up, z to the camera"
+            )
         balls.append(SeenBall(seen, circle, None, sighting, own))
     return balls
 
@@ -243,7 +254,7 @@ def _found_at(request: PhotoRequest) -> float | None:
         apart = float(distance) if distance else np.inf
     except ValueError:
         apart = np.nan
-    if len(request.lamps) > 1 or not apart >= LEAST_DISTANCE:
+    if len(request.lamps) > 1 or not (LEAST_DISTANCE <= apart <= MOST_DISTANCE or np.isinf(apart)):
         raise UsageError(
             f"lamp '{request.lamps[-1]}', expected found once, or found,D with the lamps' distance in radii of the ball"
         )
@@ -284,7 +295,10 @@ def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[P
 def _outline_of(photographs: Sequence[Photograph], given: str) -> tuple[Circle, tuple[str, ...]]:
     """The outline of the ball in photographs of one size, given or the likeliest, and doubts about the latter."""
     if given:
-        return Circle.parse(given), ()
+        circle = Circle.parse(given)
+        if not isinstance(circle, Cylinder):
+            circle.require_inside(photographs[0])
+        return circle, ()
     best = outlines_in(photographs)[0]
     return best.circle, best.notes
 
@@ -336,6 +350,10 @@ def _around(
     path = Path(name or text)
     photograph = read_photograph(path, is_linear)
     circle, doubts = _outline_of([photograph], given if name else "")
+    if (beside := outside(photograph, circle)) > _MOST_OUTSIDE:
+        raise UsageError(
+            f"{path}: {beside:.0%} of the mirror ball at {circle} lies outside, expected all of it"
+        )
     image = unwrapped(photograph, circle, camera)
     notes = (*photograph.notes, *doubts, f"{path.name}: taken as a perfect mirror, its outline at {circle}")
     try:

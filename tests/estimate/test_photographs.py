@@ -25,6 +25,7 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
+from manifold.plots import figures
 from manifold.records import Bands
 from manifold.render.images import write_image
 from manifold.render.render import render_floating_ball
@@ -180,6 +181,15 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
         (["ball.exr", "--light", "studio", "--turn", "nan"], "expected finite angles"),
         (["ball.exr", "--light", "studio", "--elevation", "nan"], "less than or equal to 89"),
         (["ball.exr", "--light", "studio", "--distance", "nan"], "more than 1"),
+        (["ball.exr", "--light", "studio", "--distance", "1e300"], "at most 1e+06"),
+        (["ball.exr", "--lamp", "0,0,-1"], "lights no part of the ball that the camera sees"),
+        (["ball.exr", "--lamp", "0,0,1,1e300"], "expected 1.2 to 1e+06, or none"),
+        (["ball.exr", "--lamp", "found", "--circle", "-500,0,10"], "expected one inside it"),
+        (["ball.exr", "--light-ball", "ball.exr@-500,0,10"], "expected one inside it"),
+        (
+            ["ball.exr", "--light-ball", "ball.exr@5,64,40"],
+            "of the mirror ball at 5.0,64.0,40.0 lies outside",
+        ),
         (["ball.exr", "--light", "studio", "--exposure", "bright"], "or free"),
         (["ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photographs"),
         (["ball.exr", "--light", "studio", "--camera", "curves.csv"], "spectral library"),
@@ -207,6 +217,14 @@ def test_a_light_of_display_values_and_clipped_lamps_are_said(folder, name):
     is_clipped = name != "light.exr"
     assert (f"{name}: its {count} brightest pixels have one value" in told) == is_clipped
     assert (f"{name}: taken as sRGB" in told) == (name == "light.png")
+
+
+@pytest.mark.parametrize("name", ["$x^$_{.png", "a\nb\\$.png", "$" * 300])
+def test_names_of_pictures_are_no_formulas(name, tmp_path):
+    ball = np.full((8, 8, 3), 0.5)
+    figure = photographs.residual_figure([name], [ball], [ball], [np.zeros((8, 8))])
+    figures.save(figure, tmp_path / "residuals.png")
+    assert (tmp_path / "residuals.png").stat().st_size > 0
 
 
 def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_is_shown(

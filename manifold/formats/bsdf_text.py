@@ -173,7 +173,7 @@ class Words:
         return self.context.number(word, f"{where}, {what}")
 
     def with_unit(self, key: str) -> float:
-        """The next word as an angle in degrees, or behind `Wavelength` as one in nm; a unit may stand behind it."""
+        """Return the next word as degrees, or behind `Wavelength` as nanometres; a unit may follow it."""
         where, word = self.line, self.next() or ""
         rest = self._words[self._word :] if self._line < len(self._lines) and self.line == where else []
         measure = number_with_unit(word)

@@ -84,9 +84,8 @@ _OF_VIEWING = (
     r"(?P<deg_first>2|10)\s*[\u00b0\u00ba]?\s*/\s*(?P<light_last>[A-Za-z]+[0-9]*))"
 )
 _VIEWING = re.compile(_OF_VIEWING)
-_VIEWING_OF_CIE = re.compile(
-    rf"(?<![\w/]){_OF_VIEWING.replace('[A-Za-z]+[0-9]*', '(?:[ACE]|D[0-9]{2}|FL?[0-9]{1,2})')}(?![\w/])"
-)
+_CIE_LIGHT = "(?:[ACE]|D[0-9]{2}|FL?[0-9]{1,2})"
+_VIEWING_OF_CIE = re.compile(rf"(?<![\w/]){_OF_VIEWING.replace('[A-Za-z]+[0-9]*', _CIE_LIGHT)}(?![\w/])")
 _LAB_AXES = "lab"
 _LAB = re.compile(rf"(?:CIE\s*)?(?P<axis>[LAaBbl])\s*\*?\s*([(\[]?\s*{_OF_VIEWING}\s*[)\]]?)?")
 
@@ -106,7 +105,7 @@ class ValueHead(NamedTuple):
 
 
 def angle_name(head: str) -> str | None:
-    """`theta_i`, `phi_i`, `theta_o`, `phi_o`, `RELATIVE` or `PHASE`, which a column's head names, or None.
+    """Return `theta_i`, `phi_i`, `theta_o`, `phi_o`, `RELATIVE` or `PHASE`, which a column's head names, or None.
 
     Heads that are understood only beside others, such as `phi` and `azimuth`, are taken as they are by `angle_columns`.
     """
@@ -122,10 +121,10 @@ def _letters(head: str) -> str:
 
 
 def angle_names(heads: Sequence[str]) -> list[str | None]:
-    """`angle_name` of every head of a table, each in the light of the others.
+    """Return `angle_name` of every head of a table, each in the light of the others.
 
-    `phi` beside `phi_r` is that of the light, and `theta` likewise. `azimuth` beside `incidence` and `emission` is that
-    between their planes, as in planetary photometry, whose letters i, e, g and psi are read where i and e are there.
+    `phi` beside `phi_r` is that of the light, as `theta` is beside `theta_r`. `azimuth` beside `incidence` and `emission`
+    is that between their planes, as in planetary photometry, whose letters i, e, g and psi are understood beside i and e.
     """
     letters = [_letters(head) for head in heads]
     is_planetary = {"i", "e"} <= set(letters)
@@ -157,7 +156,7 @@ def angle_unit(
 
 
 def value_head(head: str) -> ValueHead | None:
-    """What the head of a column of values says, such as `465nm`, `BRDF (633 nm)`, `R400 [%]`; None for others."""
+    """Return what the head of a column of values says, such as `BRDF (633 nm)`, `R400 [%]`; None for others."""
     if not head.strip() or len(head) > _LONGEST:
         return None
     text = quantities.plain(head)
@@ -193,7 +192,7 @@ def wavelength(head: str) -> float | None:
 
 
 def wavelength_unit(head: str) -> str | None:
-    """The unit of a column whose head says that its cells are wavelengths or wavenumbers, else None.
+    """Return the unit of a column whose head says that its cells are wavelengths or wavenumbers, else None.
 
     It is empty where the head names none.
 
@@ -216,12 +215,12 @@ def wavelength_unit(head: str) -> str | None:
 
 
 def is_wavelength(head: str) -> bool:
-    """Whether a column's head says that its cells are wavelengths or wavenumbers."""
+    """Return whether a column's head says that its cells are wavelengths or wavenumbers."""
     return wavelength_unit(head) is not None
 
 
 def is_wavenumber(head: str) -> bool:
-    """Whether a column's head says that its cells are wavenumbers."""
+    """Return whether a column's head says that its cells are wavenumbers."""
     unit = wavelength_unit(head)
     return unit is not None and "cm" in unit
 
@@ -233,7 +232,7 @@ def channel(head: str) -> str | None:
 
 
 def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantity | None:
-    """What the values are by their columns' heads; None where these say nothing.
+    """Return what the values are by their columns' heads; None if these say nothing.
 
     Raises:
         FileFormatError: heads name different quantities.
@@ -278,7 +277,7 @@ _COVERAGE = re.compile(r"\bk\s*=\s*(\d(?:[.,]\d+)?)")
 
 
 def uncertainty_head(head: str) -> UncertaintyHead | None:
-    """What the head of a column of uncertainties says, such as `Std. Dev.`, `u(BRDF)`, `sigma 633nm`; or None."""
+    """Return what the head of a column of uncertainties says, such as `Std. Dev.`, `u(BRDF)`; or None."""
     if len(head) > _LONGEST:
         return None
     text = quantities.plain(head).replace("\u03c3", "sigma").replace("\u00b1", "std")
@@ -346,9 +345,9 @@ def _viewing(found: re.Match[str]) -> Viewing | None:
 def lab_columns(
     heads: Sequence[str], wanted: Viewing | None = None
 ) -> tuple[list[int], Viewing | None] | None:
-    """The columns of L*, a* and b* in a header, and the light and observer that it names for them; None without.
+    """Return the columns of L*, a* and b* in a header, and the light and observer that it names for them; or None.
 
-    Of several colours it is that of the wanted light and observer, where there is one, else the first.
+    If a header has several, they are those of the wanted light and observer, else the first.
     """
     said = {k: lab for k, head in enumerate(heads) if (lab := lab_head(head)) is not None}
     by_viewing: dict[Viewing | None, list[int]] = {}

@@ -47,7 +47,7 @@ _HEAD = 70  # lines at the top, one of which is the header
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning has the header of a table of readings, or a line that resembles one."""
+    """Return whether a file's beginning has the header of a table of readings, or a line that resembles one."""
     text = decode(head)
     if "\0" in text or resembles_json(text):
         return False
@@ -83,7 +83,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _with_own(readings: Readings, own: Mapping[str, str], context: ErrorContext) -> Readings:
-    """The readings with what the package's own comments say of them."""
+    """Return the readings with what the package's own comments say of them."""
     units = {angle: number(text) for key, text in own.items() if (angle := gloss_angle(key)) is not None}
     gloss = {angle: value for angle, value in units.items() if value is not None}  # not `gloss: matt`
     readings = replace(readings, gloss={**gloss, **readings.gloss})
@@ -127,7 +127,7 @@ def _table(lines: list[str], context: ErrorContext) -> tuple[Table, Columns]:
 
 
 def _header(lines: list[str], context: ErrorContext) -> tuple[str | None, Columns] | None:
-    """The separator with which one of the first lines is a header, and its columns; None without a header."""
+    """Return the separator with which one of the first lines is a header, and its columns; None without a header."""
     for separator in _SEPARATORS:
         found = find_columns(Table([split_cells(line, separator) for line in lines]), context)
         if found is not None and (separator is not None or found[1].geometry is None):
@@ -169,9 +169,9 @@ def _require_width(table: Table, header: int, separator: str | None, context: Er
 
 
 def write(path: Path, readings: Readings) -> None:
-    """Directions in degrees and f in 1/sr, one row per pair; empty cells are not measured.
+    """Write directions in degrees and f in 1/sr, one row per pair; empty cells are not measured.
 
-    Weights and scatter are columns where they are not those of all readings; what else is known is comments.
+    Weights and scatter are columns, unless they are those of all readings; other properties are comments.
     """
     out = io.StringIO()
     out.write(f"# format: {_FORMAT}\n")

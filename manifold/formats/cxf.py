@@ -8,7 +8,6 @@ or not at all.
 
 from __future__ import annotations
 
-import codecs
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -37,7 +36,7 @@ _Spectrum = tuple[Array, Array, Array, Array]  # wi, wo, wavelengths and values
 
 def sniff(head: bytes) -> bool:
     """Whether a file's beginning is a CxF document of any version."""
-    text = _text(head).lstrip().lower()
+    text = decode(head).lstrip().lower()
     return text.startswith("<") and ("cxf" in text) and "html" not in text[:200]
 
 
@@ -69,15 +68,8 @@ def read(path: Path) -> list[Readings]:
     return [replace(one, values=one.values / np.pi) for one in samples]
 
 
-def _text(data: bytes) -> str:
-    """The document as text: XML may be UTF-16."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16", "replace")
-    return decode(data)
-
-
 def _parse(data: bytes, context: ErrorContext) -> Element:
-    text = _text(data).strip()
+    text = decode(data).strip()
     head = text[:4000].lower()
     if "<!doctype" in head or "<!ENTITY" in text:
         raise context.error("a document type with entities, expected plain CxF3")

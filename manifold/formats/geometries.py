@@ -76,7 +76,7 @@ def directions(
 def _with_relative_azimuth(
     angles: Mapping[str, Array], keep: Mask, context: ErrorContext, notes: list[str]
 ) -> Mapping[str, Array]:
-    """The angles with the difference of azimuths that phase angles imply, unless azimuths are given, which they fit."""
+    """Return the angles with the difference of azimuths that phase angles imply; check azimuths that are given."""
     theta_i, theta_o, phase = (np.where(keep, angles[key], 0.0) for key in ("theta_i", "theta_o", PHASE))
     across = np.sin(theta_i) * np.sin(theta_o)
     least, most = np.abs(theta_i - theta_o), theta_i + theta_o

@@ -23,13 +23,13 @@ _LEAST_COSINE = 1e-3  # nearer to the horizon a value over its cosine says nothi
 
 @dataclass(frozen=True)
 class Quantity:
-    """How values become a BRDF: f = scale * value / cosines, of the logarithm's antilogarithm where they are logs.
+    """How values become a BRDF: f = scale * value / cosines; logarithms are undone first.
 
     Attributes:
         title: of the quantity, in the plural.
         scale: f in 1/sr of a value of 1 whose cosines are 1.
-        cosines: `i`, `o` or both, whose angles' cosines the values include.
-        base: of the logarithm that the values are; 0 where they are none.
+        cosines: angles whose cosines the values include: `i`, `o` or both.
+        base: of the logarithm that the values are; 0 if they are none.
     """
 
     title: str
@@ -38,7 +38,7 @@ class Quantity:
     base: float = 0.0
 
     def brdf(self, values: Array, wi: Array, wo: Array, white: float = 1.0) -> Array:
-        """f in 1/sr, shape (P, B), of values (P, B) at wi and wo (P, 3); NaN where a cosine is 0.
+        """Return f in 1/sr, shape (P, B), of values (P, B) at wi and wo (P, 3); NaN where a cosine is 0.
 
         White is what the unit of the values makes of 1: 100 for percent.
         """
@@ -51,7 +51,7 @@ class Quantity:
 
     @property
     def note(self) -> str | None:
-        """What was done to the values; None where they are the BRDF."""
+        """Say what is done to the values; None if they are the BRDF."""
         done = ["divided by pi"] if self.scale != 1.0 else []
         done += [f"divided by the cosine of theta_{letter}" for letter in self.cosines]
         log = f"logarithms to base {'e' if self.base == np.e else '10'} of " if self.base else ""
@@ -90,18 +90,8 @@ _PATTERNS = tuple(
 )
 _LOGS = {"lg": 10.0, "ln": float(np.e)}
 _FILLERS = {
-    "spectral",
-    "value",
-    "values",
-    "measured",
-    "mean",
-    "average",
-    "averaged",
-    "avg",
-    "data",
-    "the",
-    "of",
-}
+    "spectral", "value", "values", "measured", "mean", "average", "averaged", "avg", "data", "the", "of",
+}  # fmt: skip
 _SYNONYMS = {"cosine": "cos", "weighted": "corrected", "costheta": "cos"}
 _PER_STERADIAN = re.compile(
     r"\b1\s*/\s*(sr|steradians?)\b|/\s*(sr|steradians?)\b|\b(sr|steradian)\s*(\^|\*\*)?\s*[-\u2212\u2013]\s*1|"
@@ -124,29 +114,29 @@ _TRANSMITTED = re.compile(r"btdf|transmi\w*")
 
 
 def plain(text: str) -> str:
-    """A text in lower case without units of the values, which `is_percent` finds, and with logs by one word."""
+    """Return a text in lower case without the unit of its values, and with `lg` for the common logarithm."""
     text = _PER_STERADIAN.sub(" ", text.lower().replace("_", " "))
     return re.sub(r"\blog\s?10(?!\d)|\blg\b", " lg ", _PERCENT.sub(" ", text))
 
 
 def phrase(text: str) -> str:
-    """The words of a `plain` text in order, without those that say nothing of the quantity."""
+    """Return the words of a `plain` text in order, without those that say nothing of the quantity."""
     words = re.findall(r"[^\W\d_]+|\d+", text)
     return " ".join(_SYNONYMS.get(word, word) for word in words if word not in _FILLERS)
 
 
 def is_percent(text: str) -> bool:
-    """Whether a text names percent."""
+    """Return whether a text names percent."""
     return _PERCENT.search(text.lower()) is not None
 
 
 def is_per_steradian(text: str) -> bool:
-    """Whether a text names the unit of a BRDF."""
+    """Return whether a text names the unit of a BRDF."""
     return _PER_STERADIAN.search(text.lower().replace("_", " ")) is not None
 
 
 def quantity_of(words: str) -> Quantity | None:
-    """The quantity that is called by a whole `phrase`; None where none is."""
+    """Return the quantity that a whole `phrase` names, or None."""
     first, _, rest = words.partition(" ")
     if first in _LOGS:
         logged = quantity_of(rest)
@@ -157,10 +147,10 @@ def quantity_of(words: str) -> Quantity | None:
 def quantity_in_prose(
     text: str, what: str, context: ErrorContext, where: str | None = None
 ) -> Quantity | None:
-    """The quantity that a text such as `Reflectance factor of a plate` names; None where no word speaks of one.
+    """Return the quantity that a text such as `Reflectance factor of a plate` names; None if no word speaks of one.
 
     Raises:
-        FileFormatError: the words are of a quantity that is not read, or of several; `what` is the text's key.
+        FileFormatError: the words name a quantity that is not read, or several; `what` is the text's key.
     """
     words = phrase(_NOT_WEIGHTED.sub(" ", plain(text))).split()
     telling = [k for k, word in enumerate(words) if _TELLING.fullmatch(word)]
@@ -196,7 +186,7 @@ _LOG_OF_RECIPROCAL = re.compile(r"\b(lg|log)\W*1\s*/\s*r(efl\w*)?\b|-\s*(lg|log)
 
 
 def spectrum_kinds(head: str) -> set[SpectrumKind]:
-    """What the words of a column's head in a file of spectra say that it holds; empty where they say nothing."""
+    """Return what a column of a file of spectra holds by the words of its head; empty if they say nothing."""
     text = plain(head)
     if _LOG_OF_RECIPROCAL.search(text):
         return {"log"}

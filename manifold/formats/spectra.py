@@ -58,9 +58,9 @@ class _Columns(NamedTuple):
 
 
 def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
-    """Wavelengths in nm, increasing, shape (B,), and values.
+    """Return wavelengths in nm, increasing, shape (B,), and values.
 
-    These are reflectances from 0 to 1 or powers, shape (B,), or sensitivities to red, green and blue, shape (B, 3).
+    Values are reflectances from 0 to 1 or powers, shape (B,), or sensitivities to red, green and blue, shape (B, 3).
 
     Raises:
         FileFormatError: the file is of another kind, its columns are of another quantity or of several, wavelengths
@@ -102,7 +102,7 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
 
 
 def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
-    """The table at the end of a text; the line above it may be its header, also as a comment."""
+    """Return the table at the end of a text; the line above it may be its header, also as a comment."""
     data = [
         (k, line)
         for k, line in enumerate(lines, start=1)
@@ -152,13 +152,13 @@ def _cells(line: str, separator: str | None) -> list[str]:
 
 
 def _is_row(line: str) -> bool:
-    """Whether a line begins with two numbers."""
+    """Return whether a line begins with two numbers."""
     cells = split_cells(line, find_separator([line]))[:2]
     return len(cells) == 2 and None not in map(number, cells)
 
 
 def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[int]]:
-    """Wavelengths in nm of the rows, and the other columns."""
+    """Return wavelengths in nm of the rows, and the other columns."""
     width = table.values.shape[1]
     units = {k: unit for k, head in enumerate(table.heads) if (unit := wavelength_unit(head)) is not None}
     if len(units) > 1:
@@ -179,7 +179,7 @@ def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[in
 
 
 def _chosen(table: _Columns, columns: list[int], wanted: Wanted, context: ErrorContext) -> list[int]:
-    """The columns that hold what is wanted: one, or those of red, green and blue."""
+    """Return the columns that hold what is wanted: one, or those of red, green and blue."""
     count = 3 if wanted == "sensitivity" else 1
     if not table.heads:
         if len(columns) != count:
@@ -193,14 +193,10 @@ def _chosen(table: _Columns, columns: list[int], wanted: Wanted, context: ErrorC
         return _in_channels(heads, context)
     kinds = {k: spectrum_kinds(head) for k, head in heads.items()}
     own = [k for k, kind in kinds.items() if kind and kind <= _suitable(wanted)]
-    other = [k for k, kind in kinds.items() if not kind and _word(heads[k]) not in _COUNTERS]
-    if (
-        not own
-        and len(other) == 1
-        and len(other) == sum(_word(head) not in _COUNTERS for head in heads.values())
-    ):
+    others = [k for k in heads if k not in own and _word(heads[k]) not in _COUNTERS]
+    if not own and len(others) == 1 and not kinds[others[0]]:  # the name of a sample
         _require_kind(_said_above(table), " ".join(table.above), wanted, context)
-        return other  # the name of a sample
+        return others
     if len(own) != 1:
         raise context.error(f"columns {', '.join(heads.values())[:80]}: expected exactly one of {wanted}")
     return own
@@ -211,7 +207,7 @@ def _suitable(wanted: Wanted) -> set[SpectrumKind]:
 
 
 def _said_above(table: _Columns) -> set[SpectrumKind]:
-    """What the line above the values says that they are, where it names no columns."""
+    """Return what the line above the header or the values says that they are."""
     return spectrum_kinds(table.above[-1]) if table.above else set()
 
 
@@ -225,7 +221,7 @@ def _word(head: str) -> str:
 
 
 def _in_channels(heads: dict[int, str], context: ErrorContext) -> list[int]:
-    """The columns of red, green and blue."""
+    """Return the columns of red, green and blue."""
     channel = {
         k: [_CHANNELS[word] for word in re.findall(r"[a-z]+", head.lower()) if word in _CHANNELS]
         for k, head in heads.items()
@@ -238,7 +234,7 @@ def _in_channels(heads: dict[int, str], context: ErrorContext) -> list[int]:
 
 
 def _values(table: _Columns, column: int, wanted: Wanted, context: ErrorContext) -> Array:
-    """The values of a column, as fractions where they are reflectances."""
+    """Return the values of a column; reflectances as fractions."""
     values = table.values[:, column]
     if not np.all(np.isfinite(values)):
         row = int(np.argmin(np.isfinite(values)))
@@ -251,16 +247,13 @@ def _values(table: _Columns, column: int, wanted: Wanted, context: ErrorContext)
     head = table.heads[column] if table.heads else ""
     if "log" in spectrum_kinds(head):
         return np.asarray(10.0**-values)
-    said_above = (
-        any(_PERCENT_OF_REFLECTANCE.search(line) for line in table.above[-1:])
-        if not spectrum_kinds(head)
-        else False
-    )
+    is_silent = not spectrum_kinds(head)
+    said_above = is_silent and any(_PERCENT_OF_REFLECTANCE.search(line) for line in table.above[-1:])
     return values / 100.0 if is_percent(head) or said_above else values
 
 
 def _spdx(text: str, context: ErrorContext) -> _Columns:
-    """A spectrum of IES TM-27-14, TM-27-20: XML, by its elements `SpectralQuantity` and `SpectralData`."""
+    """Read a spectrum of IES TM-27: XML with the elements `SpectralQuantity` and `SpectralData`."""
     if "<!doctype" in text.lower() or "<!ENTITY" in text:
         raise context.error("a document type with entities, expected plain XML of IES TM-27")
     try:
@@ -283,7 +276,7 @@ def _spdx(text: str, context: ErrorContext) -> _Columns:
 
 
 def _argyll(text: str, context: ErrorContext) -> _Columns:
-    """A spectrum of Argyll (CGATS of the type SPECT), one set; its `SPECTRAL_NORM` is the value of 100 %."""
+    """Read a spectrum of Argyll (CGATS of the type SPECT), one set; its `SPECTRAL_NORM` is the value of 100 %."""
     said = dict(re.findall(r'^(\w+)\s+"([^"]*)"', text, re.MULTILINE))
     fields = re.search(r"BEGIN_DATA_FORMAT\s+(.*?)\s+END_DATA_FORMAT", text, re.DOTALL)
     data = re.search(r"BEGIN_DATA\s+(.*?)\s+END_DATA\b", text, re.DOTALL)
@@ -295,23 +288,16 @@ def _argyll(text: str, context: ErrorContext) -> _Columns:
     if len(values) != len(names):
         raise context.error(f"{len(values)} values of {len(names)} bands, expected one set")
     norm = context.number(said.get("SPECTRAL_NORM", "1"), "SPECTRAL_NORM")
+    if norm <= 0.0:
+        raise context.error(f"SPECTRAL_NORM is {norm:g}, expected a value above 0")
     kind = said.get("MEAS_TYPE", "")
-    head = (
-        "reflectance"
-        if kind.startswith("REFLEC")
-        else "transmittance"
-        if kind.startswith("TRANS")
-        else kind or "value"
-    )
-    return _Columns(
-        ["Wavelength (nm)", head.replace("AMBIENT", "EMISSION").lower()],
-        np.column_stack([nm, np.array(values) / norm]),
-        [],
-    )
+    kinds = {"REFLECTIVE": "reflectance", "TRANSMISSIVE": "transmittance"}
+    head = kinds.get(kind, kind.lower().replace("ambient", "emission") or "value")
+    return _Columns(["Wavelength (nm)", head], np.column_stack([nm, np.array(values) / norm]), [])
 
 
 def _perkin_elmer(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
-    """A spectrum of PerkinElmer as text: below `#GR` the units of both columns, below `#DATA` the rows."""
+    """Read a spectrum of PerkinElmer as text: below `#GR` the units of both columns, below `#DATA` the rows."""
     marks = [line.strip() for line in lines]
     if "#GR" not in marks or "#DATA" not in marks or marks.index("#GR") + 2 >= len(marks):
         raise context.error("no sections #GR and #DATA, expected a spectrum of PerkinElmer as text")

@@ -129,7 +129,7 @@ class Columns:
     own: dict[str, int] = field(default_factory=dict)
 
     def seen_under(self, texts: Iterable[str]) -> Columns:
-        """Return the columns with the light and observer that one of the texts names, where no head does."""
+        """Return the columns with the light and observer that one of the texts names, if no head does."""
         named = next((seen for text in texts if (seen := column_heads.viewing_in(text)) is not None), None)
         if not self.is_viewing_assumed or named is None:
             return self
@@ -263,7 +263,7 @@ def _from_rows_of_bands(
     name: int | None,
     context: ErrorContext,
 ) -> Table:
-    """A row per spectrum of a table that has a row per value, and maybe its uncertainty, beside its wavelength."""
+    """Return a row per spectrum of a table with a row per value, and maybe its uncertainty, beside its wavelength."""
     heads = [text_of(cell) for cell in table.rows[index]]
     unit = column_heads.wavelength_unit(heads[of_nm]) or ""
     # Rows of the bands of spectra, by directions and sample.
@@ -308,7 +308,7 @@ def _from_rows_of_bands(
 
 
 def _cell(table: Table, row: int | None, column: int) -> Cell:
-    """The cell of a row, which may end before it; None without a row."""
+    """Return the cell of a row, which may end before it; None without a row."""
     return None if row is None or column >= len(table.rows[row]) else table.rows[row][column]
 
 
@@ -330,7 +330,7 @@ def _from_lab(table: Table, index: int, axes: list[int]) -> Table:
 
 
 def _band(table: Table, row: int, column: int, unit: str, context: ErrorContext) -> str:
-    """The wavelength in a cell as the head of a band; a number without a unit has that of its column."""
+    """Return the wavelength in a cell as the head of a band; a number without a unit has that of its column."""
     text = table.text(row, column)
     nm = wavelength_nm(text, unit)
     head = "" if nm is None else f"{nm:.9g}nm"
@@ -381,7 +381,7 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
 
 
 def _above(table: Table, index: int) -> tuple[str, ...]:
-    """The lines above a header, which may name a wavelength."""
+    """Return the lines above a header, which may name a wavelength."""
     return tuple(" ".join(filter(None, map(text_of, row))) for row in table.rows[:index])
 
 
@@ -498,7 +498,7 @@ def read_table(
 
 
 def _gloss(table: Table, index: int, column: int, angle: float, context: ErrorContext) -> float | None:
-    """The gloss units in a cell; None where it is empty, or a word such as `matt`."""
+    """Return the gloss units in a cell; None if it is empty, or a word such as `matt`."""
     measure = number_with_unit(table.text(index, column))
     if measure is None:
         return None
@@ -555,7 +555,7 @@ def _value(table: Table, index: int, column: int, context: ErrorContext) -> floa
 
 
 def _is_degrees(table: Table, columns: Columns, samples: dict[str, _Sample], context: ErrorContext) -> bool:
-    """Whether angles are in degrees: as heads or cells say, or because they are too large for radians."""
+    """Return whether angles are in degrees: as heads or cells say, or because they are too large for radians."""
     where = table.where(columns.row)
     unit = column_heads.angle_unit([columns.heads[k] for k in columns.angles.values()], context, where)
     cells = [[number_with_unit(text) for text in row] for s in samples.values() for row in s.keys]
@@ -596,7 +596,7 @@ def _angle_pairs(
 
 
 def _angle(text: str, where: str, context: ErrorContext) -> float:
-    """The angle in a cell, in its own unit."""
+    """Return the angle in a cell, in its own unit."""
     measure = number_with_unit(text)
     is_angle = measure is not None and (not measure.unit or angle_unit(measure.unit) is not None)
     return measure.value if measure is not None and is_angle else context.number(text, where)

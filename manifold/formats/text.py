@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections.abc import Sequence
@@ -117,12 +118,13 @@ def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    """Text of a file in UTF-8, else Latin-1; lines end with \\n, whatever they end with in the file.
+    """Return the text of a file in UTF-8, UTF-16 with its mark, else Latin-1; lines end with \\n.
 
     Minus signs and spaces of typesetters are plain; the mark that ends files of DOS is left out.
     """
+    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as spreadsheets write it
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-16", "replace") if is_utf16 else data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
     return text.translate(_MINUS).replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a")
@@ -162,14 +164,14 @@ def number(text: str) -> float | None:
 
 
 class Measure(NamedTuple):
-    """A number and its unit, in lower case and without brackets; empty where there is none."""
+    """A number and its unit, in lower case and without brackets; empty if there is none."""
 
     value: float
     unit: str
 
 
 def number_with_unit(text: str) -> Measure | None:
-    """The finite number that a text begins with and the unit behind it, or None.
+    """Return the finite number that a text begins with and the unit behind it, or None.
 
     The unit may be attached to the number or stand in brackets.
 
@@ -184,7 +186,7 @@ def number_with_unit(text: str) -> Measure | None:
 
 
 def plain_unit(text: str) -> str:
-    """A unit in lower case, without brackets and blanks, with `u` for micro.
+    """Return a unit in lower case, without brackets and blanks, with `u` for micro.
 
     >>> plain_unit(" [\u00b5m]"), plain_unit("(cm -1)")
     ('um', 'cm-1')
@@ -193,7 +195,7 @@ def plain_unit(text: str) -> str:
 
 
 def wavelength_nm(text: str, unit: str = "") -> float | None:
-    """The wavelength in nm of a text such as `633 nm`, `0,6328 um`, `6328 A`, `15803 cm-1`; None where it is none.
+    """Return the wavelength in nm of a text such as `633 nm`, `0,6328 um`, `6328 A`, `15803 cm-1`; None for others.
 
     A number without a unit has the given one; without any, it is in micrometres below 100 and in nanometres from there.
 
@@ -209,7 +211,7 @@ def wavelength_nm(text: str, unit: str = "") -> float | None:
 
 
 def nanometres(values: Array, unit: str) -> Array | None:
-    """Wavelengths in nm of positive numbers in a unit of wavelengths or wavenumbers; None where it is none."""
+    """Return wavelengths in nm of positive numbers in a unit of wavelengths or wavenumbers; None for other units."""
     plain = plain_unit(unit)
     if plain in _WAVENUMBERS:
         return 1e7 / values
@@ -217,12 +219,12 @@ def nanometres(values: Array, unit: str) -> Array | None:
 
 
 def is_length_unit(text: str) -> bool:
-    """Whether a text is a unit of wavelengths or wavenumbers."""
+    """Return whether a text is a unit of wavelengths or wavenumbers."""
     return nanometres(np.ones(1), text) is not None
 
 
 def angle_unit(text: str) -> Literal["degrees", "radians"] | None:
-    """The unit of angles that a text is, or None."""
+    """Return the unit of angles that a text is, or None."""
     unit = plain_unit(text)
     return "degrees" if unit in _DEGREES else "radians" if unit in _RADIANS else None
 
@@ -231,9 +233,9 @@ _BLANK_CELLS = re.compile(r'"([^"]*)"|((?:[^\s"(\[]|\s*[(\[][^()\[\]]*[)\]]|[(\[
 
 
 def split_cells(line: str, separator: str | None) -> list[str]:
-    """Cells of a line, without blanks around them, and without quotes where these are whole.
+    """Return the cells of a line, without blanks around them and without whole quotes.
 
-    Where `separator` is None, runs of blanks separate, with a comma at most; not those in or before brackets.
+    If `separator` is None, runs of blanks separate, with a comma at most, but not those in or before brackets.
 
     >>> split_cells('red; "50,5" ;60', ";"), split_cells("theta_i (deg)  f [1 / sr]", None)
     (['red', '50,5', '60'], ['theta_i (deg)', 'f [1 / sr]'])
@@ -266,7 +268,7 @@ def find_separator(lines: list[str]) -> str | None:
 
 
 def list_rows(lines: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
-    """Cells of the `data_lines` of a list, each with its line's number.
+    """Return the cells of the `data_lines` of a list, each row with its line's number.
 
     >>> list_rows([(1, "name;L;a;b"), (3, "RAL 3005;27,5;28,1;7")])
     [(1, ['name', 'L', 'a', 'b']), (3, ['RAL 3005', '27,5', '28,1', '7'])]
@@ -276,7 +278,7 @@ def list_rows(lines: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
 
 
 def with_whole_name(cells: list[str], width: int) -> list[str]:
-    """The cells of a row, whose first ones are one name of several words where there are more than `width`.
+    """Return the cells of a row; if there are more than `width`, the first ones are one name of several words.
 
     >>> with_whole_name(["RAL", "1000", "76", "0", "28"], 4)
     ['RAL 1000', '76', '0', '28']

@@ -51,10 +51,10 @@ _UNNAMED_NM = 550.0
 
 
 def named_wavelength(comments: Iterable[str], context: ErrorContext) -> float | None:
-    """The only wavelength that comments name in nm; None where they name none, or several.
+    """Return the only wavelength that comments name in nm; None if they name none, or several.
 
     Raises:
-        FileFormatError: a comment says that the wavelength is something that is none.
+        FileFormatError: a comment states a wavelength that is not understood.
     """
     lines = list(comments)
     stated = [
@@ -71,7 +71,7 @@ def named_wavelength(comments: Iterable[str], context: ErrorContext) -> float | 
 
 
 def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | None:
-    """The wavelength in nm of a statement; None where it is one of several, or a number of something else."""
+    """Return the wavelength in nm of a statement; None if it is one of several, or a number of something else."""
     behind = _UNIT_BEHIND.match(found["rest"])
     word = "" if behind is None else behind["unit"]
     is_attached = word != "" and found["rest"].startswith(word)
@@ -94,14 +94,14 @@ def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | N
 def as_brdf(
     values: Array, quantity: Quantity, wi: Array, wo: Array, notes: list[str], white: float = 1.0
 ) -> Array:
-    """`Quantity.brdf`, and a note of what was done."""
+    """Return `Quantity.brdf` of values, and add a note of what was done."""
     if (note := quantity.note) is not None:
         notes.append(note)
     return quantity.brdf(values, wi, wo, white)
 
 
 class Assumed(NamedTuple):
-    """What values are taken for that a file says nothing of: one of `readings.UNITS`, and the value of white in it."""
+    """The unit in which values without one are taken: one of `readings.UNITS`, its quantity, and the value of white."""
 
     unit: str
     quantity: Quantity
@@ -110,8 +110,8 @@ class Assumed(NamedTuple):
 
 
 def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
-    """Take values for BRDF in 1/sr; where that would reflect more light than it receives, for reflectance factors, or
-    for these in percent. Where few values say so, they stay a BRDF, with a note.
+    """Take values for BRDF in 1/sr; if that would reflect more light than it receives, for reflectance factors, or
+    for these in percent. If few values say so, they stay a BRDF, with a note.
 
     Each of several samples is wi (P, 3), wo (P, 3) and values (P, B) of one file.
     """
@@ -124,7 +124,7 @@ def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
 
 
 def assumed_factors(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
-    """Reflectance factors of a spectrophotometer; in percent where they are too large."""
+    """Return reflectance factors, as spectrophotometers have them; in percent if they are too large."""
     if any(looks_like_percent(*of_sample) for of_sample in raw):
         return Assumed("percent", FACTORS, 100.0, TAKEN_AS_PERCENT)
     return Assumed("factor", FACTORS, 1.0, TAKEN_AS_FACTORS)
@@ -134,7 +134,7 @@ def relative_uncertainties(
     columns: Mapping[str, Array], band_heads: Sequence[str], raw: Array, kind: Quantity, white: float,
     notes: list[str], context: ErrorContext,
 ) -> Array:  # fmt: skip
-    """Return relative standard uncertainties (P, B) of values (P, B) as they stand in a file; NaN where none is given.
+    """Return relative standard uncertainties (P, B) of values (P, B) as they stand in a file; NaN if none is given.
 
     Columns of uncertainties (P,) are by their heads, see `column_heads.uncertainty_head`; what is left out is noted.
     """
@@ -182,12 +182,12 @@ class Weights(NamedTuple):
 
     @property
     def readings(self) -> dict[str, Any]:
-        """Arguments of `Readings`."""
+        """Return arguments of `Readings`."""
         return {"scatter": self.scatter, "weights": self.weights, "repeatability": self.repeatability}
 
 
 def weights_of(relative: Array) -> Weights | None:
-    """Weights of readings whose values have relative standard uncertainties (P, B); None where all are 0 or unknown."""
+    """Return weights of readings with relative standard uncertainties (P, B); None if all are 0 or unknown."""
     known = np.isfinite(relative)
     count = np.maximum(known.sum(axis=1), 1)
     scatter = np.sqrt(np.where(known, relative, 0.0) ** 2 @ np.ones(relative.shape[1]) / count) / 3.0

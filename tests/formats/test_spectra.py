@@ -89,6 +89,14 @@ def test_reflectances_are_read_however_they_are_spelt(name, tmp_path):
     np.testing.assert_allclose(values, R, rtol=1e-8)
 
 
+def test_utf_16_of_spreadsheets_is_read(tmp_path):
+    path = tmp_path / "spectrum.txt"
+    path.write_text(
+        table("Wavelength (nm)\tReflectance (%)", NM, 100.0 * R, separator="\t"), encoding="utf-16"
+    )
+    np.testing.assert_allclose(read_spectrum(path, "reflectance"), [NM, R])
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -123,8 +123,8 @@ def _letters(head: str) -> str:
 def angle_names(heads: Sequence[str]) -> list[str | None]:
     """Return `angle_name` of every head of a table, each in the light of the others.
 
-    `phi` beside `phi_r` is that of the light, as `theta` is beside `theta_r`. `azimuth` beside `incidence` and `emission`
-    is that between their planes, as in planetary photometry, whose letters i, e, g and psi are understood beside i and e.
+    `phi` beside `phi_r` is that of the light, as `theta` is beside `theta_r`. `azimuth` beside `incidence` and
+    `emission` is that between their planes, as in planetary photometry, whose letters i, e, g and psi are understood.
     """
     letters = [_letters(head) for head in heads]
     is_planetary = {"i", "e"} <= set(letters)

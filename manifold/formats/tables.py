@@ -36,6 +36,7 @@ from manifold.formats.readings import DAYLIGHT, Readings, Viewing, gloss_fault, 
 from manifold.formats.text import (
     CORRECT_CELL,
     ErrorContext,
+    Measure,
     angle_unit,
     number,
     number_with_unit,
@@ -558,7 +559,7 @@ def _is_degrees(table: Table, columns: Columns, samples: dict[str, _Sample], con
     """Return whether angles are in degrees: as heads or cells say, or because they are too large for radians."""
     where = table.where(columns.row)
     unit = column_heads.angle_unit([columns.heads[k] for k in columns.angles.values()], context, where)
-    cells = [[number_with_unit(text) for text in row] for s in samples.values() for row in s.keys]
+    cells = [[_measure(text) for text in row] for s in samples.values() for row in s.keys]
     units = {unit, *(angle_unit(m.unit) for row in cells for m in row if m is not None and m.unit)} - {None}
     if len(units) > 1:
         raise context.error("angles in degrees and in radians, expected one unit", where)
@@ -595,9 +596,15 @@ def _angle_pairs(
     return keep, wi, wo, notes
 
 
+def _measure(text: str) -> Measure | None:
+    """Return `number_with_unit`, quickly for what Python takes for a number."""
+    value = plain_float(text)
+    return Measure(value, "") if abs(value) < 1e300 else number_with_unit(text)
+
+
 def _angle(text: str, where: str, context: ErrorContext) -> float:
     """Return the angle in a cell, in its own unit."""
-    measure = number_with_unit(text)
+    measure = _measure(text)
     is_angle = measure is not None and (not measure.unit or angle_unit(measure.unit) is not None)
     return measure.value if measure is not None and is_angle else context.number(text, where)
 

@@ -45,7 +45,7 @@ test: .venv/readydev
 	env $(if $(CORE),$$($(BIN)/python tools/other_machines.py --environment $(CORE))) OPENBLAS_NUM_THREADS=1 MANIFOLD_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
 
 test-machines: .venv/readydev
-	$(BIN)/python tools/other_machines.py
+	$(BIN)/python tools/other_machines.py -- -m "not slow" $(SHARED)
 
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow

@@ -25,17 +25,7 @@ import numpy as np
 
 CORES = ("Haswell", "Zen", "SkylakeX", "Sandybridge", "Nehalem", "Prescott")
 WITHOUT_AVX2 = ("Sandybridge", "Nehalem", "Prescott")
-TESTS = (
-    "-m",
-    "not slow",
-    "-n",
-    "auto",
-    "--maxprocesses",
-    "8",
-    "--dist",
-    "loadfile",
-    "--no-loadscope-reorder",
-)
+TESTS = ("-m", "not slow", "-n", "auto")
 _KERNELS = """
 import numpy, scipy.linalg, threadpoolctl
 numpy.linalg.cholesky(numpy.eye(200)), scipy.linalg.cho_factor(numpy.eye(200))

@@ -274,14 +274,21 @@ def calibrate(
     pairs: Annotated[
         list[Path],
         typer.Argument(
-            help="For every sample the reference's file, then the other's; of files with several samples, those with "
-            "the same names are used. Or a folder of the reference's, and one of the other's.",
+            help="The reference's file or folder, then the other's, for one or several samples. Samples with the same "
+            "name in both are used.",
             metavar="REF OTHER ...",
         ),
     ],
     output: Annotated[Path, options.output_option("The correction to write, as JSON.")] = Path(
         "correction.json"
     ),
+    allow_harm: Annotated[
+        bool,
+        typer.Option(
+            "--allow-harm",
+            help="Write the correction even if it is worse than none by its leave-one-out errors.",
+        ),
+    ] = False,
     report: options.ReportOption = None,
     json: options.JsonOption = None,
 ) -> None:
@@ -293,8 +300,9 @@ def calibrate(
     """
     from manifold.estimate import instruments, reports
 
-    made = instruments.calibrate(pairs, output)
     results = terminal.Results(json)
+    with progress.shown("Calibrating"):
+        made = instruments.calibrate(pairs, output, allow_harm=allow_harm)
     form, count = made.correction.form, len(made.samples)
     results.rows(f"Colour correction {output}", {"samples": count, "form": form})
     left_out = "reading by reading of the one sample" if count == 1 else "sample by sample"

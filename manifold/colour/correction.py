@@ -25,6 +25,7 @@ from manifold.records import Array, Bands, Indices, Mask, plain
 
 _DARK = 1e-3  # share of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"
+_LEAST_KEPT = 1e-8  # of what a left-out sample says, the share that the others must determine
 _MOST_WORSE = 0.25  # share of samples that a correction may make worse
 FORMAT_VERSION = 1
 _CHEUNG = {f"Cheung 2004, {terms} terms": terms for terms in (5, 7, 8, 10, 11, 14, 20)}
@@ -102,7 +103,7 @@ def learn_correction(
     groups: Indices | None = None,
 ) -> ColourCorrection:
     """The correction from x (n, 3), at least 0, to y (n, B) that is best on values left out. With `groups` (n,) whole
-    samples are left out; only forms with fewer terms than values are tried.
+    samples are left out; only forms are tried whose terms the others determine.
 
     Of forms some do not make more than a quarter of the samples worse than no correction does: the best of these, or
     where there are none, of those that make the fewest worse.
@@ -127,8 +128,10 @@ def learn_correction(
     colours: dict[str, Array] = {}
     for form in forms:
         terms = _terms(form, unit)
-        if terms.shape[1] < len(x) - most_left_out:
-            wrong = _left_out(terms * weight, wanted * weight, groups)
+        if terms.shape[1] >= len(x) - most_left_out:
+            continue
+        wrong = _left_out(terms * weight, wanted * weight, groups)
+        if wrong is not None:
             errors[form] = float(np.sqrt(np.mean(np.sum(wrong**2, axis=1))))
             made = scale * np.maximum(wanted - wrong / weight, 0.0)
             colours[form] = np.column_stack([before, _sample_colours(made, reference, y, reference, groups)])
@@ -175,13 +178,17 @@ def _uncorrected_error(spectra: Array | None, wanted: Array, weight: Array, refe
     return float(np.sqrt(np.mean(np.sum(((made - wanted) * weight) ** 2, axis=1))))
 
 
-def _left_out(terms: Array, wanted: Array, groups: Indices) -> Array:
-    """Residuals of least squares, each group predicted by a fit to the others; shape of wanted."""
+def _left_out(terms: Array, wanted: Array, groups: Indices) -> Array | None:
+    """Residuals of least squares, each group predicted by a fit to the others; shape of wanted. None if a group alone
+    determines a combination of terms: no fit to the others predicts it.
+    """
     inverse = np.linalg.pinv(terms)
     residual = wanted - terms @ (inverse @ wanted)
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
-        kept = np.eye(len(rows)) * (1.0 + 1e-9) - terms[rows] @ inverse[:, rows]
+        kept = np.eye(len(rows)) - terms[rows] @ inverse[:, rows]
+        if np.linalg.eigvalsh(0.5 * (kept + kept.T))[0] < _LEAST_KEPT:
+            return None
         residual[rows] = np.linalg.solve(kept, residual[rows])
     return np.asarray(residual)
 

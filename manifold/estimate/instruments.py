@@ -8,30 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.optimize import brentq
-from scipy.spatial import QhullError, cKDTree
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from manifold import disk
+from manifold import disk, progress
 from manifold.colour.correction import ColourCorrection, learn_correction, read_correction, write_correction
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.colour.narrow_bands import in_daylight
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import BandMismatchError, UsageError
-from manifold.estimate.inputs import Sample, find_samples
+from manifold.estimate.inputs import Sample, is_readings
 from manifold.formats import registry
 from manifold.formats.readings import Between, Readings
 from manifold.library.identity import alike
-from manifold.names import counted
+from manifold.library.importing import find_files
+from manifold.names import counted, first_few
 from manifold.records import Array, plain
 
 _ENOUGH_SAMPLES = 6  # samples for a colour correction; see docs/explanation/completion.md
-_SHOWN_WORSE = 5
+_ASK_FOR_PAIRS = "do both files of each pair read one sample?"
 _CAMERA_BANDS = 3
 _SAME_PLACE = 1e-3  # largest distance between pairs of directions, in half and difference angles, in radians
 _MOST_READINGS = 2000  # most readings of a goniometer that are used
@@ -43,11 +45,16 @@ _SIMPLEX = 4  # points needed to interpolate in three coordinates
 
 @dataclass(frozen=True, eq=False)
 class CalibratedInstrument:
-    """A colour correction that was learned from samples, whose names it has, and written."""
+    """A colour correction that was learned from samples, whose names it has, and written.
+
+    Attributes:
+        left_out: samples that have no pair, with their files, and why.
+    """
 
     path: Path
     correction: ColourCorrection
     samples: Sequence[str]
+    left_out: tuple[str, ...] = ()
 
     @property
     def errors(self) -> dict[str, float]:
@@ -63,26 +70,41 @@ class CalibratedInstrument:
         return list(zip(self.samples, colours.tolist(), strict=False))
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What the correction is good for, in sentences."""
-        learned, samples = self.correction, self.samples
-        notes, n_samples = [], len(samples)
-        if n_samples > 1 and (worse := np.flatnonzero(learned.is_worse)).size:
-            shown = [
-                f"{samples[k]} (CIEDE2000, D65/2: {learned.colours[k, 0]:.1f} before, "
-                f"{learned.colours[k, 1]:.1f} after)"
-                for k in worse[np.argsort(np.diff(learned.colours[worse])[:, 0])[::-1][:_SHOWN_WORSE]]
-            ]
-            notes.append(
-                f"{counted(len(worse), 'sample')} of {n_samples} become worse: {', '.join(shown)}"
-                + (" and others" if len(worse) > _SHOWN_WORSE else "")
-            )
+    def harm(self) -> str | None:
+        """Why the correction is worse than none by its leave-one-out errors; None where it is not."""
+        learned = self.correction
         error = learned.errors[learned.form]
         if error >= learned.uncorrected:
-            notes.append(
-                f"spectra estimated without a correction have a smaller error, {learned.uncorrected:.4f}: do not "
-                "use it; do both files of each pair read one sample?"
-            )
+            return f"leave-one-out error {error:.4f}, without a correction {learned.uncorrected:.4f}"
+        if len(self.samples) == 1:
+            return None  # its readings are left out, which says nothing of other colours
+        before, after = learned.colours.mean(axis=0)
+        if after > before:
+            return f"mean CIEDE2000 {before:.1f} without it, {after:.1f} with it"
+        return self._worse if 2 * np.sum(learned.is_worse) > len(self.samples) else None
+
+    @property
+    def _worse(self) -> str:
+        """The samples that become worse, worst first."""
+        colours = self.correction.colours
+        worse = np.flatnonzero(self.correction.is_worse)
+        named = [
+            f"{self.samples[k]} (CIEDE2000 {colours[k, 0]:.1f} before, {colours[k, 1]:.1f} after)"
+            for k in worse[np.argsort(colours[worse, 0] - colours[worse, 1], kind="stable")]
+        ]
+        return f"{counted(len(worse), 'sample')} of {len(self.samples)} become worse: {first_few(named)}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the correction is good for, in sentences."""
+        notes, n_samples = [], len(self.samples)
+        if self.left_out:
+            apart = first_few(self.left_out, 6, "; ", " (--json lists them)")
+            notes.append(f"{counted(len(self.left_out), 'sample')} left out: {apart}")
+        if n_samples > 1 and np.any(self.correction.is_worse):
+            notes.append(self._worse)
+        if self.harm is not None:
+            notes.append(f"do not use it: {self.harm}; {_ASK_FOR_PAIRS}")
         if n_samples < _ENOUGH_SAMPLES:
             few = (
                 "one sample determines the correction of its own colour only: in simulations the error for other "
@@ -96,7 +118,12 @@ class CalibratedInstrument:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; None for an error that could not be measured."""
-        known = {"path": self.path, "ciede2000": dict(self.colours), "notes": self.notes}
+        known = {
+            "path": self.path,
+            "ciede2000": dict(self.colours),
+            "left_out": self.left_out,
+            "notes": self.notes,
+        }
         return self.correction.to_json() | plain(known)
 
 
@@ -207,12 +234,18 @@ def _interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
     if len(first) < _SIMPLEX:
         return np.full((len(wi), readings.bands.count), np.nan)
     try:
-        interpolator = LinearNDInterpolator(at[first], roots[first])
+        interpolator = LinearNDInterpolator(_triangulation(at[first].tobytes()), roots[first])
     except QhullError as error:  # points in a plane
         raise UsageError(
             f"{readings.name}: its directions lie in one plane, expected several incidences to interpolate between"
         ) from error
     return np.asarray(interpolator(_coordinates(wi, wo))) ** 3
+
+
+@lru_cache(maxsize=4)
+def _triangulation(points: bytes) -> Delaunay:
+    """The triangulation of points (K, 3), float64: an instrument reads all samples at the same directions."""
+    return Delaunay(np.frombuffer(points).reshape(-1, 3))
 
 
 def _coordinates(wi: Array, wo: Array) -> Array:
@@ -293,37 +326,75 @@ def _merged(
     return replace(merged, gloss={**merged.gloss, **gloss}), learned
 
 
-def calibrate(paths: Sequence[Path], output: Path) -> CalibratedInstrument:
-    """Learn an instrument's colour correction from files of samples that two instruments read, and write it as JSON.
+def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) -> CalibratedInstrument:
+    """Learn an instrument's colour correction from samples that two instruments read, and write it as JSON.
 
-    Paths are of every sample, or several of the same names, the reference's file, then the other's; or a folder of each
-    instrument's, in which samples of the same names are used.
+    Args:
+        paths: by turns the reference's and the other's, files or folders. Samples that have the same name in both are
+            used; two files of one sample each may name it differently.
+        output: the file to write.
+        allow_harm: write also a correction that is worse than none by its leave-one-out errors.
+    Raises:
+        UsageError: paths are not pairs, no sample is in both, or the correction is worse than none.
     """
     disk.require_writable(output)
-    is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)
     if len(paths) % 2 or not paths:
         raise UsageError(
-            f"found {len(paths)}, expected pairs of files, of every sample the reference's, then the other's; or two "
-            "folders, the reference's first"
+            f"found {len(paths)}, expected pairs of files or folders, the reference's first, then the other's"
         )
-    pairs = (
-        _pairs_of_folders(paths[0], paths[1])
-        if is_folders
-        else [
-            pair
-            for reference, other in zip(paths[::2], paths[1::2], strict=True)
-            for pair in registry.read_pairs(reference, other, _MOST_READINGS)
-        ]
-    )
+    pairs: list[tuple[Readings, Readings]] = []
+    left_out: list[str] = []
+    for reference, other in zip(paths[::2], paths[1::2], strict=True):
+        shared, apart = pairs_of(reference, other)
+        pairs += shared
+        left_out += apart
     learned = learn_across(pairs)
+    calibrated = CalibratedInstrument(output, learned, [one.name for one, _ in pairs], tuple(left_out))
+    if calibrated.harm is not None and not allow_harm:
+        raise UsageError(
+            f"{output}: not written, the correction is worse than none ({calibrated.harm}); {_ASK_FOR_PAIRS} "
+            "give more samples of different colours, or write it with --allow-harm (allow_harm=True)"
+        )
     write_correction(output, learned)
-    return CalibratedInstrument(output, learned, [reference.name for reference, _ in pairs])
+    return calibrated
 
 
-def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Readings]]:
-    """Readings of the samples that have the same name in two folders."""
-    first, second = ({alike(one.name): one for one in find_samples([path])} for path in (reference, other))
-    shared = [(first[name], second[name]) for name in first if name in second]
-    if not shared:
-        raise UsageError(f"{reference} and {other}: no sample has the same name in both; name pairs of files")
-    return [(read_sample(one)[0], read_sample(two)[0]) for one, two in shared]
+def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Readings]], list[str]]:
+    """Readings of the samples that have the same name in the files of two paths, and why each other one has no pair."""
+    sides = {path: _samples_in(path) for path in (reference, other)}
+    first, second = sides.values()
+    if len(first) == len(second) == 1 and not (reference.is_dir() or other.is_dir()):
+        second = dict.fromkeys(first, *second.values())  # whatever its name
+    pairs, left_out = [], []
+    for name in dict.fromkeys((*first, *second)):
+        held = {reference: first.get(name, []), other: second.get(name, [])}
+        if all(len(each) == 1 for each in held.values()):
+            pairs.append((held[reference][0].readings, held[other][0].readings))
+            continue
+        path, files = max(held.items(), key=lambda each: len(each[1]))
+        within = ", ".join(str(one.path) for one in files)
+        why = f"read {len(files)} times in {path}" if len(files) > 1 else f"in {path} only"
+        left_out.append(f"{files[0].readings.name} ({within}), {why}")
+    if not pairs:
+        raise UsageError(
+            f"{reference} and {other}: no sample has the same name in both; found {first_few(left_out, 4, '; ')}"
+        )
+    return pairs, left_out
+
+
+class _Held(NamedTuple):
+    """Readings, and the file that holds them."""
+
+    path: Path
+    readings: Readings
+
+
+def _samples_in(path: Path) -> dict[str, list[_Held]]:
+    """Readings in a file, or in the files of a folder, by the names of their samples."""
+    held: dict[str, list[_Held]] = {}
+    files = find_files([path], is_readings, "readings file") if path.is_dir() else [path]
+    for file in progress.each(files, str):
+        for record in registry.read_all(file):
+            readings = registry.as_readings(record, _MOST_READINGS)
+            held.setdefault(alike(readings.name.strip()), []).append(_Held(file, readings))
+    return held

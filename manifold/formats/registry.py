@@ -186,25 +186,11 @@ def read_readings(
         UsageError: there are several samples and none is named, none has this name, or the file cannot be read.
         FileFormatError: the file is of no known format, or damaged.
     """
-    return _as_readings(read(path, sample, is_only=is_only, unit=unit), limit)
+    return as_readings(read(path, sample, is_only=is_only, unit=unit), limit)
 
 
-def read_pairs(reference: Path, other: Path, limit: int | None = None) -> list[tuple[Readings, Readings]]:
-    """The samples that two instruments' files both hold: one each, or those of the same names."""
-    found = [{record.name: record for record in read_all(path)} for path in (reference, other)]
-    first, second = ({name: _as_readings(record, limit) for name, record in of.items()} for of in found)
-    if len(first) == len(second) == 1:
-        return list(zip(first.values(), second.values(), strict=True))
-    both = [name for name in first if name in second]
-    if not both:
-        raise UsageError(
-            f"{reference.name} holds {len(first)} samples, {other.name} {len(second)}, and no name is in both; "
-            f"expected the same names: {first_few(list(first), _SHOWN)}; {first_few(list(second), _SHOWN)}"
-        )
-    return [(first[name], second[name]) for name in both]
-
-
-def _as_readings(record: Record, limit: int | None) -> Readings:
+def as_readings(record: Record, limit: int | None) -> Readings:
+    """Readings of a record; dense tables give their measured nodes, at most `limit` of them."""
     return record.readings(limit) if isinstance(record, DenseTable) else record
 
 

@@ -17,7 +17,7 @@ from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.estimate import instruments
 from manifold.estimate.instruments import CalibratedInstrument, between_measurements, correct_colours, merge
-from manifold.formats import csv_table, registry
+from manifold.formats import csv_table
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
@@ -89,6 +89,17 @@ def test_a_file_that_is_no_correction_is_refused_in_one_line(rng, tmp_path, dama
         path.write_text(json.dumps(json.loads(path.read_text()) | damage))
     with pytest.raises(FileFormatError, match=message):
         read_correction(path)
+
+
+def test_what_one_sample_alone_determines_is_not_left_out(rng):
+    """Readings of a sample that are alike in all directions count once: four samples determine three terms, no more."""
+    colours = rng.random((4, 3)) + 0.1
+    x, groups = np.repeat(colours, 12, axis=0), np.repeat(np.arange(4), 12)
+    found = learn(x, x @ rng.random((3, 5)), groups=groups)
+    assert list(found.errors) == ["linear"]
+    assert found.errors["linear"] == pytest.approx(0.0, abs=1e-9)  # the relation is linear
+    few = groups < 3
+    assert np.isnan(learn(x[few], x[few], groups=groups[few]).errors["linear"])
 
 
 def test_samples_are_left_out_whole(rng):
@@ -177,20 +188,118 @@ def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_pat
         assert ("reading by reading of the one sample" in out) == (count == 1)
 
 
+def pairs_of_tables(folder, spectra):
+    """Write files of samples s0, s1, ... into `reference` and, as three narrow bands see them, `other`."""
+    nm, at = np.arange(400.0, 701.0, 20.0), gonio_directions(10, [0, 60, 120, 180])
+    sensors = np.exp(-(((nm - np.array([465.0, 525.0, 630.0])[:, None]) / 30.0) ** 2))
+    sensors /= sensors.sum(axis=1, keepdims=True)
+    for k, spectrum in enumerate(spectra):
+        csv_table.write(
+            folder / "reference" / f"{k}.csv",
+            replace(readings(np.tile(spectrum, (12, 1)), nm=nm), name=f"s{k}"),
+        )
+        camera = sensors @ spectrum
+        one = readings(np.tile(camera, (len(at[0]), 1)), at, np.array(CAMERA.wavelengths_nm))
+        csv_table.write(folder / "other" / f"{k}.csv", replace(one, name=f"s{k}"))
+
+
+@pytest.fixture
+def spectra(rng):
+    """Of ten samples, 400 to 700 nm."""
+    nm = np.arange(400.0, 701.0, 20.0)
+    humps = np.exp(-(((nm - np.array([450.0, 550.0, 650.0])[:, None]) / 60.0) ** 2))
+    return 0.1 + 0.25 * rng.random((10, 3)) @ humps
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """`reference` and `other`, empty."""
+    for name in ("reference", "other"):
+        (tmp_path / name).mkdir()
+    return [tmp_path / "reference", tmp_path / "other"]
+
+
+def test_samples_without_a_pair_are_named_with_their_files(folders, spectra, tmp_path):
+    pairs_of_tables(tmp_path, spectra)
+    (folders[0] / "8.csv").unlink()
+    twice = (folders[1] / "0.csv").read_text()
+    (folders[1] / "again.csv").write_text(twice)
+    made = instruments.calibrate(folders, tmp_path / "c.json")
+    assert made.samples == [f"s{k}" for k in (1, 2, 3, 4, 5, 6, 7, 9)]
+    assert made.left_out == (
+        f"s0 ({folders[1] / '0.csv'}, {folders[1] / 'again.csv'}), read 2 times in {folders[1]}",
+        f"s8 ({folders[1] / '8.csv'}), in {folders[1]} only",
+    )
+    assert made.notes[0].startswith("2 samples left out: s0 (")
+    assert made.to_json()["left_out"] == list(made.left_out)
+
+
+def test_a_file_of_several_samples_goes_with_a_folder(folders, spectra, tmp_path):
+    pairs_of_tables(tmp_path, spectra)
+    factors = np.pi * spectra
+    rows = [f"s{k},{g},{','.join(map(str, factors[k]))}" for k in range(10) for g in MA_T12_NAMES]
+    table = "\n".join([f"Name,Geometry,{','.join(map(str, range(400, 701, 20)))}", *rows])
+    (tmp_path / "all.csv").write_text(table)
+    made = instruments.calibrate([tmp_path / "all.csv", folders[1]], tmp_path / "c.json")
+    assert made.samples == [f"s{k}" for k in range(10)]
+    assert made.left_out == ()
+
+
+def test_a_correction_that_harms_is_written_only_if_asked(run, folders, tmp_path):
+    """The spectra are of those that estimates without a correction know; four of them do not determine the fifth."""
+    nm = np.arange(400.0, 701.0, 20.0)
+    pairs_of_tables(
+        tmp_path, [diffuse_reflectance(name, nm) for name in diffuse_reflectance_names()[::26][:5]]
+    )
+    status, _, err = run("calibrate", *folders, "-o", "c.json", cwd=tmp_path)
+    assert status == 2
+    assert "not written, the correction is worse than none (" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "c.json").exists()
+    status, out, err = run("calibrate", *folders, "-o", "c.json", "--allow-harm", cwd=tmp_path)
+    assert status == 0, err
+    assert "note: do not use it: " in out
+    read_correction(tmp_path / "c.json")
+
+
+def test_a_correction_that_makes_most_samples_worse_harms(rng):
+    x = rng.random((10, 3)) + 0.1
+    learned = replace(learn(x, x), uncorrected=1.0)
+    made = CalibratedInstrument("c.json", learned, [f"s{k}" for k in range(10)])
+    before, after = np.full(10, 2.0), np.full(10, 2.1)
+    after[:4] = 0.0  # the mean is better
+    harms = replace(made, correction=replace(learned, colours=np.column_stack([before, after])))
+    assert harms.harm.startswith("6 samples of 10 become worse: s4 (CIEDE2000 2.0 before, 2.1 after)")
+    after[4] = 0.0
+    helps = replace(made, correction=replace(learned, colours=np.column_stack([before, after])))
+    assert helps.harm is None
+    after[9] = 20.0
+    shifts = replace(made, correction=replace(learned, colours=np.column_stack([before, after])))
+    assert shifts.harm == "mean CIEDE2000 2.0 without it, 2.8 with it"
+
+
 def table_of(path, values):
     rows = [f"{name},{g},{v},{v},{v}" for name, v in values.items() for g in MA_T12_NAMES]
     path.write_text("\n".join(["Name,Geometry,465,525,630", *rows]))
 
 
 def test_samples_of_two_files_are_paired_by_name(tmp_path):
-    a, b, c = (tmp_path / f"{name}.csv" for name in "abc")
+    a, b, c, d = (tmp_path / f"{name}.csv" for name in "abcd")
     table_of(a, {"red": 0.2, "blue": 0.4})
-    table_of(b, {"blue": 0.4, "red": 0.2, "green": 0.3})
+    table_of(b, {"blue": 0.4, "Red": 0.2, "green": 0.3})
     table_of(c, {"other": 0.2})
-    assert [(x.name, y.name) for x, y in registry.read_pairs(a, b)] == [("red", "red"), ("blue", "blue")]
-    assert [(x.name, y.name) for x, y in registry.read_pairs(c, c)] == [("other", "other")]
-    with pytest.raises(UsageError, match=r"a\.csv holds 2 samples, c\.csv 1, and no name is in both"):
-        registry.read_pairs(a, c)
+    table_of(d, {"another": 0.2})
+
+    def names(*paths):
+        pairs, left_out = instruments.pairs_of(*paths)
+        return [(x.name, y.name) for x, y in pairs], left_out
+
+    assert names(a, b) == ([("red", "Red"), ("blue", "blue")], [f"green ({b}), in {b} only"])
+    assert names(c, d) == ([("other", "another")], [])
+    with pytest.raises(
+        UsageError, match=r"no sample has the same name in both; found red \(.*a\.csv only; blue"
+    ):
+        instruments.pairs_of(a, c)
 
 
 def test_a_sample_is_chosen_of_every_file_with_several(run, tmp_path):

@@ -123,7 +123,7 @@ COMMANDS: dict[str, str] = {
     "complete grey ball": f"photograph {_GREY} --circle 241,245,150 -L real.zarr -o made.bsdf",
     "suggest": "complete -L real.zarr --suggest 4; complete -L real.zarr --suggest 3 --instrument ma-t12;"
     "complete ma-t12/syn_satin_rose.xlsx -L real.zarr --suggest 3 --instrument mini-diff -o made.bsdf",
-    "calibrate": "calibrate ma-t12-few mini-diff-few -o correction.json;"
+    "calibrate": "calibrate ma-t12-few mini-diff-few --allow-harm -o correction.json;"
     "complete mini-diff/syn_satin_rose.astm --correction correction.json -L real.zarr -o made.bsdf;"
     "convert mini-diff/syn_satin_rose.astm --correction correction.json -o rose.csv",
     # -- fits and exports

@@ -101,10 +101,11 @@ class CalibratedInstrument:
         if self.left_out:
             apart = first_few(self.left_out, 6, "; ", " (--json lists them)")
             notes.append(f"{counted(len(self.left_out), 'sample')} left out: {apart}")
-        if n_samples > 1 and np.any(self.correction.is_worse):
+        harm = self.harm
+        if n_samples > 1 and np.any(self.correction.is_worse) and harm != self._worse:
             notes.append(self._worse)
-        if self.harm is not None:
-            notes.append(f"do not use it: {self.harm}; {_ASK_FOR_PAIRS}")
+        if harm is not None:
+            notes.append(f"do not use it: {harm}; {_ASK_FOR_PAIRS}")
         if n_samples < _ENOUGH_SAMPLES:
             few = (
                 "one sample determines the correction of its own colour only: in simulations the error for other "
@@ -351,8 +352,9 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
     learned = learn_across(pairs)
     calibrated = CalibratedInstrument(output, learned, [one.name for one, _ in pairs], tuple(left_out))
     if calibrated.harm is not None and not allow_harm:
+        apart = f"; left out: {first_few(left_out, 3, '; ')}" if left_out else ""
         raise UsageError(
-            f"{output}: not written, the correction is worse than none ({calibrated.harm}); {_ASK_FOR_PAIRS} "
+            f"{output}: not written, the correction is worse than none ({calibrated.harm}){apart}; {_ASK_FOR_PAIRS} "
             "give more samples of different colours, or write it with --allow-harm (allow_harm=True)"
         )
     write_correction(output, learned)
@@ -361,8 +363,9 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
 
 def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Readings]], list[str]]:
     """Readings of the samples that have the same name in the files of two paths, and why each other one has no pair."""
-    sides = {path: _samples_in(path) for path in (reference, other)}
-    first, second = sides.values()
+    if reference == other:
+        raise UsageError(f"{reference} is named twice, expected the reference's and another instrument's")
+    first, second = _samples_in(reference), _samples_in(other)
     if len(first) == len(second) == 1 and not (reference.is_dir() or other.is_dir()):
         second = dict.fromkeys(first, *second.values())  # whatever its name
     pairs, left_out = [], []

@@ -300,6 +300,8 @@ def test_samples_of_two_files_are_paired_by_name(tmp_path):
         UsageError, match=r"no sample has the same name in both; found red \(.*a\.csv only; blue"
     ):
         instruments.pairs_of(a, c)
+    with pytest.raises(UsageError, match=r"a\.csv is named twice"):
+        instruments.pairs_of(a, a)
 
 
 def test_a_sample_is_chosen_of_every_file_with_several(run, tmp_path):
@@ -346,8 +348,11 @@ def test_a_correction_says_whether_it_is_better_than_none(rng, tmp_path):
     assert wrong.errors[wrong.form] > 5.0 * good.errors[good.form]
     estimated = replace(wrong, uncorrected=0.9 * wrong.errors[wrong.form])
     assert (
-        "spectra estimated without a correction have a smaller error"
-        in CalibratedInstrument(tmp_path, estimated, names).notes[1]
+        CalibratedInstrument(tmp_path, estimated, names)
+        .notes[1]
+        .startswith(
+            f"do not use it: leave-one-out error {wrong.errors[wrong.form]:.4f}, without a correction"
+        )
     )
 
 

@@ -160,9 +160,9 @@ export class MapView {
     this.arranged = arranged;
     this._drawField(context, state, theme);
     this._drawOthers(context);
-    names.forEach((_, k) => this._drawLeader(context, k, theme));
     const order = X.map((_, k) => k).sort((a, b) => this._depth(a, state) - this._depth(b, state));
     for (const k of order) this._drawMaterial(context, k, state, theme);
+    names.forEach((_, k) => this._drawLeader(context, k, theme)); // over the balls, which would hide them where it is crowded
   }
 
   /** How near a material is in the dimensions that are not drawn, 1 at the same. */
@@ -229,17 +229,20 @@ export class MapView {
 
   /** A line from a ball that was moved aside to where it belongs. */
   _drawLeader(context, k, theme) {
-    const own = this.toPixel(this.X[k]), place = this.places[k];
-    if (Math.hypot(own[0] - place[0], own[1] - place[1]) < 0.3 * this.radius) return;
-    context.strokeStyle = context.fillStyle = theme.soft;
-    context.lineWidth = this.ratio;
-    context.beginPath();
-    context.moveTo(...own);
-    context.lineTo(...place);
-    context.stroke();
-    context.beginPath();
-    context.arc(...own, 2.5 * this.ratio, 0, 2 * Math.PI);
-    context.fill();
+    const own = this.toPixel(this.X[k]), place = this.places[k], apart = Math.hypot(own[0] - place[0], own[1] - place[1]);
+    if (apart <= this.radius) return; // the ball covers its point
+    const edge = place.map((p, axis) => p + (this.radius / apart) * (own[axis] - p));
+    for (const [style, extra] of [[theme.panel, 1.5], [theme.ink, 0]]) { // an outline, then the line
+      context.strokeStyle = context.fillStyle = style;
+      context.lineWidth = (1 + extra) * this.ratio;
+      context.beginPath();
+      context.moveTo(...own);
+      context.lineTo(...edge);
+      context.stroke();
+      context.beginPath();
+      context.arc(...own, (2.5 + extra / 2) * this.ratio, 0, 2 * Math.PI);
+      context.fill();
+    }
   }
 
   _drawMaterial(context, k, state, theme) {

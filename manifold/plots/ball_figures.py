@@ -75,13 +75,24 @@ def ball_map(
     places = axes.transData.inverted().transform(centres + below)
     for place, true, label, image in zip(places, X, labels, shown, strict=True):
         label.xy = tuple(place)
-        axes.plot(*zip(true, place, strict=True), color="0.3", linewidth=0.7, zorder=2)
-        axes.plot(*true, "o", color="0.2", markersize=2.5, zorder=2)
+        _draw_leader(axes, place, true, 0.5 * ball_pixels)
         ball = OffsetImage(
             image, zoom=_BALL_POINTS / image.shape[0], resample=True, interpolation="antialiased"
         )
         axes.add_artist(AnnotationBbox(ball, place, frameon=False, pad=0, zorder=3))
     return figure
+
+
+def _draw_leader(axes: Axes, place: Array, true: Array, radius: float) -> None:
+    """Draw a line from the edge of a ball to the point where it belongs, above all balls, unless the ball covers it."""
+    centre, point = axes.transData.transform([place, true])
+    apart = float(np.linalg.norm(point - centre))
+    if apart <= radius:
+        return
+    edge = axes.transData.inverted().transform(centre + radius / apart * (point - centre))
+    outline = [withStroke(linewidth=2.2, foreground="white")]
+    axes.plot(*zip(edge, true, strict=True), color="0.2", linewidth=0.8, zorder=4, path_effects=outline)
+    axes.plot(*true, "o", color="0.1", markersize=3.0, markeredgecolor="white", markeredgewidth=0.5, zorder=5)
 
 
 def spread(points: Array, room: Array, frame: Array) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib import rcParams
+from matplotlib import rc_context, rcParams
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -116,9 +116,9 @@ def require_writable(path: Path) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG (or what the suffix says), atomically."""
+    """Write a figure as PNG (or what the suffix says), atomically; fonts in PDF are TrueType, as journals ask."""
     require_writable(path)
-    with disk.replacing(path) as partial:
+    with disk.replacing(path) as partial, rc_context({"pdf.fonttype": 42}):
         figure.savefig(partial)
 
 

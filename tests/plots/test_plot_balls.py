@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.small_library import NAMES, measured, small_model
@@ -79,6 +81,33 @@ def test_balls_stand_near_their_latents_and_do_not_cover_each_other(model, balls
         middle = np.array([0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1)])
         nearest = places[np.argmin(np.linalg.norm(places - middle, axis=1))]
         np.testing.assert_allclose(nearest, place)
+
+
+def test_a_line_above_all_balls_leads_from_each_moved_ball_to_its_latent(model, balls):
+    """Where the map is crowded, others would hide the line."""
+    X = 0.02 * model.X
+    X[0] += 8.0  # one far away, so that the others are close in the picture
+    space = replace(model.space, X=X)
+    crowded = Manifold(model.materials, space, model.settings, model.statistics)
+    axes = ball_map(crowded, balls).axes[0]
+    boxes = [artist for artist in axes.artists if isinstance(artist, AnnotationBbox)]
+    lines = [line for line in axes.lines if len(line.get_xdata()) == 2]
+    to_pixels = axes.transData.transform
+    radius = 15.0 * axes.figure.dpi / 72.0
+    moved = 0
+    for box, latent in zip(boxes, space.X, strict=True):
+        centre, point = to_pixels([box.xy, latent])
+        ends = [to_pixels(line.get_xydata()) for line in lines if line.zorder > box.zorder]
+        mine = [edge for edge, end in ends if np.allclose(end, point, atol=0.1)]
+        apart = np.linalg.norm(point - centre)
+        if apart <= radius:
+            assert not mine
+            continue
+        moved += 1
+        (edge,) = mine
+        assert np.linalg.norm(edge - centre) == pytest.approx(radius, abs=0.1)
+        assert np.linalg.norm(edge - point) == pytest.approx(apart - radius, abs=0.1)
+    assert moved >= 3
 
 
 def test_spread_points_keep_apart_and_inside(rng):

@@ -184,6 +184,16 @@ def test_names_are_drawn_as_they_are(tmp_path):
     assert "a?b?[31m $x_1$ \u6f06" in texts
 
 
+def test_fonts_in_a_pdf_are_truetype(tmp_path):
+    """Journals refuse those of Type 3."""
+    figure = figures.new_figure(2.0, 1.0)
+    figure.text(0.1, 0.5, "latent $x_1$")
+    figures.save(figure, tmp_path / "a.pdf")
+    content = (tmp_path / "a.pdf").read_bytes()
+    assert b"/FontFile2" in content
+    assert b"/Type3" not in content
+
+
 def test_the_difference_of_two_materials_is_that_of_their_balls():
     """A mean over the picture would shrink with the background around them."""
     pictures, difference = np.zeros((2, 4, 4, 3)), np.zeros((4, 4))

@@ -97,6 +97,7 @@ PER_CORE, ONE, THREADS = WorkerOptions(), OneWorkerOptions(), ThreadOptions()
 """What is given where nothing is."""
 
 
+_MOST_NOTES = 20  # that are printed; the table has all
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
 
 PointsOption = Annotated[
@@ -160,7 +161,7 @@ def make_many(
     `outputs` says what the folder is for, and what to do; `failed` what is wrong with other sources; `then` is called
     with what was made, before it is printed. For workers see `WorkerOptions.executor`.
     """
-    from manifold.batch import batch, cell, notes_of
+    from manifold.batch import MEASURED, batch, cell, notes_of
 
     require_folder(output, outputs, command.suffix)
     folder = or_default(output, command.what)
@@ -170,11 +171,17 @@ def make_many(
         then(made)
     known = [outcome for outcome in made.outcomes if outcome.content is not None]
     rows = [
-        made.row(o) | {"notes": len(notes_of(o)) or "", "": "refused" if o.failure else "kept" * o.was_there}
+        {title: value for title, value in made.row(o).items() if title not in MEASURED}  # which the file has
+        | {"": "refused" if o.failure else "kept" * o.was_there}
         for o in known
     ]
     if rows:
         results.table([*rows[0]], [[cell(value) for value in row.values()] for row in rows])
+    notes = [f"{o.name}: {note}" for o in known for note in notes_of(o)]
+    for note in notes[:_MOST_NOTES]:
+        results.sentence(note)
+    if len(notes) > _MOST_NOTES:
+        results.text(f"and {len(notes) - _MOST_NOTES} more notes in {made.tables[0].name}\n")
     done = [outcome for outcome in known if outcome.failure is None]
     kept = sum(o.was_there for o in done)
     results.text(

@@ -24,13 +24,16 @@ from filelock import FileLock, Timeout
 
 from manifold import __version__, disk, progress, work
 from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
+from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.inputs import FIT
+from manifold.formats.readings import DAYLIGHT
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.names import printable
+from manifold.records import Array, BsdfFile
 from manifold.render import backend, thumbnails
 
 _MOST = 1 << 30  # bytes of an index: a row has about two thousand
@@ -96,6 +99,7 @@ class Command(Generic[S]):
         columns: of the table, by title: from what is known of an output.
         under: the column that stands under the balls of the sheet.
         has_balls: whether there is a sheet, of the balls that `appearance` draws or of the files, if they are pictures.
+        is_of_measured: whether the balls that `measured_appearance` draws stand beside them.
         prepare: called once in this process, if anything is to be made in it.
         conclude: called with what was made, at the end.
     """
@@ -108,6 +112,7 @@ class Command(Generic[S]):
     columns: dict[str, Callable[[Content], Any]] = field(default_factory=dict)
     under: str | None = None
     has_balls: bool = False
+    is_of_measured: bool = False
     prepare: Callable[[], None] | None = None
     conclude: Callable[[Batch[S]], None] | None = None
 
@@ -239,7 +244,7 @@ class Batch(Generic[S]):
         if self.command.has_balls and any(ball_path(o.path).is_file() for o in self.outcomes):
             from manifold.plots import figures
 
-            cells = [(o.name, self._under(o), ball_path(o.path)) for o in self.outcomes]
+            cells = [(o.name, self._under(o), self._balls(o.path)) for o in self.outcomes]
             try:
                 figures.save(figures.contact_sheet(cells, self.command.under), self.sheet)
             except Exception as error:  # those of Pillow and Matplotlib are of many kinds
@@ -248,6 +253,11 @@ class Batch(Generic[S]):
                     SheetWarning,
                     stacklevel=2,
                 )
+
+    def _balls(self, path: Path) -> tuple[Path, ...]:
+        """Return the balls of a cell of the sheet: measured beside predicted where there are both."""
+        both = (measured_ball_path(path), ball_path(path))
+        return both if self.command.is_of_measured else both[1:]
 
     def _under(self, outcome: Outcome[S]) -> str:
         if outcome.failure is not None:
@@ -283,32 +293,61 @@ def _is_there(path: Path) -> bool:
     return path.is_file()
 
 
+def measured_ball_path(path: Path) -> Path:
+    """Return where the ball of the measured material is drawn that a file describes."""
+    return path.parent / "balls" / "measured" / f"{path.stem}.png"
+
+
 def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
-    """Colour and gloss, for the table, of a BRDF, by default an RGL file's; its ball is drawn for the sheet."""
-    ball = ball_path(path)
+    """Return colour and gloss, for the table, of a BRDF, by default an RGL file's, and draw its ball for the sheet."""
     brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
     if backend.is_available():
         if path.name.endswith((".bsdf", FIT)):
             image = thumbnails.of_file(path)
         else:
             image = thumbnails.of_material(cast(BRDF, brdf))
-        ball.parent.mkdir(exist_ok=True)
-        thumbnails.write(ball, image)
-    units = gloss_units(brdf)
-    return {
-        "appearance": {"lab": lab_of(brdf).tolist(), "gloss": {f"{a:g}": u for a, u in units.items()}},
-    }
+        _write_ball(ball_path(path), image)
+    return {"appearance": _look(brdf)}
 
 
-def _of_lab(k: int) -> Callable[[dict[str, Any]], Any]:
-    return lambda content: content["appearance"]["lab"][k] if "appearance" in content else None
+def measured_appearance(path: Path, measured: BsdfFile) -> dict[str, Any]:
+    """Return colour and gloss, for the table, of the measured material that a file describes, and draw its ball."""
+    if backend.is_available():
+        _write_ball(measured_ball_path(path), thumbnails.of_material(measured))
+    return {"measured": _look(MeasuredBRDF(fill_unmeasured(measured)))}
 
 
-APPEARANCE: dict[str, Callable[[dict[str, Any]], Any]] = {
-    **{title: _of_lab(k) for k, title in enumerate(("L", "a", "b"))},
-    "gloss 60": lambda content: content["appearance"]["gloss"]["60"] if "appearance" in content else None,
-}
-"""Columns of a table: CIELAB in the geometry 45/0 under D65, and gloss units at 60 degrees."""
+def _write_ball(path: Path, image: Array) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    thumbnails.write(path, image)
+
+
+def _look(brdf: EvaluableBRDF) -> dict[str, Any]:
+    units = {f"{angle:g}": value for angle, value in gloss_units(brdf).items()}
+    return {"lab": lab_of(brdf).tolist(), "viewing": f"{DAYLIGHT}, 45/0", "gloss": units}
+
+
+def appearance_columns(word: str, key: str = "appearance") -> dict[str, Callable[[Content], Any]]:
+    """Return columns of a table, whose titles end in a word: CIELAB and gloss units at 60 degrees of what `appearance`
+    or, by the key `measured`, `measured_appearance` returned.
+    """
+
+    def column(value: Callable[[dict[str, Any]], Any]) -> Callable[[Content], Any]:
+        return lambda content: value(content[key]) if key in content else None
+
+    of_lab = {title: column(lambda look, k=k: look["lab"][k]) for k, title in enumerate(("L", "a", "b"))}
+    columns = of_lab | {"gloss 60": column(lambda look: look["gloss"]["60"])}
+    return {f"{title} {word}": value for title, value in columns.items()}
+
+
+def _viewing(content: Content) -> Any:
+    return content["appearance"].get("viewing") if "appearance" in content else None
+
+
+LAB_UNDER: dict[str, Callable[[Content], Any]] = {"Lab under": _viewing}
+"""The column that says which light, observer and geometry the colours of `appearance_columns` have."""
+PREDICTED = appearance_columns("predicted") | LAB_UNDER
+MEASURED = appearance_columns("measured", "measured")
 
 
 class _Made(NamedTuple):

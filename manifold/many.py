@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 
 from manifold import disk
-from manifold.batch import APPEARANCE, Batch, Command, Content, appearance, ball_path
+from manifold.batch import (
+    LAB_UNDER,
+    MEASURED,
+    PREDICTED,
+    Batch,
+    Command,
+    Content,
+    appearance,
+    appearance_columns,
+    ball_path,
+    measured_appearance,
+)
 from manifold.colour.correction import read_correction
 from manifold.convert import conversion
 from manifold.convert.source import open_source
@@ -22,7 +33,7 @@ from manifold.estimate import coat, completions, instruments, predictions, repor
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.coat import ColourSample
 from manifold.estimate.inputs import Input, Sample
-from manifold.estimate.sources import PlaceSource
+from manifold.estimate.sources import PlaceSource, read_source
 from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
@@ -72,7 +83,7 @@ def completions_of(
         "from": lambda content: content.get("from"),
         "instrument": lambda content: content["instrument"],
         "readings": lambda content: content["readings"],
-        **APPEARANCE,
+        **PREDICTED,
         _EXPECTED: lambda content: content["expected"]["ball"],
         "expected cube root": lambda content: content["expected"]["cube_root"],
         "expected linear": lambda content: content["expected"]["linear"],
@@ -122,7 +133,7 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
 
     Mixtures are of the library's materials, as those of samples without gloss always are.
     """
-    columns: Columns = {**APPEARANCE, _EXPECTED: lambda content: content["expected"]["ball"]}
+    columns: Columns = {**PREDICTED, _EXPECTED: lambda content: content["expected"]["ball"]}
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
     make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
     return Command("completions", make, how, columns=columns, under=_EXPECTED, has_balls=True)
@@ -131,7 +142,7 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
 def surfaces(library: Path, *, size: int, targets: Sequence[str]) -> Command[Sample]:
     """Make surfaces of the samples that `inputs.find_samples` finds, of workbooks with pictures; see `make_surface`."""
     columns: Columns = {
-        **APPEARANCE,
+        **PREDICTED,
         "slope": lambda content: content["slope_std"][1],
         "glints": lambda content: content["sparkle"]["density"],
     }
@@ -180,7 +191,7 @@ def predictions_of(
     loaded = load_model(model, library)
     suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
     columns: Columns = {
-        "latent": lambda content: " ".join(content["coordinates"]),
+        **_latent_columns(loaded.settings.latent_dim),
         "colour": lambda content: content["colour"],
         _EXPECTED: lambda content: (content["expected"] or {}).get("ball"),
     }
@@ -199,43 +210,58 @@ def _predict(source: Input, path: Path, *, options: OutputOptions) -> Content:
 
 def locations(model: Path, *, library: Path | None, options: OutputOptions) -> Command[Input]:
     """Find the latents of measured files, and write the predictions there; see `predictions.locate`."""
+    loaded = load_model(model, library)
     columns: Columns = {
-        "latent": lambda content: " ".join(content["coordinates"]),
+        **_latent_columns(loaded.settings.latent_dim),
         "nearest": lambda content: content["nearest"][0][0],
-        **APPEARANCE,
+        **MEASURED,
+        **PREDICTED,
         **_ERRORS,
     }
-    content_hash = load_model(model, library).library.content_hash
+    content_hash = loaded.library.content_hash
     how = {"model": file_sha256(model), "library": content_hash, **asdict(options)}
     make = partial(_locate, model=model, library=library, options=options)
-    return Command("locations", make, how, columns=columns, under=BALL_COLUMN, has_balls=True)
+    return Command(
+        "locations", make, how, columns=columns, under=BALL_COLUMN, has_balls=True, is_of_measured=True
+    )
+
+
+def _latent_columns(latent_dim: int) -> Columns:
+    """Return a column per coordinate of a latent, with the digits that reproduce it; empty of a step of a walk."""
+
+    def column(k: int) -> Callable[[Content], Any]:
+        return lambda content: content["coordinates"][k] if content["coordinates"] else None
+
+    return {f"x{k + 1}": column(k) for k in range(latent_dim)}
 
 
 def _locate(
     source: Input, path: Path, *, model: Path, library: Path | None, options: OutputOptions
 ) -> Content:
     loaded = load_model(model, library)
-    return _shown(predictions.locate(loaded, source.source, path, options=options), path)
+    return _shown(predictions.locate(loaded, source.source, path, options=options), source, path)
 
 
 def reconstructions_of(
     library: Path, *, without: tuple[str, ...], numbers: int | None, options: OutputOptions
 ) -> Command[Input]:
     """Reconstruct measured files from a library; see `predictions.reconstruct`."""
-    columns = {**APPEARANCE, **_ERRORS}
+    columns = {**MEASURED, **PREDICTED, **_ERRORS}
     used = {"library": Library(library).content_hash, "without": sorted(without), "numbers": numbers}
     make = partial(_reconstruct, library=library, without=without, numbers=numbers, options=options)
     return Command(
-        "reconstructions", make, used | asdict(options), columns=columns, under=BALL_COLUMN, has_balls=True
-    )
+        "reconstructions", make, used | asdict(options), columns=columns, under=BALL_COLUMN, has_balls=True,
+        is_of_measured=True,
+    )  # fmt: skip
 
 
 def _reconstruct(source: Input, path: Path, *, library: Path, **how: Any) -> Content:
-    return _shown(predictions.reconstruct(library, source.source, path, **how), path)
+    return _shown(predictions.reconstruct(library, source.source, path, **how), source, path)
 
 
-def _shown(made: Reconstruction, path: Path) -> Content:
-    return made.to_json() | ({} if made.refusal is not None else appearance(path))
+def _shown(made: Reconstruction, source: Input, path: Path) -> Content:
+    written = {} if made.refusal is not None else appearance(path)
+    return made.to_json() | measured_appearance(path, read_source(source.source)) | written
 
 
 def conversions(to: str, *, correction: Path | None = None, options: Options) -> Command[Input]:
@@ -244,7 +270,8 @@ def conversions(to: str, *, correction: Path | None = None, options: Options) ->
     columns: Columns = {
         "from": lambda content: content["source"],
         "bands": lambda content: content["bands"],
-        **APPEARANCE,
+        **appearance_columns("written"),
+        **LAB_UNDER,
         "cube root": lambda content: content["errors"]["cube_root"],
         "linear": lambda content: content["errors"]["linear"],
     }

@@ -252,7 +252,7 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
     Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`
     (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,
     `srgb` and `reflectance`, a path from the folder of the table. Separators are comma, semicolon or tab; Excel's line
-    `sep=;` may come first.
+    `sep=;` may come first. Of a table that `locate` or `predict` wrote, latents and names are read.
     """
     advice = "name a CSV file of points"
     text = decode(disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT))
@@ -276,6 +276,8 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
                 raise FileFormatError(f"{path}: more than {MOST_POINTS} rows; make several tables of it")
             try:
                 row = _row(columns, cells)
+                if "failed" in row and not any(_axis(column) is not None for column in row):
+                    raise UsageError(f"has no latent, since it failed: {row['failed'][:200]}")
                 source = PlaceSource(model, _place(row), library, _colour(row, path.parent))
                 name = _name(row, count, reader.line_num, lines)
                 found.append(Input(name, source, line=reader.line_num))
@@ -293,6 +295,11 @@ def _columns(path: Path, cells: list[str]) -> list[str]:
     while not columns[-1]:  # columns that spreadsheets leave behind
         columns.pop()
     known = {"latent", "material", "name", *_COLOURS}
+    if (
+        columns[:2] == ["name", "file"] and columns[-1] == "failed" and "x1" in columns
+    ):  # of `locate` or `predict`
+        read = ("name", "failed")
+        return [column if column in read or _axis(column) is not None else "" for column in columns]
     for column in columns:
         if column not in known and _axis(column) is None:
             raise FileFormatError(f"{path}: found the column '{column[:40]}'; {_EXPECTED}")
@@ -318,7 +325,7 @@ def _row(columns: list[str], cells: list[str]) -> dict[str, str]:
         raise UsageError(
             f"found {len(cells)} cells, expected {len(columns)}; put cells with commas in quotes"
         )
-    return {column: cell for column, cell in zip(columns, cells, strict=False) if cell}
+    return {column: cell for column, cell in zip(columns, cells, strict=False) if cell and column}
 
 
 def _colour(row: dict[str, str], folder: Path) -> ColourChoice:

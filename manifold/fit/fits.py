@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold import disk
-from manifold.batch import APPEARANCE, Command, Content, Outcome, appearance
+from manifold.batch import PREDICTED, Command, Content, Outcome, appearance
 from manifold.brdf.measured import BRDF
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import ManifoldError, UsageError
@@ -127,7 +127,7 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     backend.imported()
     columns: dict[str, Callable[[Content], Any]] = {
         "BSDF": lambda content: content["bsdf"]["type"],
-        **APPEARANCE,
+        **PREDICTED,
         BALL_COLUMN: lambda content: content["errors"] and content["errors"]["ball"],
         "residual": lambda content: content["residuals"][content["metric"]],
         "diffuse": lambda content: content["diffuse_residual"],

@@ -127,24 +127,29 @@ _MOST_COLUMNS = 16
 _LETTERS = 15  # letters in a line of a name
 
 
-def contact_sheet(cells: Sequence[tuple[str, str, Path]], under: str | None) -> Figure:
-    """Pictures side by side, from left to right and top to bottom, each with a name and a text below it, or a grey
-    circle where there is none; `under` says what that text is.
+def contact_sheet(cells: Sequence[tuple[str, str, Sequence[Path]]], under: str | None) -> Figure:
+    """Draw pictures from left to right and top to bottom, each with a name and a text below it, or a grey circle where
+    there is none; `under` says what that text is. Two pictures of a cell are of the measured and of the predicted.
     """
-    columns = min(int(np.ceil(np.sqrt(1.5 * len(cells)))), _MOST_COLUMNS)
+    beside = max((len(pictures) for *_, pictures in cells), default=1)
+    columns = min(int(np.ceil(np.sqrt(1.5 * len(cells) / beside))), _MOST_COLUMNS // beside)
     rows = -(-len(cells) // columns)
-    figure = new_figure(_WIDTH * columns, _HEIGHT * rows + 0.4 * (under is not None))
-    if under is not None:
-        figure.supxlabel(f"below the names: {under}", fontsize=8, color="0.3")
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in grid:
+    said = ["left measured, right predicted"] * (beside > 1)
+    said += [] if under is None else [f"below the names: {under}"]
+    figure = new_figure(_WIDTH * beside * columns, _HEIGHT * rows + 0.4 * bool(said))
+    if said:
+        figure.supxlabel("; ".join(said), fontsize=8, color="0.3")
+    grid = figure.subplots(rows, columns * beside, squeeze=False).reshape(-1, beside)
+    for axes in grid.ravel():
         axes.set_axis_off()
-    for axes, (name, text, picture) in zip(grid, cells, strict=False):
-        if picture.is_file():
-            axes.imshow(picture_bytes.decode(picture.read_bytes(), "RGBA"), interpolation="antialiased")
-        else:
-            axes.add_patch(Circle((0.5, 0.5), 0.5, fill=False, color="0.7", linestyle=":"))
-            axes.set_aspect("equal")
-        label = "\n".join(filter(None, (in_lines(name, _LETTERS), text)))
-        axes.text(0.5, -0.03, label, transform=axes.transAxes, ha="center", va="top", fontsize=7)
+    for group, (name, text, pictures) in zip(grid, cells, strict=False):
+        for axes, picture in zip(group, pictures, strict=False):
+            if picture.is_file():
+                axes.imshow(picture_bytes.decode(picture.read_bytes(), "RGBA"), interpolation="antialiased")
+            else:
+                axes.add_patch(Circle((0.5, 0.5), 0.5, fill=False, color="0.7", linestyle=":"))
+                axes.set_aspect("equal")
+        label = "\n".join(filter(None, (in_lines(name, _LETTERS * beside), text)))
+        middle = 0.5 * len(pictures)
+        group[0].text(middle, -0.03, label, transform=group[0].transAxes, ha="center", va="top", fontsize=7)
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import signal
@@ -11,16 +12,18 @@ import time
 
 import numpy as np
 import pytest
-from helpers.small_library import NAMES, small_model
+from helpers.small_library import NAMES, measured, small_model
 from typer.testing import CliRunner
 
 from manifold import many
 from manifold.batch import OutputIndex, batch
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate import predictions
+from manifold.estimate.attributes import lab_of
 from manifold.estimate.inputs import read_points
-from manifold.io_rgl import read_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.identity import file_sha256
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
@@ -264,3 +267,25 @@ def test_a_line_that_a_killed_run_left_half_is_dropped(tmp_path):
     assert index.result(path, {"of": 1}) == {"lost": 0.5}
     index.add(path, {"of": 2}, {}, file_sha256(path))
     assert OutputIndex(tmp_path, "exports").result(path, {"of": 2}) == {}
+
+
+def test_the_table_of_located_files_is_a_table_of_points(model, tmp_path):
+    folder = tmp_path / "files"
+    folder.mkdir()
+    for name in NAMES[:2]:
+        write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
+    located = run("locate", folder, "-M", model, "-o", tmp_path / "located")
+    assert located.exit_code == 0, located.output
+    rows = list(csv.DictReader((tmp_path / "located" / "locations.csv").open(encoding="utf-8-sig")))
+    lab = {kind: [float(rows[0][f"{axis} {kind}"]) for axis in "Lab"] for kind in ("measured", "predicted")}
+    assert lab["measured"] == pytest.approx(lab_of(MeasuredBRDF(measured(NAMES[0]))), abs=0.01)
+    written = MeasuredBRDF(read_bsdf(tmp_path / "located" / rows[0]["file"]))
+    assert lab["predicted"] == pytest.approx(lab_of(written), abs=0.01)
+    assert rows[0]["Lab under"] == "D65/2, 45/0"
+    words = ["predict", "--from", tmp_path / "located" / "locations.csv", "-M", model, "-o", tmp_path / "out"]
+    predicted_again = run(*words)
+    assert predicted_again.exit_code == 0, predicted_again.output
+    again = list(csv.DictReader((tmp_path / "out" / "predictions.csv").open(encoding="utf-8-sig")))
+    assert [[row["name"], row["x1"], row["x2"]] for row in again] == [
+        [row["name"], row["x1"], row["x2"]] for row in rows
+    ]

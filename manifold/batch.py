@@ -41,14 +41,14 @@ _ENTRY = '{"file": '  # every line of an index begins so
 
 
 class Source(Protocol):
-    """What an output is made of; small enough to be sent to another process."""
+    """The source of an output; small enough to be sent to another process."""
 
     @property
     def name(self) -> str:
-        """Of the material, and of its output."""
+        """Return the name of the material and of its output."""
 
     def made_of(self) -> dict[str, Any]:
-        """What its content depends on, plain values."""
+        """Return everything that the output depends on, as plain values."""
 
 
 S = TypeVar("S", bound=Source)
@@ -82,7 +82,7 @@ class Outcome(Generic[T]):
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> Content:
-        """What is known of it, and where it is."""
+        """Return the content of the result and its path."""
         return {**(self.content or {}), "path": str(self.path)}
 
 
@@ -163,7 +163,7 @@ def batch(
 def _known(
     command: Command[S], sources: Sequence[S], folder: Path, index: OutputIndex
 ) -> tuple[dict[int, Outcome[S]], dict[int, Content]]:
-    """Outcomes of the sources of which nothing needs to be made, and keys of the others, by index."""
+    """Return outcomes of the sources whose outputs exist, and keys of the others, by index."""
     outcomes: dict[int, Outcome[S]] = {}
     keys: dict[int, Content] = {}
     taken: dict[str, S] = {}
@@ -191,7 +191,7 @@ def _known(
 
 @dataclass(frozen=True)
 class Batch(Generic[S]):
-    """What a command has made in a folder, of all sources."""
+    """The outputs of a command in a folder, for all sources."""
 
     command: Command[S]
     folder: Path
@@ -208,18 +208,18 @@ class Batch(Generic[S]):
         return self.folder / f"{self.command.what}.csv", self.folder / f"{self.command.what}.json"
 
     def path(self, source: S) -> Path:
-        """Where the output of a source is."""
+        """Return the path of a source's output."""
         is_file = bool(self.command.endings) and source.name.lower().endswith(self.command.endings)
         return self.folder / (source.name if is_file else f"{source.name}{self.command.suffix}")
 
     def row(self, outcome: Outcome[S]) -> dict[str, Any]:
-        """The cells of an outcome in the table, by title."""
+        """Return the cells of an outcome in the table, by title."""
         content = outcome.content
         cells = {} if content is None else {title: of(content) for title, of in self.command.columns.items()}
         return {"name": outcome.name, "file": outcome.path.name, **cells}
 
     def to_json(self) -> dict[str, Any]:
-        """All that is known of the files, plain values."""
+        """Return the results of all files as plain values."""
         return {
             self.command.what: [
                 {"name": o.name, "file": o.path.name, "kept": o.was_there} | o.content
@@ -267,12 +267,12 @@ class Batch(Generic[S]):
 
 
 def cell(value: Any) -> str:
-    """A value of a table for people."""
+    """Return a value as a cell of a table."""
     return f"{value:.3g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def notes_of(outcome: Outcome[Any]) -> list[str]:
-    """What a user should know of a file, and of the prediction that it shows, in sentences."""
+    """Return the notes on a file, and on the prediction that it shows, in sentences."""
     content = outcome.content or {}
     parts = (content, content.get("prediction") or {})
     return [
@@ -282,12 +282,12 @@ def notes_of(outcome: Outcome[Any]) -> list[str]:
 
 
 def ball_path(path: Path) -> Path:
-    """Where the ball of a file is drawn; a picture is its own."""
+    """Return the path of a file's ball; a picture is its own."""
     return path if path.suffix.lower() == ".png" else path.parent / "balls" / f"{path.stem}.png"
 
 
 def _is_there(path: Path) -> bool:
-    """Whether there is a file, which another machine may just have written."""
+    """Return whether a file exists, including one that another machine has just written."""
     if not path.is_file():
         os.scandir(path.parent).close()  # a network file system then forgets that there was none
     return path.is_file()
@@ -351,7 +351,7 @@ MEASURED = appearance_columns("measured", "measured")
 
 
 class _Made(NamedTuple):
-    """What is known of a file that was written, and its hash then; None where it was refused."""
+    """The content and hash of a file that was written; None for one that was refused."""
 
     content: dict[str, Any]
     sha256: str | None
@@ -366,7 +366,7 @@ def _make(make: Callable[[S, Path], Content], is_shared: bool, task: tuple[S, Pa
 
 @lru_cache
 def _keep_to_one_thread() -> None:
-    """In a process beside others, Dr.Jit has one."""
+    """Keep Dr.Jit to one thread, in a process beside others."""
     if backend.is_available():
         backend.drjit().set_thread_count(0)
 
@@ -401,7 +401,9 @@ def _only_run_in(folder: Path, what: str) -> Iterator[None]:
 
 
 class OutputIndex:
-    """What the files of a folder were made of: a line of JSON per file, appended when it is whole; the last one counts.
+    """An index of a folder's files and their inputs: one line of JSON per file, appended when the file is complete.
+
+    The last line of a file counts.
 
     Of `exports`, in the plural, it is `exports.jsonl`.
     """
@@ -431,7 +433,7 @@ class OutputIndex:
             disk.write_text(self._path, content.removesuffix(torn))
 
     def result(self, path: Path, made_of: dict[str, Any]) -> dict[str, Any] | None:
-        """What is known of an existing, unchanged file that this version made from the same inputs, else None."""
+        """Return the result of an existing, unchanged file that this version made from the same inputs, else None."""
         entry = self._entries.get(path.name)
         if entry is None or entry.get("made_of") != _stamped(made_of):
             return None
@@ -441,7 +443,7 @@ class OutputIndex:
         return result if isinstance(result, dict) else None
 
     def add(self, path: Path, made_of: dict[str, Any], result: dict[str, Any], sha256: str) -> None:
-        """Note a file that was written, what is known of it, and its hash: all plain values of JSON."""
+        """Record a file that was written, its result and its hash, as plain values of JSON."""
         entry = {
             "file": path.name,
             "made_of": _stamped(made_of),

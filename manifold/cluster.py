@@ -42,7 +42,9 @@ _one_at_a_time = threading.Lock()
 
 @contextmanager
 def workers(address: str) -> Iterator[Executor]:
-    """The workers of a Dask scheduler, such as `tcp://10.0.0.1:8786`, for `work.run`; those that join later take part.
+    """Yield the workers of a Dask scheduler, such as `tcp://10.0.0.1:8786`, for `work.run`.
+
+    Workers that join later take part.
 
     Dask runs the tasks of lost workers again. Tasks run in the folder of this process, in which relative paths mean the
     same there.
@@ -115,13 +117,13 @@ class _Workers(Executor):
         self._run = partial(_run, os.getcwd(), versions())
 
     def submit(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """As `Executor.submit`."""
+        """Submit a call to the scheduler, and return its future."""
         return self._executor.submit(self._run, pickle.dumps(partial(function, *args, **kwargs)))
 
 
 @lru_cache
 def versions() -> dict[str, str]:
-    """Versions of the packages here that results depend on."""
+    """Return the versions of the installed packages on which results depend."""
     found = {}
     for package in _PACKAGES:
         with contextlib.suppress(PackageNotFoundError):

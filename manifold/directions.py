@@ -14,39 +14,39 @@ HORIZON = np.deg2rad(89.9)
 
 
 def u_to_theta(u: Array) -> Array:
-    """Elevation in radians of the unit-square coordinate u in [0, 1] of RGL files: u^2 pi / 2."""
+    """Return the elevation in radians of the unit-square coordinate u in [0, 1] of RGL files: u^2 pi / 2."""
     return np.square(u) * (0.5 * np.pi)
 
 
 def u_to_phi(v: Array) -> Array:
-    """Azimuth in radians of the unit-square coordinate v in [0, 1] of RGL files: (2 v - 1) pi."""
+    """Return the azimuth in radians of the unit-square coordinate v in [0, 1] of RGL files: (2 v - 1) pi."""
     return (2.0 * np.asarray(v) - 1.0) * np.pi
 
 
 def from_spherical(theta_rad: Array | float, phi_rad: Array | float) -> Array:
-    """Unit vectors (..., 3) of elevation from the normal and azimuth, both in radians, broadcast."""
+    """Return unit vectors (..., 3) from elevations from the normal and azimuths in radians, which broadcast."""
     theta, phi = np.broadcast_arrays(np.asarray(theta_rad, float), np.asarray(phi_rad, float))
     sin_theta = np.sin(theta)
     return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
 
 
 def to_spherical(w: Array) -> tuple[Array, Array]:
-    """Elevation from the normal and azimuth in (-pi, pi], in radians, of directions (..., 3)."""
+    """Return the elevation from the normal and the azimuth in (-pi, pi] of directions (..., 3), in radians."""
     return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
 
 
 def normalize(w: Array) -> Array:
-    """Vectors (..., 3) scaled to unit length."""
+    """Scale vectors (..., 3) to unit length."""
     return np.asarray(w / np.linalg.norm(w, axis=-1, keepdims=True))
 
 
 def half_vector(wi: Array, wo: Array) -> Array:
-    """Unit half vectors (..., 3)."""
+    """Return the unit half vectors (..., 3)."""
     return normalize(wi + wo)
 
 
 def require_directions(w: Array, name: str) -> Array:
-    """Directions as float64 (..., 3).
+    """Return directions as float64 (..., 3).
 
     Raises:
         ShapeError: the last axis is not 3, a value is not finite, or a vector is not of unit length (1e-3).
@@ -65,7 +65,7 @@ def require_directions(w: Array, name: str) -> Array:
 
 @lru_cache(maxsize=32)
 def gauss_legendre(n: int) -> tuple[Array, Array]:
-    """Nodes in (-1, 1) and weights of Gauss-Legendre quadrature, each (n,), read-only."""
+    """Return the nodes in (-1, 1) and weights of Gauss-Legendre quadrature, each (n,), read-only."""
     x, weights = (a.astype(np.float64) for a in np.polynomial.legendre.leggauss(n))
     x.setflags(write=False)
     weights.setflags(write=False)
@@ -73,7 +73,7 @@ def gauss_legendre(n: int) -> tuple[Array, Array]:
 
 
 def hemisphere_quadrature(n_theta: int, n_phi: int) -> tuple[Array, Array]:
-    """Nodes (n_theta * n_phi, 3) and solid-angle weights in sr over the upper hemisphere.
+    """Return the nodes (n_theta * n_phi, 3) and solid-angle weights in sr over the upper hemisphere.
 
     Gauss-Legendre in the squared sine of the elevation, which absorbs one cosine, times a uniform azimuth:
     sum(weights * cos(theta)) is pi to rounding.
@@ -90,7 +90,7 @@ def hemisphere_quadrature(n_theta: int, n_phi: int) -> tuple[Array, Array]:
 def from_rusinkiewicz(
     theta_h: Array, theta_d: Array, phi_d: Array, phi_h: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """Direction pair of half and difference angles in radians, broadcast: two arrays (..., 3).
+    """Return the direction pairs with half and difference angles in radians, which broadcast: two arrays (..., 3).
 
     The half vector is `(theta_h, phi_h)`; wi is `(theta_d, phi_d)` in its frame; wo mirrors wi at it.
 
@@ -105,7 +105,7 @@ def from_rusinkiewicz(
 
 
 def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
-    """`theta_h, theta_d, phi_d, phi_h` in radians of direction pairs (..., 3); azimuths in (-pi, pi].
+    """Return `theta_h, theta_d, phi_d, phi_h` in radians of direction pairs (..., 3); azimuths in (-pi, pi].
 
     Azimuths are arbitrary where their elevation is 0. Opposite directions have no half vector and give NaN.
 
@@ -119,7 +119,7 @@ def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def angles_from_mirror(wi: Array, wo: Array) -> Array:
-    """Elevations of wi and wo (P, 3), and the azimuth of wo from that of the mirror direction; degrees, (P, 3)."""
+    """Return elevations of wi and wo (P, 3), and the azimuth between wo and the mirror direction; degrees, (P, 3)."""
     theta = [np.degrees(np.arccos(np.clip(w[:, 2], -1.0, 1.0))) for w in (wi, wo)]
     phi = [np.degrees(np.arctan2(w[:, 1], w[:, 0])) for w in (wi, wo)]
     return np.column_stack([*theta, np.abs((phi[1] - phi[0]) % 360.0 - 180.0)])
@@ -131,6 +131,6 @@ def _rotate_y(w: Array, angle: Array) -> Array:
 
 
 def rotate_z(w: Array, angle: Array | float) -> Array:
-    """Vectors (..., 3) turned about the normal by an angle in rad."""
+    """Rotate vectors (..., 3) about the normal by an angle in rad."""
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)

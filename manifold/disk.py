@@ -18,7 +18,7 @@ from manifold.errors import FileFormatError, ManifoldError, MissingFileError, Us
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, with its suffix, renamed to it when the block ends without an error.
+    """Yield a temporary path beside `path`, and rename it to `path` when the block ends without an error.
 
     The target of a symbolic link is replaced, not the link; permissions are kept.
     """
@@ -80,7 +80,7 @@ MOST_TEXT = 16 << 20
 
 
 def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
-    """The content of a regular file of at most `most` bytes; the advice, for the error, is what to do otherwise."""
+    """Return the content of a regular file of at most `most` bytes; `advice` ends the error message."""
     if not os.path.isfile(path):  # a pipe would block, and a device need not end
         if os.path.exists(path):
             raise UsageError(f"{path}: not a regular file; {advice}")
@@ -97,7 +97,7 @@ def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
 
 
 def read_text(path: Path, *, advice: str) -> str:
-    """A text in UTF-8, with or without a byte order mark."""
+    """Return the text of a UTF-8 file, with or without a byte order mark."""
     try:
         return read_bytes(path, advice=advice, most=MOST_TEXT).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -105,7 +105,7 @@ def read_text(path: Path, *, advice: str) -> str:
 
 
 def read_json(path: Path, expected: str) -> Any:
-    """The content of a JSON file, which should be what is expected, in words."""
+    """Return the content of a JSON file; `expected` describes it in the error message."""
     content = read_bytes(path, advice=f"name {expected}", most=MOST_TEXT)
     try:
         return json.loads(content, parse_constant=refuse_constant)
@@ -123,7 +123,7 @@ def refuse_constant(name: str) -> None:
 
 
 def begins_with(path: Path, *magic: bytes) -> bool:
-    """Whether a path is a regular file that begins with one of these."""
+    """Return whether a path is a regular file that begins with one of these byte strings."""
     if not os.path.isfile(path) or not os.access(path, os.R_OK):
         return False
     with path.open("rb") as stream:
@@ -131,6 +131,6 @@ def begins_with(path: Path, *magic: bytes) -> bool:
 
 
 def matching(text: str) -> list[str]:
-    """The paths that a pattern such as `*.bsdf` matches, sorted; the text itself where there are none."""
+    """Return the sorted paths that a pattern such as `*.bsdf` matches, or the text itself if there are none."""
     found = [] if os.path.exists(text) or not has_magic(text) else sorted(glob(text, recursive=True))
     return found or [text]

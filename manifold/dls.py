@@ -140,7 +140,7 @@ class _Search:
         self.best_x, self.best = objective.x.copy(), objective.value
 
     def round(self) -> None:
-        """One sweep from the best point, then pattern moves while these improve; smaller steps if it did not."""
+        """Explore once from the best point, then move along the pattern while that improves; else halve the steps."""
         origin = self.best_x
         self._explore()
         improved = self._keep_if_better()
@@ -186,7 +186,7 @@ def _per_coordinate(value: float | Array, n: int, name: str) -> Array:
 def _limits(
     bounds: scipy.optimize.Bounds | Sequence[tuple[float | None, float | None]] | None, n: int
 ) -> tuple[Array, Array]:
-    """Lower and upper limits, shape (n,) each, from either of scipy's forms."""
+    """Return lower and upper limits, shape (n,) each, from either of scipy's forms."""
     if bounds is None:
         return np.full(n, -np.inf), np.full(n, np.inf)
     if isinstance(bounds, scipy.optimize.Bounds):
@@ -248,7 +248,7 @@ def hooke_jeeves(
     maxiter: int | None = None,
     **unused: Any,
 ) -> scipy.optimize.OptimizeResult:
-    """Hooke & Jeeves as `scipy.optimize.minimize(fun, x0, method=hooke_jeeves, options={...})`.
+    """Minimise by Hooke & Jeeves, as `scipy.optimize.minimize(fun, x0, method=hooke_jeeves, options={...})`.
 
     Args:
         fun: called as `fun(x, *args)`, returns a number; it need be neither smooth nor finite.
@@ -289,7 +289,7 @@ def hooke_jeeves(
 
 
 def _in_scipy_form(callback: Callable[..., Any] | None) -> Callable[[Array, float], Any] | None:
-    """Scipy's rule: a sole parameter called `intermediate_result` gets an OptimizeResult, any other x."""
+    """Adapt a callback to scipy's rule: a sole parameter `intermediate_result` gets an OptimizeResult, any other x."""
     if callback is None:
         return None
     if set(inspect.signature(callback).parameters) == {"intermediate_result"}:

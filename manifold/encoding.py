@@ -39,7 +39,7 @@ class Products:
 
     @classmethod
     def centred(cls, S: Array, cross: Array, norm: float) -> Products:
-        """Of products about any origin: S (n, n), cross (n,), norm."""
+        """Centre products about any origin: S (n, n), cross (n,), norm."""
         row_mean, mean, mean_cross = S.mean(axis=1), S.mean(), float(cross.mean())
         return cls(
             S - row_mean[:, None] - row_mean[None] + mean,
@@ -53,7 +53,7 @@ class Products:
         return self.norm + np.diag(self.S) - 2.0 * self.cross
 
     def residual(self, V: Array) -> tuple[float, Array]:
-        """Squared distance `||y - V Y||^2` from the prediction, and its derivative by V (n,)."""
+        """Return the squared distance `||y - V Y||^2` from the prediction, and its derivative by V (n,)."""
         VS = V @ self.S
         squared = self.norm - 2.0 * float(V @ self.cross) + float(VS @ V)
         floor = _ROUNDING * (self.norm + np.trace(self.S) / len(self.S))
@@ -61,7 +61,7 @@ class Products:
 
 
 def mapped_residual(products: Products) -> Criterion:
-    """`1/2 log ||T(f) - V T(F)||^2`."""
+    """Return the criterion `1/2 log ||T(f) - V T(F)||^2`."""
 
     def criterion(V: Array, v: float) -> tuple[float, Array, float]:
         squared, slope = products.residual(V)
@@ -71,7 +71,9 @@ def mapped_residual(products: Products) -> Criterion:
 
 
 def likelihood(products: Products, scale: float) -> Criterion:
-    """`1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`; the scale is D s^2, outputs times output variance.
+    """Return the criterion `1/2 log v + ||T(f) - V T(F)||^2 / (2 D s^2 v)`.
+
+    The scale is D s^2, the number of outputs times their variance.
 
     The residual is relative to the posterior variance, which is then calibrated at the latent found.
 
@@ -87,7 +89,7 @@ def likelihood(products: Products, scale: float) -> Criterion:
 
 
 def decoded_error(decoder: Decoder, f: Array) -> Criterion:
-    """`1/2 log ||(w f*)^(1/3) - (w f)^(1/3)||^2` of values f (P,), `w` the cosines."""
+    """Return the criterion `1/2 log ||(w f*)^(1/3) - (w f)^(1/3)||^2` of values f (P,), with cosines `w`."""
     w = decoder.cosines
     target = np.cbrt(w * f)
     floor = _ROUNDING * float(target @ target) + np.finfo(float).tiny
@@ -110,7 +112,7 @@ PAIR_STRIDE = 6  # one in this many of a grid's direction pairs is used to find 
 
 @cache
 def encoding_pairs(is_isotropic: bool = True) -> Pairs:
-    """Pairs of the default grid at which new materials are compared with predictions; cached: do not write to them.
+    """Return the pairs of the default grid at which new materials are compared with predictions, cached and read-only.
 
     Of materials that are not isotropic, half vectors have all azimuths.
     """
@@ -133,11 +135,11 @@ class Decoder:
     cosines: Array
 
     def decode(self, latents: Array) -> Array:
-        """Values f in 1/sr at latents (R, Q), at least 0, shape (R, P)."""
+        """Return values f in 1/sr at latents (R, Q), at least 0, shape (R, P)."""
         return self._values(self.gp.weights(latents) @ self.mapped)
 
     def nearest_sample(self, f: Array) -> tuple[int, float]:
-        """The training sample that is nearest to values f (P,) in cube roots, and its cube-root error."""
+        """Return the training sample nearest to values f (P,) in cube roots, and its cube-root error."""
         errors = [
             cube_root_error(f[:, None], own[:, None], self.cosines) for own in self._values(self.mapped)
         ]
@@ -145,21 +147,21 @@ class Decoder:
         return nearest, errors[nearest]
 
     def combine(self, V: Array) -> tuple[Array, Array]:
-        """Values (R, P) of weights V (R, n), possibly negative, and their derivatives by the mapped values, (R, P)."""
+        """Return values (R, P) of weights V (R, n), possibly negative, and their derivatives by the mapped values."""
         rows = self._row_cosines(len(V))
         values = self.mapping.inverse((V @ self.mapped)[..., None], rows)
         return values[..., 0], self.mapping.slope(values, rows)[..., 0]
 
     def map(self, f: Array) -> Array:
-        """T of values f (R, P), same shape."""
+        """Apply T to values f (R, P), same shape."""
         return self.mapping.forward(f[..., None], self._row_cosines(len(f)))[..., 0]
 
     def relative_error(self, latents: Array, f: Array) -> float:
-        """Error of the values decoded at latents (R, Q) against f (R, P); see `metrics.relative_error`."""
+        """Return the error of the values decoded at latents (R, Q) against f (R, P); see `metrics.relative_error`."""
         return relative_error(f.T, self.decode(latents).T, self.cosines)
 
     def _values(self, mapped: Array) -> Array:
-        """Values f, at least 0, of mapped values, same shape (R, P)."""
+        """Return the values f, at least 0, of mapped values, same shape (R, P)."""
         rows = self._row_cosines(len(mapped))
         return np.maximum(self.mapping.inverse(mapped[..., None], rows)[..., 0], 0.0)
 
@@ -191,14 +193,14 @@ class Encoder:
 
     @classmethod
     def of_decoder(cls, decoder: Decoder, prior: float | Array = 0.0) -> Encoder:
-        """An encoder that compares materials at the outputs of a decoder, weighted by the cosines."""
+        """Return an encoder that compares materials at the outputs of a decoder, weighted by the cosines."""
         S = (decoder.mapped * decoder.cosines) @ decoder.mapped.T
         return cls(decoder.gp, S, decoder.mapped.shape[1], prior)
 
     # -- encoding ------------------------------------------------------------------------------------------
 
     def by_values(self, decoder: Decoder, f: Array) -> Array:
-        """The latent (Q,) whose decoded values are nearest to f (P,) at the decoder's outputs, in cube roots."""
+        """Return the latent (Q,) whose decoded values are nearest to f (P,) at the decoder's outputs, in cube roots."""
         T = decoder.map(f[None])[0]
         weighted = T * decoder.cosines
         products = Products.centred(self.S, decoder.mapped @ weighted, float(weighted @ T))
@@ -207,12 +209,15 @@ class Encoder:
         return self._best(decoded_error(decoder, f), _best_apart(ends))
 
     def by_residual(self, cross: Array, norm: float) -> Array:
-        """The latent (Q,) of least residual in the mapped domain, by inner products: see `by_likelihood`."""
+        """Return the latent (Q,) of least residual in the mapped domain, by inner products: see `by_likelihood`."""
         products = Products.centred(self.S, cross, norm)
         return self._best(mapped_residual(products), self.starts(products))
 
     def by_likelihood(self, cross: Array, norm: float) -> Array:
-        """The latent (Q,) of largest likelihood, by inner products (n,) with the samples about the origin of S."""
+        """Return the latent (Q,) of largest likelihood.
+
+        It uses inner products (n,) with the samples about the origin of S.
+        """
         products = Products.centred(self.S, cross, norm)
         return self._best(likelihood(products, self.n_outputs * self.output_variance), self.starts(products))
 
@@ -224,7 +229,7 @@ class Encoder:
     # -- searching -----------------------------------------------------------------------------------------
 
     def starts(self, products: Products) -> list[Array]:
-        """Latents (Q,) of the nearest training materials."""
+        """Return the latents (Q,) of the nearest training materials."""
         nearest = np.argsort(products.distances, kind="stable")[:_STARTS]
         return list(self.gp.X[nearest])
 
@@ -233,7 +238,7 @@ class Encoder:
         return min(ends, key=lambda end: end[1])[0]
 
     def minimise(self, criterion: Criterion, start: Array) -> tuple[Array, float]:
-        """The latent (Q,) at the local minimum of criterion plus prior near a start, and its value."""
+        """Return the latent (Q,) at the local minimum of criterion plus prior near a start, and its value."""
         found = scipy.optimize.minimize(
             lambda x: self.value_and_gradient(criterion, x), start, jac=True, method="L-BFGS-B",
             options={"maxiter": _MAX_ITER},
@@ -241,7 +246,7 @@ class Encoder:
         return found.x, float(found.fun)
 
     def value_and_gradient(self, criterion: Criterion, x: Array) -> tuple[float, Array]:
-        """Criterion and prior at a latent x (Q,), and the gradient (Q,)."""
+        """Return criterion plus prior at a latent x (Q,), and the gradient (Q,)."""
         gp, row = self.gp, x[None]
         k, slope = gp.kernel.smooth_and_slope(row, gp.X)  # [1, n]
         # As cho_solve, whose checks take longer than solving for so few.
@@ -256,7 +261,7 @@ class Encoder:
 
 
 def _best_apart(ends: list[tuple[Array, float]]) -> list[Array]:
-    """The latents of the `_REFINED` best minima that are `_APART`."""
+    """Return the latents of the `_REFINED` best minima that are at least `_APART` from each other."""
     kept: list[Array] = []
     for latent, _ in sorted(ends, key=lambda end: end[1]):
         if all(np.abs(latent - other).max() > _APART for other in kept):

@@ -27,7 +27,7 @@ class ManifoldError(Exception):
     """Base of all errors of this package."""
 
     def __str__(self) -> str:
-        """The message, which `KeyError` would quote."""
+        """Return the message without the quotes that `KeyError` would add."""
         return Exception.__str__(self)
 
 
@@ -92,7 +92,7 @@ class LatentError(UsageError, ShapeError):
 
 
 def in_words(error: Exception) -> str:
-    """What a user is told of an error that ends a command."""
+    """Return the message that a user sees for an error that ends a command."""
     if isinstance(error, ManifoldError):
         return str(error)
     if isinstance(error, MemoryError):

@@ -57,7 +57,7 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         return self
 
     def predict(self, X: Array, return_std: bool = False) -> Array | tuple[Array, Array]:
-        """Posterior mean at X (M, Q), shape (M, D) or (M,); with `return_std` also the deviation (M,).
+        """Return the posterior mean at X (M, Q), shape (M, D) or (M,); with `return_std` also the deviation (M,).
 
         At a training input the mean is the training output, bit for bit.
         """
@@ -71,13 +71,13 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         return mean
 
     def std(self, X: Array) -> Array:
-        """Posterior standard deviation at X (M, Q), one for all outputs, in their units, shape (M,)."""
+        """Return the posterior standard deviation at X (M, Q), shared by all outputs, in their units, shape (M,)."""
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         return np.sqrt(self.output_variance_ * self.gp_.variance(X))
 
     def length_scale_bound(self, X: Array) -> LengthScaleBound:
-        """The condition on the length scale at X (M, Q), with its slack (Hikichi & Iwasaki, eq. 15)."""
+        """Return the condition on the length scale at X (M, Q), with its slack (Hikichi & Iwasaki, eq. 15)."""
         check_is_fitted(self)
         Y_c = self._centred_outputs()
         return self.gp_.length_scale_bound(validate_data(self, X, reset=False, dtype=np.float64), Y_c @ Y_c.T)

@@ -77,7 +77,7 @@ class Run:
 
 
 def search(run: Run, X: Array) -> Array:
-    """Direct local search of Hooke & Jeeves from X (N, Q): latents. No gradient.
+    """Search from X (N, Q) by direct local search (Hooke & Jeeves), without a gradient; return latents.
 
     Source: Hikichi & Iwasaki, section 3.4.
     """
@@ -98,7 +98,7 @@ def search(run: Run, X: Array) -> Array:
 
 
 def descend(run: Run, X: Array) -> tuple[Array, float]:
-    """L-BFGS from X (N, Q): latents and their value."""
+    """Minimise from X (N, Q) by L-BFGS; return latents and their value."""
     objective = run.objective
 
     def flat(x: Array) -> tuple[float, Array]:
@@ -272,7 +272,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     # -- using ---------------------------------------------------------------------------------------------
 
     def transform(self, Y: Array) -> Array:
-        """Latents of data Y (M, D) by their likelihood, the training latents kept, shape (M, Q).
+        """Return the latents of data Y (M, D) by their likelihood, with fixed training latents, shape (M, Q).
 
         A training sample gets its training latent: there the likelihood is unbounded. See `Encoder` for the others.
         """
@@ -291,16 +291,16 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         return latents
 
     def inverse_transform(self, X: Array) -> Array:
-        """Predicted data at latents X (M, Q), (M, D); a training latent gives its datum, bit for bit."""
+        """Return the predicted data at latents X (M, Q), (M, D); a training latent gives its datum, bit for bit."""
         return self.weights(X) @ self._require_data()
 
     def weights(self, X: Array) -> Array:
-        """Weights of the training samples at latents X (M, Q), shape (M, N)."""
+        """Return the weights of the training samples at latents X (M, Q), shape (M, N)."""
         check_is_fitted(self, "embedding_")
         return self.gp_.weights(check_array(X, dtype=np.float64))
 
     def std(self, X: Array) -> Array:
-        """Posterior standard deviation at latents X (M, Q), in units of the outputs, shape (M,)."""
+        """Return the posterior standard deviation at latents X (M, Q), in units of the outputs, shape (M,)."""
         check_is_fitted(self, "embedding_")
         return np.sqrt(self.output_variance_ * self.gp_.variance(check_array(X, dtype=np.float64)))
 

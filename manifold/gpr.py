@@ -30,7 +30,7 @@ class JitterWarning(UserWarning):
 
 
 def factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
-    """K, its lower Cholesky factor and the jitter that was needed (0 as a rule)."""
+    """Return K, its lower Cholesky factor and the jitter that was needed (usually 0)."""
     K = kernel.training(X)
     diagonal, variance = np.diag_indices_from(K), np.diag(K).copy()
     jitter = 0.0
@@ -58,7 +58,7 @@ def factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
 
 
 def _cholesky_or_none(K: Array) -> Array | None:
-    """The lower factor, or None where K is singular to working precision."""
+    """Return the lower factor, or None if K is singular to working precision."""
     try:
         L = scipy.linalg.cholesky(K, lower=True)
     except np.linalg.LinAlgError:
@@ -69,7 +69,7 @@ def _cholesky_or_none(K: Array) -> Array | None:
 
 
 def _name_coinciding(X: Array, kernel: Kernel) -> str:
-    """The latents that coincide, or else the closest two, in words."""
+    """Name the latents that coincide, or else the closest two."""
     if X.shape[0] < 2:
         return "a single latent"
     distances = np.sqrt(squared_distances(X, X))
@@ -97,7 +97,7 @@ class IsolatedLatentsWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class LengthScaleBound:
-    """How fast a prediction may leave its nearest training sample (Hikichi & Iwasaki, eq. 15).
+    """A bound on how fast a prediction may leave its nearest training sample (Hikichi & Iwasaki, eq. 15).
 
     Attributes:
         nearest: index of the nearest training latent, shape (M,).
@@ -120,7 +120,7 @@ class LengthScaleBound:
 
     @property
     def holds(self) -> Mask:
-        """Whether the condition holds, shape (M,). It fails very close to a latent, where the delta jumps."""
+        """Return whether the condition holds, shape (M,). It fails very close to a latent, where the delta jumps."""
         return self.displacement <= self.bound
 
 
@@ -160,7 +160,7 @@ class GaussianProcess:
         return int(self.X.shape[0])
 
     def weights(self, X_new: Array) -> Array:
-        """Weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
+        """Return the weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
 
         `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`: the mean of the training outputs is subtracted
         before and added after. At a training latent the row is exactly a unit vector; where several training
@@ -184,12 +184,12 @@ class GaussianProcess:
         return V
 
     def smooth_weights(self, X_new: Array) -> Array:
-        """`weights` without the delta, (M, N): at a training latent X_new (M, Q) those of its surroundings."""
+        """Return `weights` without the delta, (M, N): a training latent X_new (M, Q) gets those of its surroundings."""
         W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
         return W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
 
     def variance(self, X_new: Array) -> Array:
-        """Posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
+        """Return the posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
 
         Exactly 0 at a training latent, at most the prior's.
         """
@@ -199,11 +199,11 @@ class GaussianProcess:
         return variance
 
     def variance_fraction(self, X_new: Array) -> Array:
-        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates."""
+        """Return the posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates."""
         return self.variance(X_new) / self.kernel.prior_variance
 
     def output_variance(self, S: Array, n_outputs: int) -> float:
-        """Profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
+        """Return the profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
 
         Args:
             S: Gram matrix of the outputs, shape (N, N); centred here.
@@ -213,7 +213,7 @@ class GaussianProcess:
         return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
 
     def explained(self, S: Array) -> float:
-        """Share of the variance between the training samples that the smooth mean explains at their latents.
+        """Return the share of the variance between training samples that the smooth mean explains at their latents.
 
         The residual of a sample is mu K^-1 Y there, so the share is `1 - |r K^-1 Y|^2 / |Y|^2`, `r` the whole
         diagonal less 1; 1 interpolates, 0 is the mean everywhere.
@@ -227,7 +227,7 @@ class GaussianProcess:
 
     @property
     def is_linear(self) -> bool:
-        """Whether the mean is linear in the latents, but for less than the noise filter.
+        """Return whether the mean is linear in the latents, up to less than the noise filter.
 
         In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function. Any function of
         Q + 1 places is linear, and over a whole length scale no kernel is.
@@ -279,7 +279,7 @@ class GaussianProcess:
             )
 
     def leave_one_out_weights(self) -> Array:
-        """Weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).
+        """Return the weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).
 
         Row i equals the weights of a process fitted on the other N - 1 samples, evaluated at x_i: with
         `P = K^-1` its uncentred weights are `a_j = -P_ij / P_ii`, and centring on the mean of the *remaining*
@@ -302,7 +302,7 @@ class GaussianProcess:
         return V
 
     def leave_one_out_variance(self) -> Array:
-        """Variance of every sample given the others, in units of the output variance, shape (N,).
+        """Return the variance of every sample given the others, in units of the output variance, shape (N,).
 
         Source: Rasmussen & Williams 2006, eq. 5.12: `1 / [K^-1]_ii`.
         """
@@ -315,7 +315,7 @@ class GaussianProcess:
         return float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else float("inf")
 
     def length_scale_bound(self, X_new: Array, S: Array) -> LengthScaleBound:
-        """The condition on the length scale at X_new, with its slack.
+        """Return the condition on the length scale at X_new, with its slack.
 
         Args:
             X_new: latents, shape (M, Q).
@@ -340,7 +340,7 @@ class GaussianProcess:
         )
 
     def _solve(self, B: Array) -> Array:
-        """K^-1 B. Always through L: near-identical samples make K ill-conditioned."""
+        """Return K^-1 B, computed through L, because near-identical samples make K ill-conditioned."""
         return scipy.linalg.cho_solve((self.L, True), B)
 
     @cached_property

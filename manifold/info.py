@@ -38,7 +38,7 @@ Table = tuple[Sequence[str], Sequence[Sequence[object]]]
 def inspect_instrument_file(
     path: Path, format_name: str
 ) -> tuple[dict[str, object], dict[str, Any], list[Table]]:
-    """Labels and values of a file of a known format, the same for JSON, and tables (heads, rows) of its samples."""
+    """Return labels and values of a file of a known format, their JSON, and tables (heads, rows) of its samples."""
     records = registry.read_all(path)
     first = records[0]
     rows: dict[str, object] = {"format": format_name, "instrument": first.instrument}
@@ -106,7 +106,7 @@ def _count(record: registry.Record) -> int:
 
 
 def _picture_table(readings: Readings) -> Table:
-    """Pictures with their geometries, sizes and mean colours, and how these compare with the readings'."""
+    """Return pictures with their geometries, sizes and mean colours, and the ratio to the readings'."""
     heads = ("picture", "camera, lamp in degrees", "pixels", "mean linear sRGB", "over its reading")
     rows = []
     for caption, content in readings.texture["images"].items():
@@ -127,7 +127,7 @@ def _picture_table(readings: Readings) -> Table:
 
 
 def _texture_table(key: str, value: Any) -> Table:
-    """A list of entries with their columns, or single values."""
+    """Return a table of a list of entries with their columns, or of single values."""
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         columns = tuple(dict.fromkeys(column for entry in value for column in entry))
         return columns, [[entry.get(c, "") for c in columns] for entry in value]
@@ -153,7 +153,7 @@ def _document(record: registry.Record) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Values that JSON has; images by their length in bytes."""
+    """Return values that JSON has; images by their length in bytes."""
     if isinstance(value, bytes):
         return {"bytes": len(value)}
     if isinstance(value, Mapping):
@@ -172,7 +172,7 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found: rows of labels and values, the same for JSON, and problems that verification found."""
+    """The contents of a file: rows of labels and values, their JSON, and the problems that verification found."""
 
     title: str
     rows: dict[str, object]
@@ -275,7 +275,7 @@ def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> In
 
 
 def _incidence_table(file: BsdfFile, checked: Consistency) -> Table:
-    """Albedo, negative values and reciprocity by elevation, each the worst over the azimuths."""
+    """Return albedo, negative values and reciprocity by elevation, each the worst over the azimuths."""
     albedo, negative = checked.albedo.max(axis=0), checked.negative_share.max(axis=0)  # [T, B]
     distance = np.abs(np.log(np.nan_to_num(checked.reciprocity, nan=1.0)))
     ratio = np.take_along_axis(checked.reciprocity, distance.argmax(axis=0)[None], axis=0)[0]  # [T]
@@ -298,7 +298,7 @@ def _incidence_table(file: BsdfFile, checked: Consistency) -> Table:
 
 
 def _cell_table(file: BsdfFile, checked: Consistency) -> Table:
-    """The stored values that disagree most, beside their neighbours."""
+    """Return the stored values that disagree most, beside their neighbours."""
     heads = ("phi_i, theta_i in degrees", "band", "row", "column", "stored value", "expected", "neighbours")
     rows = []
     for cell in checked.cells[:_MOST_LISTED]:
@@ -338,7 +338,7 @@ def _inspect_fit(path: Path) -> Inspection:
 
 
 def _quantiles(errors: Errors[Array]) -> list[str]:
-    """Medians and 90th percentiles of errors of several materials."""
+    """Return the medians and 90th percentiles of errors of several materials."""
     median, p90 = errors.median, errors.p90
     return [
         f"median {median.ball:.1f}, 90th percentile {p90.ball:.1f} {BALL}",
@@ -347,7 +347,7 @@ def _quantiles(errors: Errors[Array]) -> list[str]:
 
 
 def _words(value: float | list[float]) -> str:
-    """A number, a colour, or the range of a value per band."""
+    """Return a number, a colour, or the range of a value per band, in words."""
     values = value if isinstance(value, list) else [value]
     if len(values) > 4:
         return f"{min(values):.4g} to {max(values):.4g} in {len(values)} bands"

@@ -83,7 +83,7 @@ def read_bsdf(path: Path | str) -> BsdfFile:
 
 
 def rgl_wavelengths_nm() -> AnyArray:
-    """The 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
+    """Return the the 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
 
     Rounded to float32, as the files hold them, and returned as float64.
     """
@@ -123,7 +123,7 @@ def require_sound(file: BsdfFile) -> None:
 
 
 def _tensors(file: BsdfFile, context: ErrorContext) -> dict[str, AnyArray]:
-    """The fields of a record as a file holds them."""
+    """Return the fields of a record as a file holds them."""
     spectral = file.wavelengths_nm is not None
     tensors: dict[str, AnyArray] = {
         "version": _stored("version", file.version, "<u4", context),
@@ -145,7 +145,7 @@ def _tensors(file: BsdfFile, context: ErrorContext) -> dict[str, AnyArray]:
 
 
 def _stored(name: str, value: str | tuple[int, ...], dtype: str, context: ErrorContext) -> AnyArray:
-    """A text or numbers of a record as the array that the file holds."""
+    """Return a text or numbers of a record as the array that the file holds."""
     try:
         if isinstance(value, str):
             return np.frombuffer(value.encode("utf-8", "surrogateescape"), dtype=dtype)
@@ -162,7 +162,7 @@ def _check(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
 
 
 def _check_layout(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
-    """Presence, dtype and shape of every field."""
+    """Check that every field is present and has the right dtype and shape."""
     spectral = "spectra" in tensors
     if spectral == ("rgb" in tensors):
         raise context.error(
@@ -194,7 +194,7 @@ def _check_layout(tensors: Mapping[str, AnyArray], context: ErrorContext) -> Non
 def _expected_shape(
     name: str, shape: tuple[int, ...], axes: tuple[str | int, ...], sizes: dict[str, int]
 ) -> str | None:
-    """What a shape should be in words, or None where it is so; the first field with a letter fixes its size."""
+    """Describe the shape that is expected, or return None if it fits; the first field with a letter fixes its size."""
     if len(shape) != len(axes):
         return f"{len(axes)} axes ({', '.join(_AXIS_WORDS.get(str(a), str(a) or 'any') for a in axes)})"
     for axis, (letter, size) in enumerate(zip(axes, shape, strict=True)):
@@ -208,7 +208,7 @@ def _expected_shape(
 
 
 def _check_grids(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
-    """Angles and wavelengths: finite, increasing, in range."""
+    """Check that angles and wavelengths are finite, increasing and in range."""
     slack = 1e-3  # single precision puts pi / 2 and pi beyond themselves
     ranges = {
         "phi_i": (-2.0 * np.pi - slack, 2.0 * np.pi + slack, "radians within one turn"),
@@ -228,7 +228,7 @@ def _check_grids(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None
 
 
 def _check_values(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
-    """Tables: finite, of the right sign, and densities that are not zero everywhere."""
+    """Check that tables are finite and have the right sign, and that no density is zero everywhere."""
     for name in ("sigma", "ndf", "vndf", "luminance", "spectra", "rgb"):
         values = tensors.get(name)
         if values is None:

@@ -65,14 +65,17 @@ class Kernel(ABC):
 
     @abstractmethod
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
-        """g and dg / d r^2 at squared distances in length scales, same shape; `xp` has their `exp` and `sqrt`."""
+        """Return g and dg / d r^2 at squared distances in length scales, same shape.
+
+        `xp` is the array library, with `exp` and `sqrt`.
+        """
 
     def smooth(self, A: Array, B: Array) -> Array:
-        """Covariance of A (M, Q) and B (N, Q) without the delta, shape (M, N)."""
+        """Return the covariance of A (M, Q) and B (N, Q) without the delta, shape (M, N)."""
         return self.smooth_and_slope(A, B)[0]
 
     def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
-        """`smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
+        """Return `smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
         return self.radial(squared_distances(A, B) / self.length_scale**2)
 
     @property
@@ -81,17 +84,17 @@ class Kernel(ABC):
         return 1.0 + self.mu
 
     def training(self, X: Array) -> Array:
-        """Covariance K of the training latents X (N, Q), shape (N, N)."""
+        """Return the covariance K of the training latents X (N, Q), shape (N, N)."""
         return self.training_and_slope(X)[0]
 
     def training_and_slope(self, X: Array) -> tuple[Array, Array]:
-        """`training(X)`, and its slope as `gradient` takes it, shape (N, N) both."""
+        """Return `training(X)`, and its slope as `gradient` takes it, shape (N, N) both."""
         K, slope = self.smooth_and_slope(X, X)
         K.flat[:: len(K) + 1] = self.prior_variance
         return K, slope
 
     def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:
-        """Gradient with respect to A (M, Q) of `sum(dK * smooth(A, B))`, B (N, Q) and dK (M, N) held, shape (M, Q).
+        """Return the gradient by A (M, Q) of `sum(dK * smooth(A, B))` for fixed B (N, Q) and dK (M, N), shape (M, Q).
 
         The slope (M, N) is that of `smooth_and_slope(A, B)`, computed if None.
         """
@@ -100,7 +103,7 @@ class Kernel(ABC):
         return np.asarray(G.sum(axis=1)[:, None] * A - G @ B)
 
     def gradient(self, X: Array, dK: Array, slope: Array | None = None) -> Array:
-        """Gradient with respect to X (N, Q) of a function of K = `training(X)`, shape (N, Q).
+        """Return the gradient with respect to X (N, Q) of a function of K = `training(X)`, shape (N, Q).
 
         Its derivatives dK (N, N) are symmetric; the slope (N, N) is that of `training_and_slope(X)`, computed if None.
         """
@@ -113,7 +116,7 @@ class SquaredExponential(Kernel):
     family, steepest = "se", math.exp(-0.5)
 
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
-        """g and dg / d r^2 at squared distances."""
+        """Return g and dg / d r^2 at squared distances."""
         g = xp.exp(-0.5 * squared)
         return g, -0.5 * g
 
@@ -124,7 +127,7 @@ class Matern32(Kernel):
     family, steepest = "matern32", math.sqrt(3.0) / math.e
 
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
-        """g and dg / d r^2 at squared distances."""
+        """Return g and dg / d r^2 at squared distances."""
         a = xp.sqrt(3.0 * squared)
         decay = xp.exp(-a)
         return (1.0 + a) * decay, -1.5 * decay
@@ -138,7 +141,7 @@ class Matern52(Kernel):
     steepest = math.sqrt(5.0) / 3.0 * _GOLDEN**3 * math.exp(-_GOLDEN)
 
     def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
-        """g and dg / d r^2 at squared distances."""
+        """Return g and dg / d r^2 at squared distances."""
         a = xp.sqrt(5.0 * squared)
         decay = xp.exp(-a)
         return (1.0 + a + a * a / 3.0) * decay, (-5.0 / 6.0) * (1.0 + a) * decay
@@ -150,7 +153,7 @@ KERNELS: Registry[type[Kernel]] = Registry("kernel", ((kernel.family, kernel) fo
 
 
 def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
-    """A kernel by its name in `KERNELS`, or a class of your own with `family`, `steepest` and `radial`.
+    """Return a kernel by its name in `KERNELS`, or of a class of your own with `family`, `steepest` and `radial`.
 
     >>> kernel_named("se", mu=1e-4).smooth(np.array([[0.0]]), np.array([[0.0], [1.0]])).round(3)
     array([[1.   , 0.607]])
@@ -170,7 +173,7 @@ def require_mu(mu: float) -> None:
 
 
 def squared_distances(A: Array, B: Array) -> Array:
-    """Squared distances of A (M, Q) and B (N, Q), shape (M, N); exactly 0 where coordinates are equal.
+    """Return the squared distances of A (M, Q) and B (N, Q), shape (M, N); exactly 0 for equal coordinates.
 
     Those of few points: SciPy's module of distances takes longer to import than a prediction to compute.
     """
@@ -182,7 +185,7 @@ def squared_distances(A: Array, B: Array) -> Array:
 
 
 def equal_rows(A: Array, B: Array) -> Mask:
-    """Which rows of A (M, Q) equal which rows of B (N, Q) in every coordinate, bool, shape (M, N)."""
+    """Return a mask of the rows of A (M, Q) and B (N, Q) that are equal in every coordinate, bool, shape (M, N)."""
     equal = np.ones((A.shape[0], B.shape[0]), dtype=bool)
     for a, b in zip(A.T, B.T, strict=True):
         equal &= a[:, None] == b[None, :]
@@ -190,6 +193,6 @@ def equal_rows(A: Array, B: Array) -> Mask:
 
 
 def first_equal_row(A: Array, B: Array) -> Indices:
-    """Index of the first row of B (N, Q) that equals each row of A (M, Q), or -1, shape (M,)."""
+    """Return the index of the first row of B (N, Q) that equals each row of A (M, Q), or -1, shape (M,)."""
     equal = equal_rows(A, B)
     return np.where(equal.any(axis=1), equal.argmax(axis=1), -1)

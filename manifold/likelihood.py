@@ -33,7 +33,7 @@ class LatentObjective:
         self.prior = prior
 
     def __call__(self, X: Array) -> tuple[float, Array]:
-        """F at X (N, Q) and its gradient (N, Q).
+        """Return F at X (N, Q) and its gradient (N, Q).
 
         `dF/dK = 1/2 K^-1 - N / (2 tr(K^-1 S)) K^-1 S K^-1`.
 
@@ -42,7 +42,7 @@ class LatentObjective:
         return self.with_noise(X)[:2]
 
     def with_noise(self, X: Array) -> tuple[float, Array, float]:
-        """F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
+        """Return F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
         N = self.S.shape[0]
         K, slope = self.kernel.training_and_slope(X)
         P, log_det = self.factorise(K)
@@ -53,7 +53,7 @@ class LatentObjective:
         return self.value_of(log_det, trace, float(np.sum(X**2))), gradient, float(np.trace(dK))
 
     def value_of(self, log_det: float, trace: float, squared_norm: float) -> float:
-        """F of log|K|, tr(K^-1 S) and ||X||^2; inf where rounding made the trace negative."""
+        """Return F from log|K|, tr(K^-1 S) and ||X||^2; inf if rounding made the trace negative."""
         N = self.S.shape[0]
         if not trace > 0.0:
             return float("inf")
@@ -61,7 +61,7 @@ class LatentObjective:
         return float(0.5 * log_det + 0.5 * N * log_variance + 0.5 * self.prior * squared_norm)
 
     def factorise(self, K: Array) -> tuple[Array, float]:
-        """The inverse of K (N, N), by Cholesky, and log|K|."""
+        """Return the inverse of K (N, N), by Cholesky, and log|K|."""
         L, failed = scipy.linalg.lapack.dpotrf(K, lower=1)
         if failed:
             raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
@@ -73,7 +73,7 @@ class LatentObjective:
 
 
 def pca_start(S: Array, n_components: int) -> Array:
-    """Principal components of a centred Gram matrix S (N, N), each of unit variance, shape (N, Q).
+    """Return the principal components of a centred Gram matrix S (N, N), each of unit variance, shape (N, Q).
 
     Axes the data do not span are 0. Each axis has its longer tail positive.
     """
@@ -87,7 +87,7 @@ def pca_start(S: Array, n_components: int) -> Array:
 
 
 def fix_gauge(X: Array) -> Array:
-    """Latents (N, Q) centred, each axis with its longer tail positive.
+    """Centre latents (N, Q), and orient each axis so that its longer tail is positive.
 
     The likelihood does not depend on either. The longer tail is that with the larger sum of cubes, whose sign is robust
     against rounding; on a symmetric axis it is that of the first latent whose magnitude is the largest to rounding.
@@ -101,19 +101,19 @@ def fix_gauge(X: Array) -> Array:
 
 
 def centre_gram(S: Array) -> Array:
-    """`H S H` with `H = I - 1 1^T / N`: the Gram matrix of the outputs less their mean, shape (N, N)."""
+    """Return `H S H` with `H = I - 1 1^T / N`: the Gram matrix of the outputs less their mean, shape (N, N)."""
     row = S.mean(axis=1)
     centred = S - row[:, None] - row[None, :] + row.mean()
     return 0.5 * (centred + centred.T)
 
 
 def blas_threads(N: int) -> AbstractContextManager[Any]:
-    """One BLAS thread for small matrices."""
+    """Limit BLAS to one thread for small matrices."""
     return one_blas_thread if N <= 500 else nullcontext()
 
 
 def require_start(X0: Array, N: int, Q: int) -> Array:
-    """Latents as float64 (N, Q), copied, or ShapeError."""
+    """Return a copy of latents as float64 (N, Q), or raise ShapeError."""
     X0 = np.array(X0, dtype=np.float64)
     if X0.shape != (N, Q) or not np.all(np.isfinite(X0)):
         raise ShapeError(f"latents have shape {X0.shape}, expected ({N}, {Q}) finite values")
@@ -136,7 +136,7 @@ def require_prior(prior: float) -> None:
 
 
 def require_gram(S: Array, n_outputs: int) -> Array:
-    """A Gram matrix as float64 (N, N)."""
+    """Return a Gram matrix as float64 (N, N)."""
     S = np.asarray(S, dtype=np.float64)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
         raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")

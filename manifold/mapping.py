@@ -32,7 +32,7 @@ class ValueMapping(Protocol):
         """The name under which `MAPPINGS` has it."""
 
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """T of BRDF values in 1/sr.
+        """Apply T to BRDF values in 1/sr.
 
         Args:
             values: shape (..., B), bands last.
@@ -43,10 +43,10 @@ class ValueMapping(Protocol):
         """
 
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
-        """T^-1 of mapped values (..., B), back to 1/sr, with the weight that `forward` had."""
+        """Apply T^-1 to mapped values (..., B), back to 1/sr, with the weight that `forward` had."""
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Derivative of T^-1 where it gives these values (..., B)."""
+        """Return the derivative of T^-1 at the mapped values that give these values (..., B)."""
 
 
 def _as_floating(values: Array) -> Array:
@@ -61,15 +61,15 @@ class Identity:
     name = "identity"
 
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """The values themselves."""
+        """Return the values unchanged."""
         return _as_floating(values)
 
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
-        """The values themselves."""
+        """Return the values unchanged."""
         return _as_floating(mapped)
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """1."""
+        """Return ones."""
         return np.ones_like(_as_floating(values))
 
 
@@ -84,16 +84,16 @@ class CubeRoot:
     name = "cube-root"
 
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """The signed cube root."""
+        """Return the signed cube root."""
         return np.cbrt(_as_floating(values))
 
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
-        """The cube."""
+        """Return the cube."""
         mapped = _as_floating(mapped)
         return mapped * mapped * mapped
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """`3 f^(2/3)`."""
+        """Return `3 f^(2/3)`."""
         root = np.cbrt(_as_floating(values))
         return 3.0 * root * root
 
@@ -110,15 +110,15 @@ class Log:
     name = "log"
 
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """The logarithm; negative values count as 0."""
+        """Return the logarithm; negative values count as 0."""
         return np.log1p(np.maximum(_as_floating(values), 0.0) / self.epsilon)
 
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
-        """The exponential, at least 0."""
+        """Return the exponential, at least 0."""
         return np.expm1(np.maximum(_as_floating(mapped), 0.0)) * self.epsilon
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """`f + epsilon`, also at 0, where the inverse stops: a search must be able to leave it."""
+        """Return `f + epsilon`, also at 0, where the inverse stops, so that a search can leave 0."""
         return _as_floating(values) + self.epsilon
 
 
@@ -141,17 +141,17 @@ class LogRelative:
     name = "log-relative"
 
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """The logarithm of the weighted value; negative values count as 0."""
+        """Return the logarithm of the weighted value; negative values count as 0."""
         values = _as_floating(values)
         return np.log1p(np.maximum(values, 0.0) * (self._weight(values, cosine_weight) / self.epsilon))
 
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
-        """The values again, at least 0."""
+        """Return the original values, at least 0."""
         mapped = _as_floating(mapped)
         return np.expm1(np.maximum(mapped, 0.0)) * self.epsilon / self._weight(mapped, cosine_weight)
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """`f + epsilon / w`, also at 0, where the inverse stops: a search must be able to leave it."""
+        """Return `f + epsilon / w`, also at 0, where the inverse stops, so that a search can leave 0."""
         values = _as_floating(values)
         return values + self.epsilon / self._weight(values, cosine_weight)
 

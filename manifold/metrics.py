@@ -25,7 +25,7 @@ Number = TypeVar("Number", bound=float | Array)
 
 @dataclass(frozen=True)
 class Errors(Generic[Number]):
-    """How far BRDFs are from what they describe: of one, numbers; of several, arrays of any shape; NaN if unknown.
+    """Errors of BRDFs against a reference: numbers for one BRDF, arrays of any shape for several; NaN if unknown.
 
     Attributes:
         ball: CIEDE2000 of the ball, mean over the lights in which looks are judged; see `colour.panel`.
@@ -56,13 +56,13 @@ class Errors(Generic[Number]):
 
     @classmethod
     def of_values(cls, f: Array, f_star: Array, weight: Array | float = 1.0) -> Errors[float]:
-        """Cube-root and linear error; arguments as in `relative_error`."""
+        """Return the cube-root and linear errors; the arguments are those of `relative_error`."""
         found = _errors_of(f, f_star, weight)
         return Errors(cube_root=float(found.cube_root), linear=float(found.linear))
 
     @classmethod
     def of_lights(cls, lights: Mapping[str, float], ball_itp: float) -> Errors[float]:
-        """Errors of the look, by CIEDE2000 in every light."""
+        """Return the errors of appearance, as CIEDE2000 in every light."""
         worst = max(lights, key=lights.__getitem__)
         return Errors(
             sum(lights.values()) / len(lights), worst=lights[worst], worst_light=worst, ball_itp=ball_itp,
@@ -71,7 +71,7 @@ class Errors(Generic[Number]):
 
     @classmethod
     def of_several(cls, each: Sequence[Errors[float]]) -> Errors[Array]:
-        """Errors of N BRDFs as arrays (N,)."""
+        """Return the errors of N BRDFs as arrays (N,)."""
 
         def joined(values: list[Any]) -> Any:
             if isinstance(values[0], Mapping):
@@ -84,7 +84,7 @@ class Errors(Generic[Number]):
 
     @property
     def known(self) -> dict[str, Any]:
-        """What was measured, by name; of several, NaN is left where one has no value."""
+        """Return the measured errors by name; arrays keep NaN where a BRDF has no value."""
 
         def is_known(value: Any) -> bool:
             return (
@@ -94,18 +94,18 @@ class Errors(Generic[Number]):
         return {name: value for name, value in vars(self).items() if is_known(value)}
 
     def __or__(self, other: Errors[Number]) -> Errors[Number]:
-        """What either knows, the other's where both do."""
+        """Return the errors of both; the other's replace these."""
         return replace(self, **other.known)
 
     def beside(self, other: Errors[float]) -> Errors[Number]:
-        """Errors to which independent ones add: roots of the sums of squares of ball, cube roots and values."""
+        """Combine errors with independent ones: roots of the sums of squares of ball, cube-root and linear errors."""
         both = {
             name for name in ("ball", "cube_root", "linear") if name in self.known and name in other.known
         }
         return replace(self, **{name: np.hypot(getattr(self, name), getattr(other, name)) for name in both})
 
     def over(self, of: Callable[[Array], float]) -> Errors[float]:
-        """One number of every array of several, such as a mean."""
+        """Reduce every array to one number, such as its mean."""
 
         def one(value: Any) -> Any:
             return {key: of(v) for key, v in value.items()} if isinstance(value, Mapping) else of(value)
@@ -123,17 +123,17 @@ class Errors(Generic[Number]):
         return self.over(lambda values: float(np.nanpercentile(values, 90)))
 
     def to_json(self) -> dict[str, Any]:
-        """What was measured as plain values."""
+        """Return the measured errors as plain values."""
         return plain(self.known)
 
     @property
     def of_each(self) -> dict[str, Any]:
-        """Of several, every one, medians and 90th percentiles as plain values."""
+        """Return all errors, medians and 90th percentiles as plain values."""
         return {"errors": self.to_json(), "median": self.median.to_json(), "p90": self.p90.to_json()}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Errors[Array]:
-        """Those of several, of what `to_json` has made."""
+        """Return the errors of several BRDFs from the content that `to_json` wrote."""
 
         def array(value: Any) -> Any:  # None is NaN
             if isinstance(value, Mapping):
@@ -149,7 +149,7 @@ class Errors(Generic[Number]):
 
     @property
     def words(self) -> list[str]:
-        """What was measured of the ball and the values of one BRDF, for a terminal."""
+        """Return the errors of one BRDF in words, for a terminal."""
         of_all = {
             "ball": f"{self.ball:.1f} {BALL}",
             "worst": f"{self.worst:.1f} in the worst of them, {self.worst_light}",
@@ -160,7 +160,7 @@ class Errors(Generic[Number]):
 
 
 def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
-    """Root of the squared error, summed over bands and divided by the number of direction pairs only.
+    """Return the root of the squared error, summed over bands and divided by the number of direction pairs only.
 
     `sqrt(sum_d (f_d - f*_d)^2 / n_pairs)`: bands are summed, not averaged.
 
@@ -180,7 +180,7 @@ def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
 
 
 def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
-    """`||w (f* - f)|| / ||w f||` over all direction pairs and bands.
+    """Return `||w (f* - f)|| / ||w f||` over all direction pairs and bands.
 
     Args:
         f: measured values in 1/sr, shape (..., B), bands last.
@@ -196,12 +196,15 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
 
 
 def cube_root_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
-    """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, as `relative_error`; nearer to what is seen."""
+    """Return `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
+
+    It is closer to perception than the linear error; the arguments are those of `relative_error`.
+    """
     return float(_errors_of(f, f_star, weight).cube_root)
 
 
 def _errors_of(f: Array, f_star: Array, weight: Array | float, n_pairs: float | None = None) -> Errors[Array]:
-    """The errors of one material with values (..., B) in 1/sr, weight (...) or one for all."""
+    """Return the errors of one material from values (..., B) in 1/sr and weights (...) or a scalar."""
     f, f_star = np.asarray(f), np.asarray(f_star)
     _require_alike(f, f_star)
     weight = np.asarray(weight, dtype=np.float64)
@@ -250,7 +253,10 @@ class RunningErrors:
         )
 
     def errors(self, n_pairs: float | None = None) -> Errors[Array]:
-        """Cube-root and linear error and eq. 22, its sum divided by `n_pairs`, by default all counted; per material."""
+        """Return cube-root error, linear error and eq. 22 per material.
+
+        `n_pairs` divides the sum of eq. 22; the default is the number of counted pairs.
+        """
         return Errors(
             cube_root=_norm_ratio(*self._cube_root), linear=_norm_ratio(*self._linear),
             rmse=np.sqrt(self._squared / (max(self.n_pairs, 1) if n_pairs is None else n_pairs)),
@@ -263,7 +269,7 @@ def _require_alike(f: Array, f_star: Array) -> None:
 
 
 def _squared_norms(f: Array) -> Array:
-    """Of the last axis, in double precision."""
+    """Return squared norms along the last axis, in double precision."""
     return np.einsum("...b,...b->...", f, f, dtype=np.float64)
 
 
@@ -276,7 +282,7 @@ def _norm_ratio(squared_error: Array, squared_norm: Array) -> Array:
 
 
 def spectral_angle(f: Array, f_star: Array) -> Array:
-    """Angle between spectra as vectors, in radians in [0, pi], bands last: (..., B) to (...).
+    """Return the angle between spectra as vectors, in radians in [0, pi], bands last: (..., B) to (...).
 
     >>> spectral_angle(np.array([1.0, 0.0]), np.array([0.0, 2.0])).round(6)
     np.float64(1.570796)

@@ -13,7 +13,7 @@ _SHOWN = 5
 
 
 def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
-    """Similar names for an error message: those that contain a name, or are close matches; else the first few.
+    """Return similar names for an error message: those that contain a name or are close matches, else the first few.
 
     Upper and lower case do not matter; `among` stands before the first few.
     """
@@ -27,13 +27,13 @@ def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
 
 
 def first_few(words: Sequence[str], most: int = _SHOWN, between: str = ", ", hint: str = "") -> str:
-    """The first few of what may be many, and how many more, with a hint behind that number."""
+    """Return the first few words and the number of the others, with a hint behind that number."""
     more = len(words) - most
     return between.join(words[:most]) + (f"{between.rstrip(', ')} and {more} more{hint}" if more > 0 else "")
 
 
 def printable(text: str, limit: int | None = None, *, keep: str = "") -> str:
-    """A text on one line: what does not print as an escape, the end beyond a limit of characters left out.
+    """Return a text on one line, with escapes for unprintable characters, cut at a limit of characters.
 
     Characters to keep, such as line breaks, stay as they are.
     """
@@ -46,17 +46,17 @@ def printable(text: str, limit: int | None = None, *, keep: str = "") -> str:
 
 
 def without_controls(text: str) -> str:
-    """Question marks for control characters but line breaks, for files whose readers obey or refuse them."""
+    """Replace control characters other than line breaks by question marks, for readers that obey or refuse them."""
     return "".join("?" if c != "\n" and unicodedata.category(c) == "Cc" else c for c in text)
 
 
 def in_one_line(name: str) -> str:
-    """A name for a line of a text file."""
+    """Return a name for a line of a text file."""
     return without_controls(" ".join(name.split()))
 
 
 def counted(count: int, what: str) -> str:
-    """How many there are: `1 material`, `2 materials`."""
+    """Return a count with its noun: `1 material`, `2 materials`."""
     return f"{count} {what}{'s' * (count != 1)}"
 
 

@@ -16,7 +16,7 @@ _TOLERANCE = 1e-9  # smallest slope, relative to the largest inner product
 
 
 def nonnegative_weights(gram: Array, cross: Array) -> Array:
-    """Weights v (R, n) >= 0 that minimise `v gram v - 2 v cross_r` for every row r, of n atoms and R vectors.
+    """Return weights v (R, n) >= 0 that minimise `v gram v - 2 v cross_r` for every row r, of n atoms and R vectors.
 
     Rows are solved in order, each starting from the atoms that the one before uses: neighbouring bands are alike. Inner
     products are `gram` (n, n) of atoms, `cross` (R, n) of vectors with them.

@@ -24,7 +24,7 @@ Symmetry = tuple[bool, int, float]
 
 
 def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
-    """Directions (..., 3) and uniform variates (..., 2) as contiguous (K, 3) and (K, 2), and what they broadcast to."""
+    """Return directions (..., 3) and variates (..., 2) as contiguous (K, 3) and (K, 2), and their broadcast shape."""
     wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
     if u.ndim == 0 or u.shape[-1] != 2 or not np.all((u >= 0.0) & (u <= 1.0)):
         raise ShapeError(f"u has shape {u.shape}, expected (..., 2) with values in [0, 1]")
@@ -37,7 +37,7 @@ def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
 
 
 def cosine_weight(wi: Array, wo: Array) -> Array:
-    """`cos(theta_i) cos(theta_o)`, 0 below the horizon, shape (...)."""
+    """Return `cos(theta_i) cos(theta_o)`, 0 below the horizon, shape (...)."""
     return np.maximum(wi[..., 2], 0.0) * np.maximum(wo[..., 2], 0.0)
 
 
@@ -64,20 +64,20 @@ class Pairs:
         return len(self.wi)
 
     def blocks(self, size: int) -> Iterator[tuple[slice, Pairs]]:
-        """Runs of at most `size` pairs, and where they stand among all."""
+        """Yield slices of at most `size` pairs, each with its pairs."""
         for start in range(0, len(self), size):
             rows = slice(start, start + size)
             yield rows, self[rows]
 
     def __getitem__(self, rows: slice | Indices | Mask) -> Pairs:
-        """Some of the pairs."""
+        """Return some of the pairs."""
         part = Pairs.__new__(Pairs)
         part.wi, part.wo, part._located = self.wi[rows], self.wo[rows], {}
         part.shape = part.wi.shape[:1]
         return part
 
     def __add__(self, others: Pairs) -> Pairs:
-        """These pairs, then others."""
+        """Return these pairs, followed by others."""
         return Pairs(np.concatenate([self.wi, others.wi]), np.concatenate([self.wo, others.wo]))
 
     @cached_property
@@ -86,7 +86,7 @@ class Pairs:
         return cosine_weight(self.wi, self.wo)
 
     def results(self, count: int, out: Array | None) -> Array:
-        """What receives `count` values a pair, (..., count): `out`, which must fit, or new memory."""
+        """Return the array for `count` values per pair, (..., count): `out`, which must fit, or new memory."""
         shape = (*self.shape, count)
         if out is None:
             return np.empty(shape)
@@ -97,13 +97,13 @@ class Pairs:
         return out
 
     def turned(self, angle_rad: float) -> tuple[Array, Array]:
-        """Both directions turned about the normal, (K, 3) each."""
+        """Rotate both directions about the normal; return two arrays (K, 3)."""
         if angle_rad == 0.0:
             return self.wi, self.wo
         return rotate_z(self.wi, angle_rad), rotate_z(self.wo, angle_rad)
 
     def located(self, isotropic: bool, reduction: int, rotation_rad: float = 0.0) -> Array:
-        """`theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
+        """Return `theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
 
         A pair below the horizon has cosine 0, and nothing else. Cached: this takes as long as looking up fifty bands,
         and most materials share one symmetry. For isotropic ones u_y is relative to the incident azimuth; a file of
@@ -145,11 +145,15 @@ class RusinkiewiczGrid:
 
     @classmethod
     def named(cls, name: str) -> RusinkiewiczGrid:
-        """`default` (45 x 23 x 12, held-out errors) or `hikichi` (90 x 90 x 180, Hikichi & Iwasaki, eq. 22)."""
+        """Return a grid by its name.
+
+        `default` is 45 x 23 x 12, for held-out errors; `hikichi` is 90 x 90 x 180 (Hikichi & Iwasaki, eq.
+        22).
+        """
         return NAMED_GRIDS[name]
 
     def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:
-        """This grid, turned where not all materials that are compared on it are isotropic."""
+        """Return this grid, with pairs at several azimuths unless all compared materials are isotropic."""
         return self if is_isotropic else replace(self, is_turned=True)
 
     @property
@@ -158,7 +162,7 @@ class RusinkiewiczGrid:
         return self.n_theta_h * self.n_theta_d * self.n_phi_d
 
     def angles(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
-        """`theta_h, theta_d, phi_d` in radians of pairs start to stop, each of shape (stop - start,)."""
+        """Return `theta_h, theta_d, phi_d` in radians of pairs start to stop, each of shape (stop - start,)."""
         index = np.arange(start, self.n_pairs if stop is None else min(stop, self.n_pairs))
         h, d, p = np.unravel_index(index, (self.n_theta_h, self.n_theta_d, self.n_phi_d))
         fraction_h = (h + self.offset) / self.n_theta_h
@@ -167,7 +171,7 @@ class RusinkiewiczGrid:
         return theta_h, theta_d, (p + self.offset) / self.n_phi_d * np.pi
 
     def directions(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Mask]:
-        """Pairs start to stop: wi (M, 3), wo (M, 3), and which lie above the horizon, bool (M,)."""
+        """Return pairs start to stop: wi (M, 3), wo (M, 3), and a mask of those above the horizon, bool (M,)."""
         wi, wo = from_rusinkiewicz(*self.angles(start, stop))
         above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
         if self.is_turned:
@@ -176,12 +180,12 @@ class RusinkiewiczGrid:
         return wi, wo, above
 
     def pairs(self, stride: int = 1) -> Pairs:
-        """The pairs above the horizon, one in every `stride` of them."""
+        """Return every `stride`-th pair above the horizon."""
         wi, wo, above = self.directions()
         return Pairs(wi[above][::stride], wo[above][::stride])
 
     def blocks(self, size: int = 65536) -> Iterator[tuple[Array, Array, Mask]]:
-        """`directions` in blocks of at most `size` pairs: the whole 1,458,000-pair grid in bounded memory."""
+        """Yield `directions` in blocks of at most `size` pairs: the whole 1,458,000-pair grid in bounded memory."""
         for start in range(0, self.n_pairs, size):
             yield self.directions(start, start + size)
 

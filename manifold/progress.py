@@ -22,14 +22,14 @@ class Display(Protocol):
     """Opens a display of progress by its title."""
 
     def __call__(self, title: str, *, in_bytes: bool) -> AbstractContextManager[Progress]:
-        """What is open while work is done, and is called with its progress."""
+        """Return a context manager, open during the work, that is called with its progress."""
 
 
 _display: ContextVar[Display | None] = ContextVar("display", default=None)
 
 
 def display_with(display: Display) -> None:
-    """From now on, `shown` opens this: what a command line calls as it starts."""
+    """Make `shown` open this display from now on; a command line calls this as it starts."""
     _display.set(display)
 
 
@@ -67,7 +67,7 @@ def report(done: int, total: int, what: str = "") -> None:
 
 
 def each(items: Iterable[T], what: str | Callable[[T], str] = "") -> Iterator[T]:
-    """The items, listed first, in order, reporting after each how many are done, and a text or function of the item."""
+    """Yield the items in order, and report after each how many are done, with a text or a function of the item."""
     known, listener = list(items), _listener.get()
     for done, item in enumerate(known, start=1):
         _listener.set(None)

@@ -56,12 +56,12 @@ class Bands:
 
     @classmethod
     def from_array(cls, wavelengths_nm: Array | None) -> Bands:
-        """Bands of a wavelength array in nm, shape (B,), or of RGB for None."""
+        """Return the bands of a wavelength array in nm, shape (B,), or of RGB for None."""
         return cls(wavelengths_nm)  # type: ignore[arg-type]
 
     @property
     def is_rgb(self) -> bool:
-        """Whether the bands are the three channels of linear sRGB."""
+        """Return whether the bands are the three channels of linear sRGB."""
         return self.wavelengths_nm is None
 
     @property
@@ -84,7 +84,7 @@ class Bands:
         return f"{self.count} bands, {self.wavelengths_nm[0]:.1f} to {self.wavelengths_nm[-1]:.1f} nm"
 
     def select(self, indices: Iterable[int]) -> Bands:
-        """The bands of increasing indices; of RGB, whose three channels belong together, always all three."""
+        """Return the bands of increasing indices. Linear sRGB keeps all its three channels, which belong together."""
         nm = self.wavelengths_nm
         return self if nm is None else Bands(tuple(nm[b] for b in indices))
 
@@ -105,7 +105,7 @@ _ORIGINS = {
 
 
 def origin_of(description: str) -> str:
-    """Where the values of a file come from: `measured`, unless its description is one that this package writes."""
+    """Return the origin of a file's values: `measured`, unless this package wrote the description."""
     return next((word for start, word in _ORIGINS.items() if description.startswith(start)), "measured")
 
 
@@ -159,12 +159,12 @@ class BsdfFile:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether the file looks normals up relative to the incident azimuth (Mitsuba's rule: P <= 2)."""
+        """Return whether the sample's orientation follows the incident azimuth (Mitsuba's rule: P <= 2)."""
         return self.phi_i_rad.shape[0] <= 2
 
     @property
     def azimuth_repeats(self) -> int:
-        """How often the azimuths of an anisotropic file repeat in a turn: 2 or 4 where symmetry spared the others."""
+        """Return how often the azimuths of an anisotropic file repeat in a turn: 2 or 4 if symmetry allows."""
         return round(2.0 * np.pi / float(self.phi_i_rad[-1] - self.phi_i_rad[0]))
 
     @property
@@ -174,7 +174,7 @@ class BsdfFile:
 
     @cached_property
     def measured_mask(self) -> Mask:
-        """Which cells were measured, bool, shape (P, T, H, W).
+        """Return a mask of the cells that were measured, bool, shape (P, T, H, W).
 
         The bits mean "measured" in files of pipeline versions up to 3.1 and "unmeasured" from 3.2 on,
         and RGB files do not say which. What is not zero was measured, a few per cent at the rim excepted (which
@@ -195,7 +195,7 @@ class BsdfFile:
 
 
 def plain(value: Any) -> Any:
-    """What JSON holds of a value: records by their `to_json` or fields, None for NaN, paths as text."""
+    """Return a value as JSON holds it: records by their `to_json` or fields, None for NaN, paths as text."""
     match value:
         case None | bool() | int() | str():
             return value
@@ -219,5 +219,5 @@ def plain(value: Any) -> Any:
 
 
 def evenly_spaced(total: int, count: int) -> Indices:
-    """At most `count` indices from 0 to total - 1, such as of bands, evenly spaced, both ends among them."""
+    """Return at most `count` evenly spaced indices from 0 to total - 1, both ends included."""
     return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))

@@ -14,7 +14,7 @@ def table_lines(
     numeric: Sequence[bool] | None = None,
     bold: bool = False,
 ) -> list[str]:
-    """A header line, bold only on terminals, then a line per row; numeric columns stand to the right."""
+    """Return a header line, bold only on terminals, and a line per row; numeric columns are aligned to the right."""
     from rich.console import Console  # 0.1 s, and only results need it
     from rich.table import Table
     from rich.text import Text
@@ -33,7 +33,7 @@ def table_lines(
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell is one number, or a percentage."""
+    """Return whether a cell is one number, or a percentage."""
     try:
         float(cell.removesuffix("%"))
     except ValueError:

@@ -108,7 +108,7 @@ def share_rows(work: Callable[[slice], object], count: int, least: int) -> None:
 
 
 def _threads(count: int) -> ThreadPoolExecutor:
-    """Threads that stay, at least `count` of them."""
+    """Return a pool of at least `count` threads, which is kept for later calls."""
     global _pool
     with _mutex:
         if _pool is None or _pool[0] < count:
@@ -118,7 +118,9 @@ def _threads(count: int) -> ThreadPoolExecutor:
 
 @lru_cache(maxsize=1)
 def _blas() -> ThreadpoolController:
-    """The BLAS of this process: to find it reads the memory map, which takes longer than a block of a prediction.
+    """Return the controller of this process's BLAS.
+
+    Finding it reads the memory map, which takes longer than a block of a prediction.
 
     SciPy's is another than NumPy's, and what is loaded later would not be limited.
     """

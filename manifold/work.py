@@ -57,7 +57,10 @@ def run(
 
 
 def processes(count: int | None = None) -> AbstractContextManager[Executor | None]:
-    """Workers of `run`: local processes, one per core if None; one alone is this process."""
+    """Return an executor of local processes for `run`, one per core if None.
+
+    With one process, this process does the work.
+    """
     cores = os.cpu_count() or 1
     count = count or cores
     if count == 1:
@@ -87,7 +90,7 @@ def _begin(threads: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """A pool's processes would wait for ever for tasks of one that was killed."""
+    """End this process if its parent was killed; otherwise a pool's processes would wait for tasks for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

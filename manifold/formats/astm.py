@@ -56,7 +56,7 @@ _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 d
 
 @dataclass(frozen=True)
 class _Columns:
-    """What the columns of the rows are, in their order: names of angles, heads of bands, and of uncertainties.
+    """The columns of the rows, in order: names of angles, heads of bands, and of uncertainties.
 
     Attributes:
         kind: what the values are; None where the file does not say it.
@@ -72,13 +72,13 @@ class _Columns:
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning has a `VARS` line, or the header of one."""
+    """Return whether a file's beginning has a `VARS` line, or the header of one."""
     text = decode(head)
     return re.search(r"^\s*(VARS?|NUM_POINTS|LAB_NAME)\b", text, re.MULTILINE | re.IGNORECASE) is not None
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of the table, one record."""
+    """Return the readings of the table, as one record."""
     context = ErrorContext(path, _REMEDY)
     lines = read_lines(path)
     start = next((k for k, line in enumerate(lines) if re.match(r"\s*VARS?\b", line, re.IGNORECASE)), None)
@@ -104,7 +104,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _header(lines: list[str]) -> dict[str, str]:
-    """Keys in upper case and values without quotes."""
+    """Return the header's keys in upper case, and its values without quotes."""
     header = {}
     for line in lines:
         key, _, value = line.strip().replace("\t", " ").partition(" ")
@@ -114,7 +114,7 @@ def _header(lines: list[str]) -> dict[str, str]:
 
 
 def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Columns:
-    """The columns that the line VARS names; `measured` is what MEAS_NAME says of the values."""
+    """Return the columns that the line VARS names; `measured` is the MEAS_NAME, which names the quantity."""
     heads = split_cells(text, find_separator([text]))
     names, bands, uncertain = list[str](), list[str](), list[str]()
     for angle, head in zip(angle_names(heads), heads, strict=True):
@@ -155,7 +155,7 @@ def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Co
 def _wavelength_of_header(
     columns: _Columns, header: dict[str, str], lines: list[str], context: ErrorContext
 ) -> _Columns:
-    """The columns, a single band with the wavelength of the header."""
+    """Return the columns, with the header's wavelength for a single band."""
     if len(columns.bands) != 1 or wavelength(columns.bands[0]):
         return columns
     nm = wavelength_nm(header.get("WAVELENGTH", "")) or named_wavelength(lines, context)
@@ -169,7 +169,7 @@ def _wavelength_of_header(
 def _rows(
     lines: list[str], start: int, columns: _Columns, context: ErrorContext
 ) -> tuple[Array, list[str], _Columns]:
-    """The table of numbers, notes, and the columns with what `VARS` leaves out."""
+    """Return the table of numbers, the notes, and the columns that `VARS` leaves out."""
     numbered = data_lines(lines[start:], start + 1)
     while numbered and re.fullmatch(r"\s*(END|EOF|DATA_?END)\s*", numbered[-1][1], re.IGNORECASE):
         numbered.pop()
@@ -249,7 +249,7 @@ def _readings(
 
 
 def write(path: Path, readings: Readings) -> None:
-    """The table in radians, azimuths from 0 to 2 pi, in order of the readings."""
+    """Write the table in radians, azimuths from 0 to 2 pi, in order of the readings."""
     if not np.all(readings.measured):
         raise ShapeError(f"{readings.name}: values that were not measured, expected all; select the others")
     lines = [

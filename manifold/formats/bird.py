@@ -35,7 +35,7 @@ _MOST_THETA_DEG, _MOST_PHI_DEG = 89.999999, 360.0  # the schema excludes the hor
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning is JSON that names the schema, or has its variables."""
+    """Return whether a file's beginning is JSON that names the schema, or has its variables."""
     text = decode(head)
     return text.lstrip().startswith("{") and (
         re.search(r"brdf_json_schema", text, re.IGNORECASE) is not None
@@ -44,7 +44,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings in all wavelengths; a pair of directions that lacks one is not measured there.
+    """Return readings in all wavelengths; a pair of directions that lacks one is not measured there.
 
     Readings with a larger uncertainty weigh less, and their scatter is that of cube roots.
     """
@@ -96,7 +96,7 @@ def read(path: Path) -> list[Readings]:
 def _variable(
     data: dict[str, Any], key: str, context: ErrorContext, count: int | None = None
 ) -> tuple[Array, str]:
-    """Values (n,) of a variable and its unit."""
+    """Return the values (n,) of a variable and their unit."""
     variable = data.get(key)
     values = variable.get("values") if isinstance(variable, dict) else None
     if not isinstance(variable, dict) or not isinstance(values, list) or not values:
@@ -131,7 +131,7 @@ def _wavelengths(data: dict[str, Any], count: int, context: ErrorContext) -> Arr
 
 
 def _uncertainty(data: dict[str, Any], count: int, context: ErrorContext) -> Array:
-    """Relative standard uncertainty of every value, 0 where none is given."""
+    """Return the relative standard uncertainty of every value, 0 if none is given."""
     f = np.array(data["BRDF"]["values"], dtype=np.float64)
     if "uBRDF" in data:
         values, unit = _variable(data, "uBRDF", context, count)
@@ -149,7 +149,7 @@ def _uncertainty(data: dict[str, Any], count: int, context: ErrorContext) -> Arr
 
 
 def write(path: Path, readings: Readings, method: str) -> None:
-    """A file of the schema, with an uncertainty of every value where the readings, in wavelengths, have a scatter.
+    """Write a file of the schema, with an uncertainty of every value if the readings, in wavelengths, have a scatter.
 
     The method is measurement or simulation; who measured, where and with what is left to be filled in.
     """

@@ -67,7 +67,7 @@ class BsdfText:
     blocks: list[Block] = field(default_factory=list)
 
     def directions(self) -> tuple[Array, Array, Indices]:
-        """`unique_directions` of the tables."""
+        """Return the `unique_directions` of the tables."""
         return unique_directions(self.lists["scatterazimuth"], self.lists["scatterradial"])
 
     def require_brdf(self, words: dict[str, str]) -> None:
@@ -78,7 +78,7 @@ class BsdfText:
 
 
 def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, Indices]:
-    """Azimuth and radial angle (n,) in degrees of a table's directions, azimuths first, and where they stand in it.
+    """Return azimuth and radial angle (n,) in degrees of a table's directions, azimuths first, and their index in it.
 
     A full turn appears once; radial 0 is one direction, of which the first azimuth is taken.
     """
@@ -91,7 +91,7 @@ def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, In
 
 
 def read_blocks(path: Path) -> BsdfText:
-    """All tables of a file."""
+    """Read all tables of a file."""
     lines = read_lines(path)
     words = Words(data_lines(lines), ErrorContext(path, _REMEDY))
     comments = [line.strip() for line in lines if line.lstrip().startswith(("#", "!"))]
@@ -128,7 +128,7 @@ class Words:
     """The words of lines in turn, each with its line."""
 
     def __init__(self, lines: list[tuple[int, str]], context: ErrorContext) -> None:
-        """Lines with their numbers in the file."""
+        """Take lines with their numbers in the file."""
         self.context, self._lines = context, lines
         self._line, self._word = 0, 0
         self._split: tuple[int, list[str]] = (-1, [])
@@ -147,7 +147,7 @@ class Words:
         return f"line {last}"
 
     def next(self) -> str | None:
-        """The next word, or None at the end."""
+        """Return the next word, or None at the end."""
         while self._line < len(self._lines):
             words = self._words
             if self._word < len(words):
@@ -157,7 +157,7 @@ class Words:
         return None
 
     def rest(self) -> str:
-        """What is left of the line that was begun."""
+        """Return the rest of the current line."""
         if self._line >= len(self._lines):
             return ""
         words = self._words[self._word :]
@@ -165,7 +165,7 @@ class Words:
         return " ".join(words)
 
     def number(self, what: str) -> float:
-        """The next word as a finite number."""
+        """Return the next word as a finite number."""
         where = self.line
         word = self.next()
         if word is None:
@@ -199,7 +199,7 @@ class Words:
         return value
 
     def numbers(self, count: int, what: str) -> Array:
-        """The next `count` words as finite numbers, shape (count,)."""
+        """Return the next `count` words as finite numbers, shape (count,)."""
         values: list[float] = []
         while len(values) < count:
             if self._line >= len(self._lines):
@@ -219,23 +219,23 @@ class Words:
         return np.array(values)
 
     def count(self, what: str) -> int:
-        """The next word as a whole number of angles or bands, at least 1."""
+        """Return the next word as a whole number of angles or bands, at least 1."""
         where = self.line
         return self.context.count(self.next() or "", f"{where}, {what}", _MOST_ANGLES)
 
     def increasing(self, count: int, what: str) -> Array:
-        """The next `count` words as finite numbers that increase, shape (count,)."""
+        """Return the next `count` words as finite numbers that increase, shape (count,)."""
         where, values = self.line, self.numbers(count, what)
         if np.any(np.diff(values) <= 0.0):
             raise self.context.error(f"{what} do not increase, expected them ordered", where)
         return values
 
     def angles(self, key: str) -> Array:
-        """A count and that many angles in degrees that increase, as they follow a key."""
+        """Return a count's number of increasing angles in degrees, as they follow a key."""
         return self.increasing(self.count(key), f"angles of {key}")
 
     def table(self, azimuths: Array, radials: Array) -> Array:
-        """The next azimuths x radials values; the lines' own division does not matter."""
+        """Return the next azimuths x radials values, however they are divided into lines."""
         shape = azimuths.size, radials.size
         if azimuths.size * radials.size > _MOST_VALUES:
             raise self.context.error(f"{shape[0]} x {shape[1]} values, expected at most {_MOST_VALUES}")
@@ -243,12 +243,12 @@ class Words:
 
 
 def _plain(word: str) -> str:
-    """A key without case, colons and underscores."""
+    """Return a key without case, colons and underscores."""
     return re.sub(r"[^a-z0-9]", "", word.lower())
 
 
 def total_scatter(values: Array, azimuth: Array, radial: Array, cosine: Array) -> float:
-    """The fraction of light in a table (azimuths, radials) about an axis, by the trapezoidal rule.
+    """Return the fraction of light in a table (azimuths, radials) about an axis, by the trapezoidal rule.
 
     Angles in radians, cosines of theta_o broadcast. Tables that hold one azimuth, or half of them, are symmetric.
     """
@@ -273,5 +273,5 @@ def note_contradictions(text: BsdfText, tables: Iterable[tuple[Block, Array]], n
 
 
 def angle_line(angles: Array) -> str:
-    """Angles as such files write them."""
+    """Return a line of angles in these files' format."""
     return " ".join(f"{angle:.6g}" for angle in angles)

@@ -91,7 +91,7 @@ _LAB = re.compile(rf"(?:CIE\s*)?(?P<axis>[LAaBbl])\s*\*?\s*([(\[]?\s*{_OF_VIEWIN
 
 
 class ValueHead(NamedTuple):
-    """What the head of a column of values says.
+    """The meaning of the head of a column of values.
 
     Attributes:
         nm: its wavelength, or None.
@@ -148,7 +148,7 @@ def angle_names(heads: Sequence[str]) -> list[str | None]:
 def angle_unit(
     heads: Sequence[str], context: ErrorContext, where: str
 ) -> Literal["degrees", "radians"] | None:
-    """The unit that heads of angles name, or None. Raises FileFormatError where they name both."""
+    """Return the unit that heads of angles name, or None. Raises FileFormatError if they name both."""
     is_degrees, is_radians = (any(unit.search(h.lower()) for h in heads) for unit in (_DEGREES, _RADIANS))
     if is_degrees and is_radians:
         raise context.error("angles in degrees and in radians, expected one unit", where)
@@ -186,7 +186,7 @@ def value_head(head: str) -> ValueHead | None:
 
 
 def wavelength(head: str) -> float | None:
-    """The wavelength in nm that a column's head names, or None."""
+    """Return the wavelength in nm that a column's head names, or None."""
     said = value_head(head)
     return said.nm if said is not None else None
 
@@ -226,7 +226,7 @@ def is_wavenumber(head: str) -> bool:
 
 
 def channel(head: str) -> str | None:
-    """`r`, `g`, `b`, `x`, `y` or `z`, which a column's head names, or None."""
+    """Return `r`, `g`, `b`, `x`, `y` or `z`, which a column's head names, or None."""
     said = value_head(head)
     return None if said is None else said.channel
 
@@ -248,12 +248,12 @@ def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantit
 
 
 def is_percent(heads: Sequence[str]) -> bool:
-    """Whether heads of values name percent."""
+    """Return whether heads of values name percent."""
     return any(map(quantities.is_percent, heads))
 
 
 class UncertaintyHead(NamedTuple):
-    """What the head of a column of uncertainties says.
+    """The meaning of the head of a column of uncertainties.
 
     Attributes:
         nm: the wavelength of the values that it is of, or None.
@@ -300,7 +300,7 @@ def uncertainty_head(head: str) -> UncertaintyHead | None:
 
 
 def gloss_angle(head: str) -> float | None:
-    """The angle in degrees of the gloss that a column's head names, the usual one where it names none, or None."""
+    """Return the angle in degrees of the gloss that a column's head names, by default 60 degrees, or None."""
     words = re.findall(r"[^\W\d_]+|\d+", head.lower()) if len(head) <= _LONGEST else []
     numbers = [float(word) for word in words if word.isdecimal()]
     others = {word for word in words if not word.isdecimal()}
@@ -318,7 +318,7 @@ class LabHead(NamedTuple):
 
 
 def lab_head(head: str) -> LabHead | None:
-    """What the head of a column of CIELAB values says; None for others."""
+    """Parse the head of a column of CIELAB values; return None for others."""
     found = _LAB.fullmatch(head.strip()) if len(head) <= _LONGEST else None
     if found is None:
         return None
@@ -326,7 +326,7 @@ def lab_head(head: str) -> LabHead | None:
 
 
 def viewing(text: str) -> Viewing | None:
-    """The light and the observer that a text such as `D65/10` is; None for others."""
+    """Return the light and the observer of a text such as `D65/10`, or None."""
     found = _VIEWING.fullmatch(text.strip()) if len(text) <= _LONGEST else None
     return None if found is None else _viewing(found)
 
@@ -362,13 +362,13 @@ def lab_columns(
 
 
 def plain_head(head: str) -> str:
-    """The words of a head in lower case, without what stands in brackets."""
+    """Return the words of a head in lower case, without anything in brackets."""
     return (
         " ".join(re.findall(r"[^\W\d_]+", _BRACKETS.sub("", head.lower()))) if len(head) <= _LONGEST else ""
     )
 
 
 def name_column(heads: Sequence[str]) -> int | None:
-    """Which column holds names of samples."""
+    """Return the index of the column that holds the names of samples, or None."""
     words = [plain_head(head) for head in heads]
     return next((words.index(name) for name in _NAMES if name in words), None)

@@ -61,7 +61,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of every sample of a CSV file."""
+    """Read the readings of every sample of a CSV file."""
     context = ErrorContext(path, _REMEDY)
     lines = [_uncommented(line) for line in decode(read_bytes(path)).split("\n")]
     own = dict(_own_comments(lines))
@@ -97,7 +97,7 @@ def _with_own(readings: Readings, own: Mapping[str, str], context: ErrorContext)
 
 
 def _own_comments(lines: list[str]) -> Iterator[tuple[str, str]]:
-    """Keys in lower case and values of comments such as `# name: satin`."""
+    """Yield keys in lower case and values of comments such as `# name: satin`."""
     for line in lines[:_MOST_COMMENTS]:
         key, _, value = line.lstrip("# ").partition(":")
         if line.startswith("#") and value.strip():
@@ -105,7 +105,7 @@ def _own_comments(lines: list[str]) -> Iterator[tuple[str, str]]:
 
 
 def _uncommented(line: str) -> str:
-    """The line; without its mark if it is a comment that is the header of a table of directions."""
+    """Return the line, without its comment mark if it is the header of a table of directions."""
     bare = line.lstrip("#% ")
     is_header = line.startswith(("#", "%")) and any(
         names_directions(split_cells(bare, s)) for s in _SEPARATORS
@@ -114,7 +114,7 @@ def _uncommented(line: str) -> str:
 
 
 def _table(lines: list[str], context: ErrorContext) -> tuple[Table, Columns]:
-    """The cells, by the first separator with which a line is a header, and its columns."""
+    """Return the cells, by the first separator with which a line is a header, and its columns."""
     separator, columns = _header(lines[:_HEAD], context) or (None, None)
     if columns is None:
         raise _no_header(lines, context)
@@ -148,7 +148,10 @@ def _no_header(lines: list[str], context: ErrorContext) -> FileFormatError:
 
 
 def _row(line: str, separator: str | None, number_of_line: int, context: ErrorContext) -> list[str]:
-    """Cells of a line; a quote ends on its own line. Trailing empty cells, which programs leave, are left out."""
+    """Split a line into cells; a quote ends on its own line.
+
+    Trailing empty cells, which programs leave, are dropped.
+    """
     if line.count('"') % 2:
         raise context.error(
             "not cells of a table (a quote that does not end)", f"row {number_of_line}", remedy=CORRECT_CELL
@@ -202,7 +205,7 @@ def write(path: Path, readings: Readings) -> None:
 
 
 def angles_deg(readings: Readings) -> Array:
-    """theta_i, phi_i, theta_o, phi_o in degrees of every pair, azimuths from 0 to 360, shape (P, 4)."""
+    """Return theta_i, phi_i, theta_o, phi_o in degrees of every pair, azimuths from 0 to 360, shape (P, 4)."""
     columns = []
     for w in (readings.wi, readings.wo):
         theta, phi = to_spherical(w)
@@ -211,6 +214,6 @@ def angles_deg(readings: Readings) -> Array:
 
 
 def band_heads(readings: Readings) -> list[str]:
-    """`465nm` or `R`, `G`, `B`."""
+    """Return the heads of the bands: `465nm`, or `R`, `G`, `B`."""
     nm = readings.bands.wavelengths_nm
     return ["R", "G", "B"] if nm is None else [f"{w:.9g}nm" for w in nm]

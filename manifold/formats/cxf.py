@@ -35,13 +35,13 @@ _Spectrum = tuple[Array, Array, Array, Array]  # wi, wo, wavelengths and values
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning is a CxF document of any version."""
+    """Return whether a file's beginning is a CxF document of any version."""
     text = decode(head).lstrip().lower()
     return text.startswith("<") and ("cxf" in text) and "html" not in text[:200]
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of every object that has reflectance spectra at directional geometries."""
+    """Read every object that has reflectance spectra at directional geometries."""
     context = ErrorContext(path, _REMEDY)
     root = _parse(read_bytes(path, _LARGEST), context)
     specifications = {
@@ -82,7 +82,10 @@ def _parse(data: bytes, context: ErrorContext) -> Element:
 
 
 def _by_name(objects: list[Readings], context: ErrorContext) -> list[Readings]:
-    """One record per name: objects of one name hold a sample's geometries, or are measurements, which get numbers."""
+    """Return one record per name.
+
+    Objects of one name hold a sample's geometries, or are measurements, which get numbers.
+    """
     parts: dict[str, list[list[Readings]]] = {}
     seen: dict[str, set[tuple[float, ...]]] = {}
     for one in objects:
@@ -114,7 +117,7 @@ def _joined(parts: list[Readings], context: ErrorContext) -> Readings:
 def _object(
     item: Element, specifications: Mapping[str, Element], context: ErrorContext, default: str
 ) -> list[Readings]:
-    """Reflectance factors of one object as the file has them: one record, or one per measuring condition, or none."""
+    """Return an object's reflectance factors as the file has them: one record, one per measuring condition, or none."""
     name = item.get("Name") or default
     parts: dict[str, list[_Spectrum]] = {}  # by specification
     turns = Counter[str]()
@@ -156,7 +159,7 @@ def _object(
 def _conditions(
     parts: Mapping[str, list[_Spectrum]], specifications: Mapping[str, Element]
 ) -> dict[str, list[str]]:
-    """Specifications by the condition they are measured under: M1 beside M2 are not averaged.
+    """Return the specifications by their measuring condition, so that M1 and M2 are not averaged.
 
     Specifications of different geometries are one condition. Where several have one geometry, their lamp and filter
     tell conditions apart, or, where these are not given or the same, the specifications themselves.
@@ -207,7 +210,7 @@ def _measurement(
 def _geometry(
     spectrum: Element, measurement: Element, turn: int, context: ErrorContext, where: str
 ) -> tuple[Array, Array] | None:
-    """Directions of a spectrum, by its own name first. A specification's angles are used one after the other."""
+    """Return the directions of a spectrum, by its own name first; a specification's angles are used in turn."""
     name = spectrum.get("Name", "")
     if (by_name := geometry_directions(name)) is not None:
         return by_name
@@ -238,7 +241,7 @@ def _geometry(
 def _values(
     spectrum: Element, measurement: Element, context: ErrorContext, where: str
 ) -> tuple[Array, Array]:
-    """Wavelengths (B,), increasing, and values (B,)."""
+    """Return wavelengths (B,), increasing, and values (B,)."""
     points = spectrum.findall("{*}SpectralPoint")
     if points:
         cells = [
@@ -255,7 +258,10 @@ def _values(
 def _wavelengths(
     spectrum: Element, count: int, measurement: Element, context: ErrorContext, where: str
 ) -> Array:
-    """Wavelengths (B,): a spectrum's own Increment comes before that of its specification; 10 nm by default."""
+    """Return wavelengths (B,).
+
+    A spectrum's own Increment comes before that of its specification; 10 nm is the default.
+    """
     shared = measurement.find("{*}WavelengthRange")
     common = shared.attrib if shared is not None else {}
     own_step = spectrum.get("Increment") or spectrum.get("Interval")
@@ -276,7 +282,7 @@ def _wavelengths(
 def _common_bands(
     wavelengths: list[Array], values: list[Array], context: ErrorContext
 ) -> tuple[Array, Array]:
-    """All wavelengths (B,) of the spectra, and values (P, B), NaN where a spectrum has none."""
+    """Return all wavelengths (B,) of the spectra, and values (P, B), NaN where a spectrum has none."""
     bands = np.unique(np.concatenate(wavelengths))
     if bands.size * len(values) > _MOST_VALUES:
         raise context.error(

@@ -43,16 +43,16 @@ class DenseTable:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether the table has no azimuth of incidence."""
+        """Return whether the table has no azimuth of incidence."""
         return self.coordinates == "half-difference" or self.axes[1].size == 1
 
     @property
     def measured(self) -> Mask:
-        """Which nodes were measured in all bands, bool, the shape of `values` without its last axis."""
+        """Return a mask of the nodes measured in all bands, bool, the shape of `values` without its last axis."""
         return np.asarray(np.isfinite(self.values).all(axis=-1))
 
     def directions(self, index: Indices | None = None) -> tuple[Array, Array]:
-        """wi and wo, each (n, 3), of nodes by their flat index (n,); of all by default, the last angle fastest."""
+        """Return wi and wo, each (n, 3), of nodes by flat index (n,); of all by default, the last angle fastest."""
         shape = self.values.shape[:-1]
         index = np.arange(math.prod(shape), dtype=np.intp) if index is None else index
         angles = [nodes[k] for nodes, k in zip(self.axes, np.unravel_index(index, shape), strict=True)]
@@ -61,7 +61,7 @@ class DenseTable:
         return from_spherical(angles[0], angles[1]), from_spherical(angles[2], angles[3])
 
     def readings(self, limit: int | None = None) -> Readings:
-        """The measured nodes above the horizon as readings; at most `limit` of them, drawn at random."""
+        """Return the measured nodes above the horizon as readings; at most `limit` of them, drawn at random."""
         index = np.flatnonzero(np.isfinite(self.values).any(axis=-1).reshape(-1))
         if limit is not None and index.size > 2 * limit:  # about half a MERL table lies below the horizon
             index = np.sort(np.random.default_rng(0).choice(index, min(index.size, 8 * limit), replace=False))

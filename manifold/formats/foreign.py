@@ -60,7 +60,7 @@ _JSON = re.compile(r"\s*(\{\s*[\"}]|\[\s*[\[{\"\d-])")
 
 
 def resembles_json(text: str) -> bool:
-    """Whether a text begins as JSON does.
+    """Return whether a text begins as JSON does.
 
     >>> resembles_json('[{"theta": 0'), resembles_json("[Header]")
     (True, False)
@@ -90,7 +90,7 @@ def name_archive(names: Iterable[str]) -> str:
 
 
 def name_format(head: bytes) -> str:
-    """What a file seems to be, by its first kilobytes."""
+    """Guess the format of a file from its first kilobytes."""
     for magic, name in _FOREIGN:
         if head.startswith(magic):
             return name
@@ -107,7 +107,7 @@ def name_format(head: bytes) -> str:
 
 
 def _is_utf8(head: bytes) -> bool:
-    """Whether the beginning of a file is UTF-8, maybe cut off within a character."""
+    """Return whether the beginning of a file is UTF-8, possibly cut off within a character."""
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:

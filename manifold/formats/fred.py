@@ -25,12 +25,12 @@ _REMEDY = f"write it with the lines '{_TYPE}' and '{_FORMAT}'"
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file begins as these tables do."""
+    """Return whether a file has the beginning of such a table."""
     return re.match(r"\s*type\s+bsdf_data\b", decode(head), re.IGNORECASE) is not None
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of reflected light at all incidences."""
+    """Read the reflected light at all incidences."""
     context = ErrorContext(path, _REMEDY)
     lines = data_lines(read_lines(path), marks=())
     context.require_rows(lines)

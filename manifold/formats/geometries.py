@@ -25,7 +25,7 @@ _SMALL = 1e-9  # product of sines of directions along the normal, where there is
 
 
 def exceed_radians(angles: Mapping[str, Array]) -> bool:
-    """Whether angles are too large for radians: elevations beyond pi, azimuths beyond a full turn."""
+    """Return whether angles are too large for radians: elevations beyond pi, azimuths beyond a full turn."""
     return any(
         float(np.max(np.abs(values), initial=0.0))
         > (np.pi if name.startswith("theta") else 2.0 * np.pi) + _ROUNDING
@@ -36,7 +36,9 @@ def exceed_radians(angles: Mapping[str, Array]) -> bool:
 def directions(
     angles: Mapping[str, Array], context: ErrorContext, notes: list[str]
 ) -> tuple[Mask, Array, Array]:
-    """Which rows are reflected light, bool (P,), and their wi and wo, (Q, 3); what was assumed is added to the notes.
+    """Return a mask of the rows of reflected light, bool (P,), and their wi and wo, (Q, 3).
+
+    Assumptions are added to the notes.
 
     Angles are by `angle_name`, in radians, each (P,); theta_i and theta_o at least.
     """
@@ -117,7 +119,7 @@ class SingleValues(NamedTuple):
     cell: Indices
 
     def table(self, rows: Array) -> Array:
-        """Values of the rows (n,), means where there are several, and NaN where there is none; shape (P, B)."""
+        """Return values of the rows (n,), means of several, and NaN where there is none; shape (P, B)."""
         count = np.bincount(self.cell, minlength=self.first.size * self.wavelengths_nm.size)
         with np.errstate(invalid="ignore"):
             mean = np.bincount(self.cell, rows, len(count)) / count
@@ -125,12 +127,12 @@ class SingleValues(NamedTuple):
 
     @property
     def repeated(self) -> int:
-        """How many rows repeat the directions and the wavelength of another."""
+        """Return the number of rows that repeat the directions and the wavelength of another."""
         return len(self.cell) - len(np.unique(self.cell))
 
 
 def by_band(where: Array, nm: Array, context: ErrorContext) -> SingleValues:
-    """Rows at angles or directions (n, d) and wavelengths (n,) in nm, pair by pair and band by band."""
+    """Arrange rows at angles or directions (n, d) and wavelengths (n,) in nm by pair and band."""
     bands, band = np.unique(np.round(nm, 6), return_inverse=True)
     _, first, inverse = np.unique(np.round(where, 9), axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -171,7 +173,7 @@ Angles = tuple[float, float, float]
 
 
 def parse_geometry(text: str) -> Angles | None:
-    """Anchor, aspecular and azimuth angle in degrees of a geometry's name, or None.
+    """Return the anchor, aspecular and azimuth angles in degrees of a geometry's name, or None.
 
     An underscore before an angle is a minus sign: programs write it where names allow no sign.
 
@@ -191,21 +193,21 @@ def parse_geometry(text: str) -> Angles | None:
 
 
 def parse_aspecular(text: str) -> float | None:
-    """One of the usual aspecular angles in degrees where a text is nothing else: `-15`, `as15`, `110°`, `15DP`."""
+    """Return the usual aspecular angle in degrees that a text consists of: `-15`, `as15`, `110°`, `15DP`; or None."""
     found = _ASPECULAR.fullmatch(_plain(text))
     angle = _sign(found["word"] or found["sign"]) * float(found["angle"]) if found is not None else None
     return angle if angle in _USUAL_ASPECULAR else None
 
 
 def is_geometry(text: str) -> bool:
-    """Whether a text can be nothing but a geometry: `-15` and `15d` can be others."""
+    """Return whether a text can only be a geometry, unlike `-15` and `15d`."""
     if parse_geometry(text) is not None:
         return True
     return parse_aspecular(text) is not None and _MARKED.search(text) is not None
 
 
 def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> dict[str, Angles]:
-    """The angles of all names of a table's geometries, taken together; other texts are left out."""
+    """Return the angles of all names of a table's geometries, taken together; other texts are left out."""
     names = list(dict.fromkeys(names))
     angles = {name: of_name for name in names if (of_name := parse_geometry(name)) is not None}
     alone = {name: a for name in names if name not in angles and (a := parse_aspecular(name)) is not None}
@@ -228,19 +230,19 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
 
 
 def geometry_directions(text: str) -> tuple[Array, Array] | None:
-    """wi (3,) and wo (3,) of a geometry's name, or None where it is none, or wo lies below the horizon."""
+    """Return wi (3,) and wo (3,) of a geometry's name, or None for other texts and for wo below the horizon."""
     angles = parse_geometry(text)
     return None if angles is None else directions_of(angles)
 
 
 def directions_of(angles: Angles) -> tuple[Array, Array] | None:
-    """wi (3,) and wo (3,), or None where wo lies below the horizon."""
+    """Return wi (3,) and wo (3,), or None if wo lies below the horizon."""
     wi, wo = aspecular_pair(*angles)
     return (wi, wo) if wo[2] > 0.0 else None
 
 
 def _along_normal(text: str) -> float | None:
-    """The incidence in degrees of a name such as 45/0 or 0/45, one direction of which is the normal."""
+    """Return the incidence in degrees of a name such as 45/0 or 0/45, one direction of which is the normal, or None."""
     found = _TWO.fullmatch(text)
     if found is None or re.match(r"0\d", found["second"]):
         return None
@@ -251,7 +253,7 @@ def _along_normal(text: str) -> float | None:
 
 
 def _plain(text: str) -> str:
-    """Without blanks and a path, and with plain minus signs; empty where it is too long for a name."""
+    """Return a text without blanks and a path, with plain minus signs; empty if it is too long for a name."""
     text = "".join(text.split())
     return _PATH.sub("", text).replace("\u2212", "-").replace("\u2013", "-") if len(text) <= _LONGEST else ""
 

@@ -20,7 +20,9 @@ _MOST_HIDDEN, _BESIDE = np.cos(np.deg2rad([25.0, 45.0]))
 
 
 def hidden(wi: Array, wo: Array, values: Array) -> Mask:
-    """Which zeros are no readings, bool (P,): around the light, whose way the receiver stands in, amid brighter ones.
+    """Return a mask of zeros that are no readings, bool (P,).
+
+    The receiver blocks the light around its own direction, amid brighter readings.
 
     Of each incidence the reading nearest to the light is zero in all bands, and so are all that count, within 25
     degrees of it; most of those up to 45 degrees are not, as they are beside the highlight of a mirror.
@@ -45,7 +47,7 @@ def hidden(wi: Array, wo: Array, values: Array) -> Mask:
 
 
 def without_hidden(record: Readings | DenseTable) -> Readings | DenseTable:
-    """The record without the zeros that are `hidden`, and a note of it."""
+    """Return the record without the zeros that are `hidden`, and with a note of it."""
     if isinstance(record, Readings):
         is_hidden = hidden(record.wi, record.wo, record.values)
     elif record.coordinates == "incident-outgoing":
@@ -64,7 +66,7 @@ def without_hidden(record: Readings | DenseTable) -> Readings | DenseTable:
 
 
 def with_light_side_note(readings: Readings) -> Readings:
-    """The readings, with a note where they are far brighter towards the light than in its mirror direction."""
+    """Return the readings, with a note if they are far brighter towards the light than in its mirror direction."""
     is_oblique = (readings.wi[:, 2] > _OBLIQUE[0]) & (readings.wi[:, 2] < _OBLIQUE[1])
     brightness = np.mean(np.nan_to_num(readings.values), axis=1)
     towards_light = np.einsum("pi,pi->p", readings.wi, readings.wo)

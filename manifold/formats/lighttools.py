@@ -42,7 +42,7 @@ _TELLING = 1.6  # factor by which a highlight stands out; retro-reflection has a
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning has LightTools' keys: scatter angles, and incidence as AOI or none yet."""
+    """Return whether a file's beginning has LightTools' keys: scatter angles, and incidence as AOI or none yet."""
     text = decode(head).lower()
     if not re.search(r"^\s*scatter_?(azimuth|radial)", text, re.MULTILINE):
         return False
@@ -52,7 +52,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Reflectance of the front side."""
+    """Read the reflectance of the front side."""
     text = read_blocks(path)
     blocks = [block for block in text.blocks if _is_reflected(block)]
     if not blocks:
@@ -102,7 +102,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _is_reflected(block: Block) -> bool:
-    """Whether a block holds reflection of light from the front."""
+    """Return whether a block holds reflection of light from the front."""
     side, kind = (block.words.get(key, "").lower() for key in ("side", "scattertype"))
     return (
         not side.startswith("back") and not kind.startswith("btdf") and block.numbers.get("aoi", 0.0) <= 90.0
@@ -112,7 +112,7 @@ def _is_reflected(block: Block) -> bool:
 def _stack(
     blocks: list[Block], notes: list[str], text: BsdfText
 ) -> tuple[Array | None, list[tuple[float, float]], Array]:
-    """Wavelengths, or None for XYZ; incidences; values (incidences, azimuths * radials, B)."""
+    """Return wavelengths, or None for XYZ; incidences; values (incidences, azimuths * radials, B)."""
     context, is_xyz = text.context, any(b.tristimulus is not None for b in blocks)
     labels = [float(b.tristimulus or 0) if is_xyz else b.numbers.get("wavelength", 0.0) for b in blocks]
     angles = [(b.numbers.get("aoi", 0.0), b.numbers.get("poi", 0.0)) for b in blocks]
@@ -139,7 +139,7 @@ def _stack(
 
 
 def _is_ramp(theta: Array, phi: Array, values: Array) -> bool:
-    """Whether values fall linearly to zero from 75 to 90 degrees."""
+    """Return whether values fall linearly to zero from 75 to 90 degrees."""
     beyond = (theta >= _PADDING_FROM) & (phi == phi[-1])
     at, ramp = theta[beyond], values[:, beyond]
     if at.size < 4 or not np.isclose(at[-1], 90.0) or at[0] > _PADDING_FROM + 1.0:
@@ -160,7 +160,9 @@ def _said_azimuth(comments: list[str], notes: list[str]) -> float | None:
 def _incident_azimuth(
     incidences: list[tuple[float, float]], theta: Array, phi: Array, values: Array, notes: list[str]
 ) -> float:
-    """Azimuth of incidence relative to POI in degrees, of four: where the receiver hides it, or opposite the highlight.
+    """Return one of four azimuths of incidence relative to POI in degrees.
+
+    It is the one that the receiver hides, or the one opposite the highlight.
 
     Matte materials are bright towards the light as well, without a peak: these do not decide.
     """
@@ -188,7 +190,7 @@ def _incident_azimuth(
 def _is_hidden(
     incidences: list[tuple[float, float]], oblique: list[int], wo: Array, values: Array, offset: float
 ) -> bool:
-    """Whether the receiver hides the light at most incidences, which lies at POI + offset."""
+    """Return whether the receiver hides the light, which lies at POI + offset, at most incidences."""
     count = 0
     for k in oblique:
         aoi, poi = incidences[k]
@@ -200,7 +202,7 @@ def _is_hidden(
 def _peak(
     incidences: list[tuple[float, float]], oblique: list[int], wo: Array, brightness: Array, offset: float
 ) -> float:
-    """How much brighter the mirror direction is than its surroundings, incidence lying at POI + offset."""
+    """Return how much brighter the mirror direction is than its surroundings, for incidence at POI + offset."""
     total = 0.0
     for k in oblique:
         aoi, poi = incidences[k]

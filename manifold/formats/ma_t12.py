@@ -50,12 +50,12 @@ _MOST_CELLS = 2_000_000  # cells of all sheets: openpyxl makes all up to the las
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file may be a workbook: a ZIP archive; its parts are checked when it is read."""
+    """Return whether a file may be a workbook: a ZIP archive; its parts are checked when it is read."""
     return head.startswith(b"PK\x03\x04")
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings and texture of every sample of a workbook."""
+    """Read the readings and texture of every sample of a workbook."""
     context = ErrorContext(path, _REMEDY)
     data = read_bytes(path, _LARGEST_FILE)
     workbook = _xml_parts(data, context)
@@ -90,7 +90,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _tables(sheets: Mapping[str, list[list[Cell]]], context: ErrorContext) -> list[tuple[Table, Columns]]:
-    """The sheets that hold readings: those called spectral, else all."""
+    """Return the sheets that hold readings: those called spectral, else all."""
     titles = [title for title in sheets if "spectral" in title.lower()] or list(sheets)
     tables = [Table(sheets[title], title) for title in titles]
     found = [one for table in tables if (one := find_columns(table, context)) is not None]
@@ -103,7 +103,7 @@ def _tables(sheets: Mapping[str, list[list[Cell]]], context: ErrorContext) -> li
 
 
 def _named_apart(found: Sequence[tuple[str | None, list[Readings]]]) -> list[Readings]:
-    """The samples of all sheets; where two have the same name, the title of the sheet stands before it."""
+    """Return the samples of all sheets; if two have the same name, the title of the sheet precedes it."""
     names = Counter(one.name for _, own in found for one in own)
     return [
         one if names[one.name] == 1 else replace(one, name=f"{title}: {one.name}")
@@ -146,7 +146,7 @@ def _xml_parts(data: bytes, context: ErrorContext) -> io.BytesIO:
 
 
 def _sheets(workbook: io.BytesIO, context: ErrorContext) -> dict[str, list[list[Cell]]]:
-    """Cells of every sheet by its title."""
+    """Return the cells of every sheet by its title."""
     import openpyxl
 
     sheets: dict[str, list[list[Cell]]] = {}
@@ -181,7 +181,7 @@ def _titled(sheets: Mapping[str, list[list[Cell]]], words: str) -> Iterator[str]
 
 
 def _instrument(sheets: Mapping[str, list[list[Cell]]]) -> str:
-    """What the titles say of the instrument."""
+    """Return the instrument that the titles name."""
     for rows in sheets.values():
         for row in rows[:8]:
             for cell in row:
@@ -197,7 +197,7 @@ def _titles(sheets: Mapping[str, list[list[Cell]]]) -> list[str]:
 
 
 def _viewing(sheets: Mapping[str, list[list[Cell]]]) -> Viewing:
-    """Light and observer of the workbook's own colours, which a title or the heads of its columns name."""
+    """Return the light and observer of the workbook's own colours, which a title or the heads of its columns name."""
     for cell in _titles(sheets):
         lab = lab_head(cell)
         if found := viewing_in(cell) or (lab and lab.viewing):
@@ -208,7 +208,7 @@ def _viewing(sheets: Mapping[str, list[list[Cell]]]) -> Viewing:
 def _texture(
     sheets: Mapping[str, list[list[Cell]]], data: bytes, workbook: io.BytesIO, samples: Sequence[str]
 ) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
-    """Texture rows and pictures of every sample, and notes about those that belong to none."""
+    """Return texture rows and pictures of every sample, and notes about those without a sample."""
     entries: dict[str, list[dict[str, Any]]] = {}
     images: dict[str, dict[str, bytes]] = {}
     unpacked: dict[str, bytes] = {}
@@ -275,7 +275,7 @@ def _texture_rows(rows: list[list[Cell]]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _head_and_caption(rows: Sequence[Sequence[Cell]], picture: SheetPicture) -> tuple[str, str]:
-    """The text above a picture in its column, which names the sample, and the first text of its row."""
+    """Return the text above a picture in its column, which names the sample, and the first text of its row."""
     above = (cells[picture.column] for cells in rows[: picture.row][::-1] if picture.column < len(cells))
     head = next((text for cell in above if (text := text_of(cell))), "")
     caption = rows[picture.row][0] if picture.row < len(rows) and rows[picture.row] else None
@@ -283,7 +283,7 @@ def _head_and_caption(rows: Sequence[Sequence[Cell]], picture: SheetPicture) -> 
 
 
 def write(path: Path, readings: Readings) -> None:
-    """A workbook with the layout of an MA-T12's; values are reflectance factors.
+    """Write a workbook in the layout of an MA-T12's; its values are reflectance factors.
 
     Readings are at the 12 geometries of `geometry_ma_t12`, in their order; their texture is as `read` gives it.
     """

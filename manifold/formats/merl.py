@@ -25,13 +25,13 @@ _SIZE = _HEADER.size + 3 * 8 * SHAPE[0] * SHAPE[1] * SHAPE[2]
 
 
 def axes() -> tuple[Array, Array, Array]:
-    """theta_h (90,), theta_d (90,) and phi_d (180,) of the nodes in radians."""
+    """Return theta_h (90,), theta_d (90,) and phi_d (180,) of the nodes in radians."""
     t = np.arange(90.0) / 90.0
     return 0.5 * np.pi * t**2, 0.5 * np.pi * t, np.pi * np.arange(180.0) / 180.0
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file begins with three counts as MERL's do."""
+    """Return whether a file begins with the three counts of MERL files."""
     if len(head) < _HEADER.size:
         return False
     counts = _HEADER.unpack_from(head)
@@ -39,7 +39,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[DenseTable]:
-    """The table; linear sRGB."""
+    """Read the table, in linear sRGB."""
     context = ErrorContext(path, "download the file again")
     data = read_bytes(path, 2 * _SIZE)
     counts = _HEADER.unpack_from(data)
@@ -61,7 +61,7 @@ def read(path: Path) -> list[DenseTable]:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """A MERL file of a half-difference table in linear sRGB at MERL's nodes."""
+    """Write a half-difference table in linear sRGB at MERL's nodes as a MERL file."""
     measured = np.isfinite(table.values).all(axis=-1, keepdims=True)
     # What is measured is not negative in a MERL file, where that says "not measured"; colours may be out of gamut.
     planes = np.where(measured, np.maximum(table.values, 0.0) / SCALES, -1.0)

@@ -33,13 +33,13 @@ _SCHEMA = "https://raw.githubusercontent.com/asam-ev/OpenMATERIAL-3D/refs/tags/v
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning is JSON that names OpenMATERIAL."""
+    """Return whether a file's beginning is JSON that names OpenMATERIAL."""
     text = decode(head)
     return text.lstrip().startswith("{") and re.search(r"openmaterial", text, re.IGNORECASE) is not None
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings in all bands; a pair of directions that lacks a band is not measured there."""
+    """Return readings in all bands; a pair of directions that lacks a band is not measured there."""
     context = ErrorContext(path, _REMEDY)
     try:
         content = json.loads(read_bytes(path, _LARGEST))
@@ -64,7 +64,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _table(rows: Any, context: ErrorContext) -> Array:
-    """The rows as numbers, shape (rows, 5), NaN for values that are null."""
+    """Return the rows as numbers, shape (rows, 5), NaN for null values."""
     if not isinstance(rows, list) or not rows:
         raise context.error("an empty brdf.lookupTable, expected rows of five numbers")
     for k, row in enumerate(rows, start=1):
@@ -84,7 +84,9 @@ def _table(rows: Any, context: ErrorContext) -> Array:
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """The look-up table of an isotropic sample, in wavelengths, of incident and outgoing angles, light at 180 degrees.
+    """Write the look-up table of an isotropic sample, in wavelengths.
+
+    Its axes are incident and outgoing angles; the light is at 180 degrees.
 
     Who owns and who may use the data is left to be filled in.
     """

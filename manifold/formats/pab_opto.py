@@ -34,7 +34,7 @@ _LEAST_COSINE = 1e-3  # DSF / cos(theta_o) is meaningless closer to the horizon
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning has comments as these files have."""
+    """Return whether a file begins with the comments of these files."""
     text = decode(head).lower()
     return (
         re.search(r"^\s*#\s*(incident_angle|intheta|inphi|format\s*:\s*theta)", text, re.MULTILINE)
@@ -43,7 +43,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of one incidence."""
+    """Read the readings of one incidence."""
     context = ErrorContext(path, _REMEDY)
     lines = read_lines(path)
     header = _header(lines)
@@ -91,7 +91,7 @@ def _header(lines: list[str]) -> dict[str, str]:
 
 
 def _incidence(header: dict[str, str], context: ErrorContext) -> tuple[float, float]:
-    """theta and phi of incidence in degrees."""
+    """Return theta and phi of incidence in degrees."""
     texts = re.findall(_ANGLE, header.get("incident_angle", ""))
     if len(texts) < 2 and "intheta" in header:
         texts = [header["intheta"], header.get("inphi", "0")]

@@ -64,7 +64,7 @@ DAYLIGHT = Viewing()
 
 
 class Between(NamedTuple):
-    """How far measurements of one sample differ.
+    """The differences between measurements of one sample.
 
     Attributes:
         deviation: standard deviation between measurements, relative, beyond what each repeats.
@@ -79,7 +79,7 @@ class Between(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What an instrument says of one sample. P direction pairs, B bands.
+    """The readings of one sample by an instrument. P direction pairs, B bands.
 
     Attributes:
         name: of the sample.
@@ -161,7 +161,7 @@ class Readings:
         return f"<Readings: {self.name}, {len(self)} of {self.instrument}, {self.bands}>"
 
     def __len__(self) -> int:
-        """P."""
+        """Return P."""
         return int(self.wi.shape[0])
 
     @cached_property
@@ -171,11 +171,11 @@ class Readings:
 
     @property
     def measured(self) -> Mask:
-        """Which values were measured, bool, shape (P, B)."""
+        """Return a mask of the values that were measured, bool, shape (P, B)."""
         return np.isfinite(self.values)
 
     def select_bands(self, bands: Sequence[int]) -> Readings:
-        """The same readings in some of their bands, by increasing index.
+        """Return the readings in some of their bands, by increasing index.
 
         Raises:
             ShapeError: they are RGB and not all three are taken, or the indices do not increase.
@@ -187,7 +187,7 @@ class Readings:
         return replace(self, wavelengths_nm=nm, values=self.values[:, index])
 
     def select_pairs(self, pairs: Indices | Mask) -> Readings:
-        """The readings at some of their pairs, by index (n,) or mask (P,), in the order given."""
+        """Return the readings at some of their pairs, by index (n,) or mask (P,), in the order given."""
         return replace(
             self,
             wi=self.wi[pairs],
@@ -198,7 +198,7 @@ class Readings:
         )
 
     def in_unit(self, unit: str) -> Readings:
-        """The same with values taken in another unit than was assumed.
+        """Return the readings with their values in another unit than was assumed.
 
         Raises:
             UsageError: there is no such unit, or the file says another one.
@@ -214,7 +214,7 @@ class Readings:
         return replace(self, values=values, notes=notes, assumed_unit=None)
 
     def seen_under(self, viewing: Viewing | None) -> Readings:
-        """The readings, with the light and observer of their colours that a user names, or as they are for None.
+        """Return the readings with the light and observer that a user names for their colours; unchanged for None.
 
         Raises:
             UsageError: the colours of linear sRGB are relative to others.
@@ -228,12 +228,12 @@ class Readings:
         return replace(self, viewing=viewing, is_viewing_assumed=False)
 
     def with_note(self, note: str) -> Readings:
-        """The same readings with one more note."""
+        """Return the readings with one more note."""
         return replace(self, notes=(*self.notes, note))
 
 
 def geometry_ma_t12() -> tuple[Array, Array]:
-    """The 12 direction pairs of an MA-T12 (X-Rite): wi and wo, each (12, 3), in the order of `MA_T12_NAMES`.
+    """Return the 12 direction pairs of an MA-T12 (X-Rite): wi and wo, each (12, 3), in the order of `MA_T12_NAMES`.
 
     wi is the anchor leg, at 45 or 15 degrees and azimuth 180 degrees, so that the mirror direction lies at azimuth 0.
     """
@@ -242,7 +242,7 @@ def geometry_ma_t12() -> tuple[Array, Array]:
 
 
 def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float = 0.0) -> tuple[Array, Array]:
-    """Directions wi (3,) and wo (3,) of an anchor leg and an aspecular angle, in degrees.
+    """Return directions wi (3,) and wo (3,) from an anchor leg and an aspecular angle in degrees.
 
     The aspecular angle is counted from the mirror direction towards the normal, in the plane of incidence (azimuth 0 or
     180), or about the mirror direction by an azimuth whose 180 degrees point to the normal, as X-Rite's does: its
@@ -264,7 +264,7 @@ def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float =
 
 
 def gloss_fault(angle_deg: float, units: float) -> str | None:
-    """What is wrong with gloss units at an angle, or None."""
+    """Describe the fault of gloss units at an angle, or return None."""
     if angle_deg not in MOST_GLOSS:
         return f"gloss at {angle_deg:g} degrees, expected 20, 60 or 85 (ISO 2813)"
     most = MOST_GLOSS[angle_deg]
@@ -278,7 +278,10 @@ def gloss_fault(angle_deg: float, units: float) -> str | None:
 def mean_of_repeats(
     wi: Array, wo: Array, values: Array
 ) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
-    """Readings, each direction pair once, in order of first appearance; their scatter; and a note if any repeat."""
+    """Return the readings with each direction pair once, in order of first appearance.
+
+    Also return their scatter, and a note if any pair repeats.
+    """
     keys = np.round(np.hstack([wi, wo]), 9)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
@@ -306,7 +309,7 @@ def mean_of_repeats(
 
 
 def _frozen(array: Array) -> Array:
-    """A read-only contiguous copy."""
+    """Return a read-only contiguous copy."""
     copy = np.array(array, order="C")
     copy.flags.writeable = False
     return copy

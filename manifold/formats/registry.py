@@ -81,7 +81,7 @@ FORMATS = Registry("format", ((known.name, known) for known in _KNOWN))
 
 
 def identify(path: Path | str) -> Format | None:
-    """The format that a file's content is of, or None; RGL files are not of these, see `manifold.io_rgl`."""
+    """Return the format of a file's content, or None; RGL files are not among these, see `manifold.io_rgl`."""
     head = _head(Path(path))
     return next(
         (known for known in FORMATS.values() if not head.startswith(MAGIC) and known.sniff(head)), None
@@ -99,7 +99,7 @@ def _head(path: Path) -> bytes:
 
 
 def unknown(path: Path) -> FileFormatError:
-    """The error for a file of none of these formats."""
+    """Return the error for a file of an unknown format."""
     head = _head(path)
     name = printable(path.name, 255)
     if head.startswith(MAGIC):
@@ -114,7 +114,7 @@ def unknown(path: Path) -> FileFormatError:
 
 
 def read_all(path: Path | str) -> list[Record]:
-    """Every sample of an instrument's file, in its order.
+    """Read every sample of an instrument's file, in its order.
 
     Raises:
         FileFormatError: the file is of no known format, or not what its format says.
@@ -152,7 +152,7 @@ def _repeated(readings: Readings, repeatability: float | None) -> Readings:
 def read(
     path: Path | str, sample: str | None = None, *, is_only: bool = True, unit: str | None = None
 ) -> Record:
-    """One sample of an instrument's file; its name may be left out where there is only one.
+    """Read one sample of an instrument's file; its name may be left out if there is only one.
 
     Where it is sought in this file alone (`is_only`), even a single sample must have the name; `unit`, one of
     `readings.UNITS`, is of a table that says none.
@@ -180,7 +180,7 @@ def read_readings(
     path: Path | str, sample: str | None = None, limit: int | None = None, *, is_only: bool = True,
     unit: str | None = None,
 ) -> Readings:  # fmt: skip
-    """One sample as readings; dense tables give their measured nodes, at most `limit` of them.
+    """Read one sample as readings; dense tables give their measured nodes, at most `limit` of them.
 
     Raises:
         UsageError: there are several samples and none is named, none has this name, or the file cannot be read.
@@ -195,7 +195,7 @@ def as_readings(record: Record, limit: int | None) -> Readings:
 
 
 def merge(records: Sequence[Record]) -> Record:
-    """One record of several files of one sample, such as pab-opto's, one per incidence."""
+    """Merge several files of one sample, such as pab-opto's, one per incidence, into one record."""
     if len(records) == 1:
         return records[0]
     readings = [r for r in records if isinstance(r, Readings)]

@@ -29,12 +29,12 @@ _NOISE = -1.0  # least value of RT, which is at most 1 for a perfect diffuser
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file may be such a workbook: an old Office file; its rows are checked when it is read."""
+    """Return whether a file may be such a workbook: an old Office file; its rows are checked when it is read."""
     return head.startswith(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of all sheets."""
+    """Read the readings of all sheets."""
     context = ErrorContext(path, _REMEDY)
     table = _table(path, context)
     azimuth, incidence, receive = np.deg2rad(table[:3])
@@ -68,7 +68,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _table(path: Path, context: ErrorContext) -> Array:
-    """Azimuth, Incidence, Receive and RT of all measurements, shape (4, P)."""
+    """Return Azimuth, Incidence, Receive and RT of all measurements, shape (4, P)."""
     xlrd = require("xlrd")
 
     data = read_bytes(path, _LARGEST)

@@ -34,7 +34,7 @@ _FLAT_NM = (350, 850)  # ends of the spectrum of a single band, as in the files 
 
 
 class _Table(NamedTuple):
-    """What is proportional to f, (T, P), at elevations (T,) and azimuths (P,) in degrees, a full turn; and its line."""
+    """A table proportional to f, (T, P), at elevations (T,) and azimuths (P,) in degrees, a full turn; and its line."""
 
     theta: Array
     phi: Array
@@ -53,12 +53,12 @@ class _Block(NamedTuple):
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file begins as these do."""
+    """Return whether a file has the beginning of these files."""
     return _HEADER.match(head.decode("latin-1")) is not None
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of reflected light above the horizon."""
+    """Read the reflected light above the horizon."""
     context = ErrorContext(path, _REMEDY)
     head = re.split(_BREAK, read_bytes(path).decode("latin-1"), maxsplit=4)
     header = _HEADER.match(head[0])
@@ -92,7 +92,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _brdf(words: Words, is_bsdf: bool) -> tuple[Array | None, list[_Block]]:
-    """Wavelengths in nm, and a block per incidence."""
+    """Return wavelengths in nm, and a block per incidence."""
     n_theta, n_nm = words.count("incidences"), words.count("wavelengths")
     incidences, nm = words.increasing(n_theta, "incidences"), words.increasing(n_nm, "wavelengths")
     blocks = []
@@ -110,7 +110,7 @@ def _brdf(words: Words, is_bsdf: bool) -> tuple[Array | None, list[_Block]]:
 
 
 def _anisotropic(words: Words, is_bsdf: bool, has_transmission: bool) -> tuple[Array | None, list[_Block]]:
-    """Wavelengths in nm, or None for one band, and a block per incidence and anisotropy angle."""
+    """Return wavelengths in nm, or None for one band, and a block per incidence and anisotropy angle."""
     sides = 2 if has_transmission else 1  # reflection first
     (turns, incidences), *_ = [_incidences(words) for _ in range(sides)]
     (at, nm, percent), *_ = [_spectrum(words) for _ in range(sides)]
@@ -126,13 +126,13 @@ def _anisotropic(words: Words, is_bsdf: bool, has_transmission: bool) -> tuple[A
 
 
 def _incidences(words: Words) -> tuple[Array, list[Array]]:
-    """Anisotropy angles, and the elevations of incidence at each."""
+    """Return the anisotropy angles, and the elevations of incidence at each."""
     turns = words.angles("anisotropy")
     return turns, [words.angles("incidence") for _ in turns]
 
 
 def _spectrum(words: Words) -> tuple[Array, Array, Array]:
-    """Elevation and anisotropy angle where it was measured, wavelengths in nm, and percentages of light."""
+    """Return elevation and anisotropy angle of the measurement, wavelengths in nm, and percentages of light."""
     at = words.numbers(2, "angles of the spectrum")
     words.rest()  # its title, which may be empty
     count = words.count("wavelengths")
@@ -143,7 +143,7 @@ def _spectrum(words: Words) -> tuple[Array, Array, Array]:
 
 
 def _table(words: Words, is_bsdf: bool) -> _Table:
-    """Counts of elevations and azimuths, the azimuths, and rows of an elevation and its values."""
+    """Parse counts of elevations and azimuths, the azimuths, and rows of an elevation and its values."""
     where = words.line
     n_theta, n_phi = words.count("elevations"), words.count("azimuths")
     phi = words.increasing(n_phi, "azimuths")
@@ -157,7 +157,7 @@ def _table(words: Words, is_bsdf: bool) -> _Table:
 
 
 def _scale(table: _Table, percent: float, context: ErrorContext) -> float:
-    """The factor with which a table reflects a percentage of light."""
+    """Return the factor with which a table reflects a percentage of light."""
     reflected = _reflected(table.theta, table.phi, table.f)
     if not 0.0 <= percent <= 1000.0 or (percent > 0.0 and reflected <= 0.0):
         found = f"{percent:g} % of light is reflected by a table whose integral is {reflected:g}"
@@ -166,7 +166,7 @@ def _scale(table: _Table, percent: float, context: ErrorContext) -> float:
 
 
 def _reflected(theta: Array, phi: Array, f: Array) -> float:
-    """The fraction of light that f (T, P) reflects, at angles in degrees, by the trapezoidal rule."""
+    """Return the fraction of light that f (T, P) reflects, at angles in degrees, by the trapezoidal rule."""
     theta, phi = np.deg2rad(theta), np.deg2rad(phi)
     return total_scatter(f.T, phi, theta, np.cos(theta))
 
@@ -189,7 +189,7 @@ def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: lis
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """A `.brdf` of an isotropic sample in wavelengths, by incident and outgoing angles, light at 180 degrees."""
+    """Write a `.brdf` of an isotropic sample in wavelengths, by incident and outgoing angles, light at 180 degrees."""
     theta_i, _, theta, phi = (np.rad2deg(axis) for axis in table.axes)
     nm = table.bands.wavelengths_nm or ()
     lines = [
@@ -203,7 +203,7 @@ def write(path: Path, table: DenseTable) -> None:
 
 
 def write_anisotropic(path: Path, table: DenseTable) -> None:
-    """An `.anisotropicbsdf` of one band, isotropic or not; azimuths of light are among the outgoing ones."""
+    """Write an `.anisotropicbsdf` of one band, isotropic or not; azimuths of light are among the outgoing ones."""
     theta_i, phi_i, theta, phi = (np.rad2deg(axis) for axis in table.axes)
     turns = np.mod(180.0 - phi_i, 360.0)
     blocks, order = [], np.argsort(turns)
@@ -227,12 +227,12 @@ def write_anisotropic(path: Path, table: DenseTable) -> None:
 
 
 def _head(kind: str, name: str) -> list[str]:
-    """The first lines: version, text, comment, and the letters of a description that has none."""
+    """Return the first lines: version, text, comment, and the letters of a description that has none."""
     return [f"OPTIS - {kind} surface file v8.0", "0", in_one_line(name), "0", ""]
 
 
 def _table_lines(theta: Array, phi: Array, f: Array) -> tuple[float, list[str]]:
-    """The fraction of light that f (T, P) reflects, and the lines of its table, closed at the horizon and at 360."""
+    """Return the fraction of light that f (T, P) reflects, and its table's lines, closed at the horizon and at 360."""
     f = np.maximum(np.hstack([f, f[:, :1]]), 0.0)
     phi = np.append(phi, phi[0] + 360.0)
     if theta[-1] < 90.0:

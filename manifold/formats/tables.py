@@ -85,14 +85,14 @@ class Table:
     place: Callable[[int, int | None], tuple[int, int | None]] | None = None
 
     def where(self, row: int, column: int | None = None) -> str:
-        """A row and column, counted from 0, in words for errors."""
+        """Describe a row and column, counted from 0, for error messages."""
         if self.place is not None:
             row, column = self.place(row, column)
         sheet = f"sheet '{self.sheet}', " if self.sheet is not None else ""
         return f"{sheet}row {row + 1}" + ("" if column is None else f", column {column + 1}")
 
     def text(self, row: int, column: int) -> str:
-        """What a cell says; rows may end before it."""
+        """Return the text of a cell; rows may end before it."""
         cells = self.rows[row]
         return text_of(cells[column]) if column < len(cells) else ""
 
@@ -160,7 +160,7 @@ class _Sample:
 
 
 def text_of(cell: Cell) -> str:
-    """What a cell says, without blanks around it."""
+    """Return the text of a cell, without blanks around it."""
     if cell is None:
         return ""
     if isinstance(cell, float):
@@ -169,12 +169,12 @@ def text_of(cell: Cell) -> str:
 
 
 def names_directions(heads: Sequence[str]) -> bool:
-    """Whether cells are the header of a table of directions: both elevations are named."""
+    """Return whether cells are the header of a table of directions: both elevations are named."""
     return {"theta_i", "theta_o"} <= set(angle_names(heads))
 
 
 def resembles_header(heads: Sequence[str]) -> bool:
-    """Whether cells look like the header of a table of readings, complete or not."""
+    """Return whether cells look like the header of a table of readings, complete or not."""
     return (
         any(column_heads.plain_head(head).startswith("geometr") for head in heads)
         or (any(map(column_heads.is_wavelength, heads)) and any(map(is_geometry, heads)))
@@ -184,7 +184,7 @@ def resembles_header(heads: Sequence[str]) -> bool:
 
 
 def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] | None:
-    """The columns of the first row that is a header, and the table whose bands are columns; None without a header."""
+    """Find the first row that is a header; return the table with a column per band and its columns, or None."""
     for index, row in enumerate(table.rows[:_HEADER_ROWS]):
         heads = [text_of(cell) for cell in row]
         geometry = _geometry_column(table, index, heads)
@@ -212,7 +212,7 @@ def find_columns(table: Table, context: ErrorContext) -> tuple[Table, Columns] |
 
 
 def _wide(table: Table, index: int, heads: list[str], geometry: int | None, context: ErrorContext) -> Table:
-    """The table with a column per wavelength, where a header at `index` has a column of wavelengths; else as it is."""
+    """Return the table with a column per wavelength if its header has a column of wavelengths; else unchanged."""
     of_nm = [k for k, head in enumerate(heads) if column_heads.is_wavelength(head)]
     others = [k for k, head in enumerate(heads) if head and k not in of_nm and uncertainty_head(head) is None]
     if len(of_nm) != 1 or not others:
@@ -238,7 +238,7 @@ def _wide(table: Table, index: int, heads: list[str], geometry: int | None, cont
 def _from_spectra_down(
     table: Table, index: int, of_nm: int, geometries: list[int], context: ErrorContext
 ) -> Table:
-    """A row per geometry of a table that has a column per geometry and a row per wavelength."""
+    """Turn a table with a column per geometry and a row per wavelength into one with a row per geometry."""
     below = [row for row in range(index + 1, len(table.rows)) if any(table.text(row, k) for k in geometries)]
     unit = column_heads.wavelength_unit(text_of(table.rows[index][of_nm])) or ""
     heads = [_band(table, row, of_nm, unit, context) for row in below]
@@ -314,7 +314,7 @@ def _cell(table: Table, row: int | None, column: int) -> Cell:
 
 
 def _from_lab(table: Table, index: int, axes: list[int]) -> Table:
-    """The table with linear sRGB in place of CIELAB values; what is no colour stays as it is."""
+    """Return the table with linear sRGB in place of CIELAB values; cells without a colour stay as they are."""
     rows: list[Sequence[Cell]] = list(table.rows[: index + 1])
     made = list(rows[index])
     for k, channel_name in zip(axes, "RGB", strict=True):
@@ -409,7 +409,7 @@ def _geometry_columns(
 
 
 def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
-    """The column that is called so, or holds nothing but names of geometries in the next rows."""
+    """Return the column called geometry, or whose next rows hold nothing but names of geometries; or None."""
     for k, head in enumerate(heads):
         if is_geometry(head):
             continue  # a row of readings
@@ -428,7 +428,7 @@ def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
 def read_table(
     table: Table, columns: Columns, context: ErrorContext, name: str, instrument: str
 ) -> list[Readings]:
-    """Readings of every sample below a header, in the table's order; texts that are numbers count as numbers.
+    """Read every sample below a header, in the table's order; texts that are numbers count as numbers.
 
     The name is that of the sample where the table has no column of names.
     """
@@ -541,7 +541,7 @@ def _require_footnote(
 
 
 def _value(table: Table, index: int, column: int, context: ErrorContext) -> float:
-    """The value of a cell, NaN where nothing was measured."""
+    """Return the value of a cell, NaN if nothing was measured."""
     row = table.rows[index]
     if column >= len(row) and table.sheet is None:
         raise context.error(
@@ -699,7 +699,7 @@ def _readings(
 
 
 def in_one_unit(found: Sequence[Readings]) -> list[Readings]:
-    """The readings of one file's tables, which have one unit: percent where any of them must be."""
+    """Give the readings of one file's tables one unit: percent if any of them must be."""
     if not any(TAKEN_AS_PERCENT in one.notes for one in found):
         return list(found)
     return [

@@ -36,12 +36,12 @@ _CODES = {np.dtype(name): code for code, name in _DTYPES.items()}
 
 
 def shape_text(shape: tuple[int, ...]) -> str:
-    """A shape as numpy writes it, cut off where a damaged header makes it long."""
+    """Return a shape as numpy writes it, cut off if a damaged header makes it long."""
     return str(shape) if len(shape) <= 8 else f"({', '.join(map(str, shape[:4]))}, ... {len(shape)} axes)"
 
 
 def read_tensors(path: Path | str) -> dict[str, AnyArray]:
-    """The fields of any tensor file in the order of the file: read-only views of the mapped file.
+    """Return the fields of any tensor file in the order of the file: read-only views of the mapped file.
 
     It must not be shortened while the arrays live: the operating system ends a process that reads beyond the end of a
     mapped file. Replacing it by renaming, as `write_tensors` does, is safe.
@@ -75,7 +75,7 @@ def read_tensors(path: Path | str) -> dict[str, AnyArray]:
 
 
 def _map(path: Path, context: ErrorContext) -> mmap.mmap:
-    """The whole file as read-only memory."""
+    """Map the whole file as read-only memory."""
     try:
         with path.open("rb") as file:
             buffer = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -145,7 +145,7 @@ def write_tensors(path: Path | str, fields: Mapping[str, AnyArray]) -> None:
 
 
 def _header(name: str, array: AnyArray, offset: int) -> bytes:
-    """The header of a field whose data stand at an offset."""
+    """Return the header of a field whose data start at an offset."""
     text, axes = name.encode("utf-8"), struct.pack(f"<{array.ndim}Q", *array.shape)
     return struct.pack("<H", len(text)) + text + _FIELD.pack(array.ndim, _CODES[array.dtype], offset) + axes
 

@@ -27,19 +27,19 @@ class ErrorContext:
     """Errors of one short line that name a file and the place in it; and numbers that are read with such errors."""
 
     def __init__(self, path: Path, remedy: str) -> None:
-        """Errors of a file; the remedy is what to do where an error names no other."""
+        """Take the file's path; `remedy` ends the errors that name no other remedy."""
         self.path, self.remedy = path, remedy
 
     def error(
         self, found: str, where: str | None = None, *, field: str | None = None, remedy: str | None = None
     ) -> FileFormatError:
-        """The error `FILE, WHERE: FOUND; REMEDY`, or `FILE: field 'FIELD' FOUND; REMEDY`."""
+        """Return the error `FILE, WHERE: FOUND; REMEDY`, or `FILE: field 'FIELD' FOUND; REMEDY`."""
         name = printable(self.path.name or str(self.path), 255) + (f", {where}" if where else "")
         found = found if field is None else f"field '{printable(field, 64)}' {found}"
         return FileFormatError(f"{name}: {printable(found, _LONGEST_FINDING)}; {remedy or self.remedy}")
 
     def number(self, text: str, where: str) -> float:
-        """A finite number, with a decimal point or comma, or an error that names its context."""
+        """Parse a finite number, with a decimal point or comma; otherwise raise an error that names its context."""
         value = number(text)
         if value is None:
             raise self.error(
@@ -48,14 +48,14 @@ class ErrorContext:
         return value
 
     def numbers(self, cells: list[str], line: int) -> list[float]:
-        """`number` of every cell of a line, counted from 1."""
+        """Apply `number` to every cell of a line, counted from 1."""
         values = [plain_float(cell) for cell in cells]
         if not all(abs(value) < 1e300 for value in values):
             return [self.number(cell, f"line {line}, cell {k}") for k, cell in enumerate(cells, start=1)]
         return values
 
     def table(self, lines: Sequence[tuple[int, str]], separator: str | None, width: int) -> Array:
-        """The numbers of lines of `width` cells, each line with its number in the file; shape (lines, cells)."""
+        """Return the numbers of lines of `width` cells, each line with its number in the file; shape (lines, cells)."""
         self.require_rows(lines)
         table = np.empty((len(lines), width))
         for row, (line_number, line) in zip(table, lines, strict=True):
@@ -73,7 +73,7 @@ class ErrorContext:
             raise self.error(f"{len(lines)} rows, expected 1 to {MOST_ROWS}")
 
     def count(self, text: str, where: str, largest: int) -> int:
-        """A whole number from 1 to `largest`."""
+        """Parse a whole number from 1 to `largest`."""
         value = number(text)
         if value is None or value != int(value) or not 1 <= value <= largest:
             raise self.error(
@@ -113,7 +113,7 @@ LENGTH_UNIT = (
 
 
 def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
-    """The whole file."""
+    """Read the whole file."""
     return disk.read_bytes(path, advice="check the path", most=most)
 
 
@@ -131,14 +131,14 @@ def decode(data: bytes) -> str:
 
 
 def read_lines(path: Path) -> list[str]:
-    """The lines of a text file, however they end."""
+    """Read the lines of a text file, with any line end."""
     return decode(read_bytes(path)).split("\n")
 
 
 def data_lines(
     lines: list[str], first: int = 1, marks: tuple[str, ...] = ("#", "!")
 ) -> list[tuple[int, str]]:
-    """Lines that are neither empty nor comments, each with its number in the file; the first line's is `first`."""
+    """Return lines that are neither empty nor comments, with their numbers in the file; the first one's is `first`."""
     return [
         (k, line)
         for k, line in enumerate(lines, start=first)
@@ -147,7 +147,10 @@ def data_lines(
 
 
 def plain_float(text: str) -> float:
-    """What Python takes the text for, or NaN: quicker than `number`, which decides where this is no finite number."""
+    """Convert a text by Python's rules, or return NaN.
+
+    It is faster than `number`, which decides about texts without a finite number.
+    """
     try:
         return float("nan") if "_" in text else float(text)
     except ValueError:
@@ -155,7 +158,7 @@ def plain_float(text: str) -> float:
 
 
 def number(text: str) -> float | None:
-    """The finite number that a text is, or None; Fortran's exponent D and a decimal comma are accepted."""
+    """Return the finite number in a text, or None; Fortran's exponent D and a decimal comma are accepted."""
     text = text.strip().strip('"').strip()
     if _NUMBER.fullmatch(text) is None:
         return None
@@ -251,7 +254,7 @@ def split_cells(line: str, separator: str | None) -> list[str]:
 
 
 def find_separator(lines: list[str]) -> str | None:
-    """What separates the cells of a table's lines: `;`, tab, comma, or None for blanks.
+    """Return the separator of the cells of a table's lines: `;`, tab, comma, or None for blanks.
 
     A comma is a separator only where nothing else is: between digits it may be a decimal comma.
     """

@@ -24,13 +24,13 @@ _LARGEST_VALUE = 1e6  # largest f in 1/sr; bytes of other files are numbers of a
 
 
 def axes() -> tuple[Array, Array, Array, Array]:
-    """theta_i (6,), phi_i (48,), theta_o (6,), phi_o (48,) in radians."""
+    """Return theta_i (6,), phi_i (48,), theta_o (6,), phi_o (48,) in radians."""
     theta, phi = np.deg2rad(15.0 * np.arange(6)), np.deg2rad(7.5 * np.arange(48))
     return theta, phi, theta, phi
 
 
 def sniff(head: bytes) -> bool:
-    """Whether the first values are those of a BRDF. The length of the file decides when it is read."""
+    """Return whether the first values look like a BRDF. The length of the file decides when it is read."""
     count = len(head) // 8
     if count < 288:
         return False
@@ -45,7 +45,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[DenseTable]:
-    """The table; linear sRGB."""
+    """Read the table, in linear sRGB."""
     context = ErrorContext(path, "download the file again")
     data = read_bytes(path, 2 * SIZE)
     if len(data) != SIZE:
@@ -71,13 +71,13 @@ def read(path: Path) -> list[DenseTable]:
 
 
 def _largest_albedo(values: Array) -> float:
-    """Largest directional albedo of f (theta_i, phi_i, theta_o, phi_o, 3), of all incidences and channels."""
+    """Return the largest directional albedo of f (theta_i, phi_i, theta_o, phi_o, 3)."""
     edges = np.append(np.maximum(axes()[2] - np.deg2rad(7.5), 0.0), 0.5 * np.pi)
     rings = np.pi * np.diff(np.sin(edges) ** 2)  # projected solid angle around every elevation
     return float(np.max(np.einsum("o,aboc->abc", rings, values.mean(axis=3))))
 
 
 def write(path: Path, table: DenseTable) -> None:
-    """A UTIA file of a table in linear sRGB at UTIA's nodes."""
+    """Write a table in linear sRGB at UTIA's nodes as a UTIA file."""
     planes = np.nan_to_num(np.moveaxis(table.values, -1, 0))
     disk.write_bytes(path, planes.astype("<f8").tobytes())

@@ -166,7 +166,7 @@ def relative_uncertainties(
 
 
 class Weights(NamedTuple):
-    """What the uncertainties of values say of readings, see `Readings`.
+    """The weights and scatter of readings from the uncertainties of their values, see `Readings`.
 
     Attributes:
         scatter: of cube roots, relative, shape (P,).
@@ -201,7 +201,7 @@ def weights_of(relative: Array) -> Weights | None:
 def bands_of(
     heads: list[str], values: Array, notes: list[str], context: ErrorContext, comments: Iterable[str] = ()
 ) -> tuple[Array | None, Array]:
-    """Wavelengths in nm, increasing, or None for linear sRGB, and the values (P, B) in their order."""
+    """Return wavelengths in nm, increasing, or None for linear sRGB, and the values (P, B) in their order."""
     letters = [channel(head) or "" for head in heads]
     for space in ("rgb", "xyz"):
         if sorted(letters) == sorted(space):
@@ -224,15 +224,16 @@ def bands_of(
 
 
 def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float = _PERCENT_FROM) -> bool:
-    """Whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
+    """Return whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
     off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
     return bool(np.max(off, initial=0.0) > most_factor or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
 
 
 def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = _FEWEST) -> bool:
-    """Tell whether values (P, B) in 1/sr are too large in the median, away from the mirror direction and the horizon,
-    where there are at least so many.
+    """Return whether the median of values (P, B) in 1/sr is too large, away from mirror direction and horizon.
+
+    False if there are fewer than `fewest` such values.
     """
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
     is_diffuse = (mirror < np.cos(np.deg2rad(40.0))) & (
@@ -244,7 +245,7 @@ def is_too_bright(wi: Array, wo: Array, values: Array, fewest: int = _FEWEST) ->
 
 
 def xyz_to_linear_srgb(xyz: Array) -> Array:
-    """Linear sRGB (..., 3), not clipped, of XYZ under D65, Y = 1 being white. Source: IEC 61966-2-1."""
+    """Convert XYZ under D65, where white has Y = 1, to linear sRGB (..., 3), not clipped. Source: IEC 61966-2-1."""
     primaries = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in _PRIMARIES_XY]).T
     x, y = _D65_XY
     white = np.array([x / y, 1.0, (1.0 - x - y) / y])
@@ -253,7 +254,7 @@ def xyz_to_linear_srgb(xyz: Array) -> Array:
 
 
 def lab_to_linear_srgb(lab: Array) -> Array:
-    """Linear sRGB (..., 3), relative to its white, of CIELAB (..., 3). Source: CIE 15."""
+    """Convert CIELAB (..., 3) to linear sRGB (..., 3), relative to its white. Source: CIE 15."""
     scaled = (lab[..., :1] + 16.0) / 116.0 + lab * [0.0, 1.0 / 500.0, -1.0 / 200.0]
     f = np.stack([scaled[..., 1], scaled[..., 0], scaled[..., 2]], axis=-1)
     relative = np.where(f > 6.0 / 29.0, f**3, 3.0 * (6.0 / 29.0) ** 2 * (f - 4.0 / 29.0))
@@ -261,18 +262,18 @@ def lab_to_linear_srgb(lab: Array) -> Array:
 
 
 def linear_srgb_to_xyz(rgb: Array) -> Array:
-    """XYZ (..., 3) of linear sRGB; the inverse of `xyz_to_linear_srgb`."""
+    """Convert linear sRGB to XYZ (..., 3); the inverse of `xyz_to_linear_srgb`."""
     return np.asarray(rgb) @ np.linalg.inv(xyz_to_linear_srgb(np.eye(3)))
 
 
 def converted(xyz: Array, notes: list[str]) -> Array:
-    """`xyz_to_linear_srgb`, and a note of it."""
+    """Apply `xyz_to_linear_srgb`, and add a note of it."""
     notes.append("CIE XYZ, converted to linear sRGB")
     return xyz_to_linear_srgb(xyz)
 
 
 def unnamed_band(notes: list[str], context: ErrorContext, comments: Iterable[str] = ()) -> Array:
-    """The wavelength in nm, shape (1,), of a band without one: a comment's or a green one; and a note of it."""
+    """Return the wavelength in nm, shape (1,), of a band without one: a comment's or a green one; and add a note."""
     named = named_wavelength(comments, context)
     if named is not None:
         notes.append(f"one band, its wavelength is taken from a comment: {named:g} nm")

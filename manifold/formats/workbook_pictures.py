@@ -48,7 +48,7 @@ class SheetPicture(NamedTuple):
 def pictures_in(
     data: bytes, workbook: io.BytesIO, sheet: str, unpacked: dict[str, bytes]
 ) -> list[SheetPicture]:
-    """The pictures on a sheet of a workbook, as they are stored.
+    """Return the pictures on a sheet of a workbook, as they are stored.
 
     Args:
         data: the workbook.
@@ -110,7 +110,9 @@ def add_picture(sheet: Any, cell: str, content: bytes) -> None:
 
 
 def picture_geometry(caption: str) -> tuple[float, float] | None:
-    """Angles of camera and lamp in degrees, the lamp's positive on the mirror's side, NaN for diffuse light; or None.
+    """Return the angles of camera and lamp in degrees, or None.
+
+    The lamp's is positive on the mirror's side, and NaN for diffuse light.
 
     >>> picture_geometry("15as-45"), picture_geometry("15as80"), picture_geometry("15d")
     ((15.0, 60.0), (15.0, -65.0), (15.0, nan))
@@ -122,5 +124,5 @@ def picture_geometry(caption: str) -> tuple[float, float] | None:
 
 
 def picture_directions(camera_deg: float, lamp_deg: float) -> tuple[Array, Array]:
-    """wi (3,) and wo (3,) of a picture's geometry, those of the reading of its name."""
+    """Return wi (3,) and wo (3,) of a picture's geometry, those of the reading of its name."""
     return aspecular_pair(camera_deg, camera_deg - lamp_deg)

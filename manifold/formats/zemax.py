@@ -33,13 +33,13 @@ _PADDING_FROM = np.cos(np.deg2rad(75.0))
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning has Zemax' lists of angles."""
+    """Return whether a file's beginning has Zemax' lists of angles."""
     text = decode(head).lower()
     return re.search(r"^\s*(angleofincidence|samplerotation)\b", text, re.MULTILINE) is not None
 
 
 def directions(theta_i: float, radial: Array, azimuth: Array, rotation: float = 0.0) -> tuple[Array, Array]:
-    """wi (3,) and wo (..., 3) of an incidence and angles about its mirror direction, all in radians, broadcast.
+    """Return wi (3,) and wo (..., 3) from an incidence and angles about its mirror direction, in radians.
 
     wi lies at azimuth 180 degrees plus the sample's rotation.
     """
@@ -51,7 +51,7 @@ def directions(theta_i: float, radial: Array, azimuth: Array, rotation: float = 
 
 
 def read(path: Path) -> list[Readings]:
-    """Readings of the reflected directions above the horizon."""
+    """Read the reflected directions above the horizon."""
     text = read_blocks(path)
     said = text.blocks[0].words if text.blocks else {}
     text.require_brdf(said)
@@ -82,7 +82,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _is_measured(wo: Array, values: Array) -> Mask:
-    """Which directions (n, 3) of one incidence hold data, (n,): not zeros that fill the table up to the horizon."""
+    """Return a mask of the directions (n, 3) of one incidence with data, (n,); zeros that fill the table have none."""
     is_dark = np.all(values == 0.0, axis=1)
     lowest = np.min(wo[~is_dark, 2], initial=_PADDING_FROM)
     is_data: Mask = ~is_dark | (wo[:, 2] > lowest - 1e-6) | bool(np.all(is_dark))

@@ -33,15 +33,15 @@ class AnalyticBRDF(NotebookPicture, ABC):
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether f is invariant under rotation of both directions about the normal."""
+        """Return whether f is invariant under rotation of both directions about the normal."""
         return True
 
     @abstractmethod
     def _eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (n, B) or (n, 1) where all bands agree."""
+        """Return f in 1/sr, shape (n, B) or (n, 1) if all bands agree."""
 
     def _albedo(self, wi: Array) -> Array:
-        """Directional albedo, shape (n, B) or (n, 1); by the model's own sampling where it has no better way."""
+        """Return the directional albedo, shape (n, B) or (n, 1), here by the model's own sampling."""
         u = even_points(_ALBEDO_SAMPLES)
         albedo = np.empty((len(wi), self.bands.count))
         for i, w in enumerate(wi):  # one direction at a time to bound memory
@@ -51,20 +51,20 @@ class AnalyticBRDF(NotebookPicture, ABC):
         return albedo
 
     def _sample(self, wi: Array, u: Array) -> Array:
-        """Directions (n, 3), possibly below the horizon."""
+        """Return directions (n, 3), possibly below the horizon."""
         return cosine_hemisphere(u)
 
     def _pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `_sample` in 1/sr, shape (n,)."""
+        """Return the density of `_sample` in 1/sr, shape (n,)."""
         return wo[:, 2] / np.pi
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF value f in 1/sr, shape (..., B); 0 where a direction is at or below the horizon."""
+        """Return f in 1/sr, shape (..., B); 0 for a direction at or below the horizon."""
         pairs = Pairs(wi, wo)
         return _scatter(self._eval, pairs.shape, self.bands.count, pairs.wi, pairs.wo)
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B)."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B)."""
         f_cos = self.eval(wi, wo)
         f_cos *= np.maximum(np.asarray(wo, float)[..., 2], 0.0)[..., None]
         return f_cos
@@ -88,13 +88,13 @@ class AnalyticBRDF(NotebookPicture, ABC):
         return wo.reshape(*shape, 3), pdf[..., 0]
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr of solid angle, shape (...)."""
+        """Return the density of `sample` in 1/sr of solid angle, shape (...)."""
         pairs = Pairs(wi, wo)
         pdf = _scatter(lambda a, b: self._pdf(a, b)[:, None], pairs.shape, 1, pairs.wi, pairs.wo)
         return pdf[..., 0]
 
     def albedo(self, wi: Array) -> Array:
-        """Directional albedo, the integral of f cos(theta_o) over wo, shape (..., B); 0 below the horizon.
+        """Return the directional albedo, the integral of f cos(theta_o) over wo, shape (..., B); 0 below the horizon.
 
         Numerical: within 1e-3 of the exact integral for the microfacet models and their mixtures, and
         within 5e-3 for `Sheen` and `Layered`.
@@ -172,7 +172,7 @@ class Sheen(AnalyticBRDF):
 
 
 def _sheen(roughness: float, wi: Array, wo: Array) -> Array:
-    """The sheen lobe in 1/sr, before scaling, shape (n,)."""
+    """Return the sheen lobe in 1/sr, before scaling, shape (n,)."""
     h = wi + wo
     # sin^2 = |h_xy|^2 / |h|^2 keeps its digits near the normal, where 1 - cos^2 does not
     sin_squared = (h[:, 0] ** 2 + h[:, 1] ** 2) / np.sum(h * h, axis=-1)
@@ -183,7 +183,7 @@ def _sheen(roughness: float, wi: Array, wo: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _sheen_albedo(roughness: float) -> Array:
-    """Albedo of the unscaled sheen lobe at 65 elevations evenly spaced in sqrt(cos), grazing first."""
+    """Return the albedo of the unscaled sheen lobe at 65 elevations evenly spaced in sqrt(cos), grazing first."""
     cosines = np.maximum(np.linspace(0.0, 1.0, 65) ** 2, 1e-6)
     nodes, weights = hemisphere_quadrature(96, 96)
     directions = from_spherical(np.arccos(cosines), 0.0)
@@ -205,18 +205,21 @@ def choose_lobe(probabilities: Array, u: Array) -> tuple[Array, Array]:
 
 
 def even_points(n: int) -> Array:
-    """Points (n, 2), even in the unit square as along each axis, which picks lobes. Source: Roberts 2018, "R2"."""
+    """Return points (n, 2), even in the unit square and along each axis, which picks lobes.
+
+    Source: Roberts 2018, "R2".
+    """
     return np.asarray((0.5 + np.arange(n)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0)
 
 
 def cosine_hemisphere(u: Array) -> Array:
-    """Directions (n, 3) of density cos(theta) / pi."""
+    """Return directions (n, 3) of density cos(theta) / pi."""
     r, phi = np.sqrt(u[:, 1]), 2.0 * np.pi * u[:, 0]
     return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1.0 - u[:, 1])], axis=-1)
 
 
 def uniform_hemisphere(u: Array) -> Array:
-    """Directions (n, 3) of density 1 / (2 pi)."""
+    """Return directions (n, 3) of density 1 / (2 pi)."""
     z, phi = 1.0 - u[:, 1], 2.0 * np.pi * u[:, 0]
     r = np.sqrt(1.0 - z * z)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
@@ -225,7 +228,7 @@ def uniform_hemisphere(u: Array) -> Array:
 def _scatter(
     function: Callable[[Array, Array], Array], shape: tuple[int, ...], count: int, wi: Array, wo: Array
 ) -> Array:
-    """`function` of the pairs above the horizon, zeros elsewhere, in shape (*shape, count)."""
+    """Return `function` of the pairs above the horizon, and zeros elsewhere, in shape (*shape, count)."""
     up = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
     if up.all():
         values = function(wi, wo)

@@ -32,18 +32,21 @@ _VARNISH = np.array(1.5)  # index of refraction of paints, papers and coats
 
 
 def _pigment(spectrum: str, bands: Bands, scale: float = 1.0) -> Array:
-    """A reflectance per band, kept below that of a perfect white."""
+    """Return a reflectance per band, kept below that of a perfect white."""
     return np.clip(scale * diffuse_reflectance(spectrum, np.array(bands.wavelengths_nm)), 0.0, 0.97)
 
 
 def _tinted_metal(ggx: GGX | GGXMixture, colour: Array, bands: Bands) -> RoughConductor:
-    """A reflector with a given reflectance at normal incidence: a real index that has it."""
+    """Return a reflector with a given reflectance at normal incidence, by a real index."""
     root = np.sqrt(np.clip(colour, 0.02, 0.95))
     return RoughConductor(ggx, (1.0 + root) / (1.0 - root), np.zeros_like(root), bands)
 
 
 def _felt(spectrum: str, fuzz: float, width: float, rough: float, glint: float, scale: float = 1.0) -> Recipe:
-    """Cloth: matte fibres, some of which glint back to the light, under fuzz that brightens the rim."""
+    """Return a recipe of cloth.
+
+    Matte fibres, some of which reflect towards the light, lie under fuzz that brightens the rim.
+    """
 
     def recipe(bands: Bands) -> BRDF:
         colour = _pigment(spectrum, bands, scale)
@@ -56,7 +59,10 @@ def _felt(spectrum: str, fuzz: float, width: float, rough: float, glint: float, 
 
 
 def _matte(spectrum: str, lobes: Lobes, rough: float, back: float, eta: float, scale: float = 1.0) -> Recipe:
-    """Paper, wall paint, card: rough pigment, some of it reflecting back to the light, with a surface of its own."""
+    """Return a recipe of paper, wall paint or card.
+
+    Rough pigment, partly retroreflecting, has a surface of its own.
+    """
 
     def recipe(bands: Bands) -> BRDF:
         colour = _pigment(spectrum, bands, scale)
@@ -70,7 +76,7 @@ def _matte(spectrum: str, lobes: Lobes, rough: float, back: float, eta: float, s
 def _varnished(
     spectrum: str, lobes: Lobes, depth: float, inner: float, eta: float = 1.5, scale: float = 1.0
 ) -> Recipe:
-    """Satin and glossy paint: pigment under varnish, a share `depth` of it a soft lobe of roughness `inner` below."""
+    """Return a recipe of satin or glossy paint: pigment under varnish, a share `depth` of it a soft lobe below."""
 
     def recipe(bands: Bands) -> BRDF:
         colour, ggx = _pigment(spectrum, bands, scale), GGXMixture(lobes)
@@ -82,7 +88,7 @@ def _varnished(
 
 
 def _lacquered(reflectors: BRDF, share: float, coat: Lobes, tint: Array, pigment: Array) -> BRDF:
-    """A share of reflectors among pigment, under a coat that refracts and absorbs."""
+    """Return a share of reflectors among pigment, under a coat that refracts and absorbs."""
     bands, ggx = reflectors.bands, GGXMixture(coat)
     seen = Layered(RoughDielectric(ggx, _VARNISH, bands), Immersed(reflectors, float(_VARNISH), tint))
     return MixedBRDF([(share, seen), (1.0 - share, Plastic(ggx, _VARNISH, pigment, bands))])
@@ -97,7 +103,10 @@ def _metallic(
     scale: float = 1.0,
     film_nm: float = 0.0,
 ) -> Recipe:
-    """Vinyl film with metal powder under a coat that deepens the colour; a film on the powder makes it change hue."""
+    """Return a recipe of vinyl film with metal powder under a tinted coat.
+
+    A film on the powder makes its hue change.
+    """
 
     def recipe(bands: Bands) -> BRDF:
         colour, ggx = _pigment(spectrum, bands, scale), GGXMixture(flakes)
@@ -110,7 +119,7 @@ def _metallic(
 
 
 def _chrome(spectrum: str | None, lobes: Lobes, depth: float = 0.0, haze: float = 0.0) -> Recipe:
-    """Chrome vinyl: chromium with haze around the reflection, bare or under a coat of tint with scattering pigment.
+    """Return a recipe of chrome vinyl: chromium with haze around the reflection, bare or under a pigmented coat.
 
     The pigment covers a share `haze`, as in real films, apparently: 0.01 to 0.04 1/sr far from the mirror direction.
     """
@@ -129,7 +138,7 @@ def _chrome(spectrum: str | None, lobes: Lobes, depth: float = 0.0, haze: float 
 
 
 def _flake(spectrum: str, flakes: Lobes, coat: Lobes, share: float, depth: float) -> Recipe:
-    """Car paint: aluminium flakes among pigment, both under a glossy coat tinted like it."""
+    """Return a recipe of car paint: aluminium flakes among pigment, both under a glossy coat tinted like it."""
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior("Al", np.array(bands.wavelengths_nm))
@@ -143,7 +152,10 @@ def _flake(spectrum: str, flakes: Lobes, coat: Lobes, share: float, depth: float
 def _iridescent(
     thickness_nm: float, spread: float, flakes: Lobes, share: float, base: str, coat: Lobes
 ) -> Recipe:
-    """Interference pigment: films whose thickness varies by `spread`, on absorbing platelets among dark pigment."""
+    """Return a recipe of interference pigment.
+
+    Films whose thickness varies by `spread` lie on absorbing platelets among dark pigment.
+    """
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior("Cr", np.array(bands.wavelengths_nm))
@@ -158,7 +170,7 @@ def _iridescent(
 
 
 def _metal(name: str, ggx: GGX | GGXMixture, oxide: float = 0.0, thickness_nm: float = 60.0) -> Recipe:
-    """Bare metal, a share of it under a thin transparent oxide."""
+    """Return a recipe of bare metal, a share of it under a thin transparent oxide."""
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior(name, np.array(bands.wavelengths_nm))
@@ -173,7 +185,7 @@ def _metal(name: str, ggx: GGX | GGXMixture, oxide: float = 0.0, thickness_nm: f
 
 
 def isotropic_recipes() -> dict[str, Recipe]:
-    """The 51 isotropic recipes by name, family first."""
+    """Return the 51 isotropic recipes by name, family first."""
     white = "ohta/white 9.5 (.05 D)"
     recipes = {
         "felt_green": _felt("ohta/green", 0.55, 0.22, 0.9, 0.10),
@@ -264,7 +276,7 @@ def isotropic_recipes() -> dict[str, Recipe]:
 
 
 def _weave(spectrum_warp: str, spectrum_weft: str, narrow: float, wide: float) -> Recipe:
-    """Cloth of two colours: threads along x and along y, each shiny across its own direction."""
+    """Return a recipe of cloth of two colours: threads along x and along y, each shiny across its own direction."""
 
     def recipe(bands: Bands) -> BRDF:
         threads = [
@@ -281,7 +293,7 @@ def _foil(spectrum: str, along: float, across: float) -> Recipe:
 
 
 def anisotropic_recipes() -> dict[str, Recipe]:
-    """The 11 anisotropic recipes by name, family first; all are invariant under half a turn."""
+    """Return the 11 anisotropic recipes by name, family first; all are invariant under half a turn."""
     skew = np.array([[6.0, 4.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]])
     return {
         "brushed_aluminium": _metal("Al", GGX.anisotropic(0.08, 0.30)),
@@ -333,7 +345,7 @@ class Material:
         return f"Synthetic {self.family}: {self.name.removeprefix('syn_').replace('_', ' ')}"
 
     def truth(self, bands: Bands | None = None) -> BRDF:
-        """The analytic BRDF behind the file, by default in the 195 bands of the RGL database.
+        """Return the analytic BRDF behind the file, by default in the 195 bands of the RGL database.
 
         Args:
             bands: any wavelengths; not RGB.
@@ -342,17 +354,17 @@ class Material:
 
 
 def rgl_bands() -> Bands:
-    """The 195 bands of the RGL database, 358.63 to 1001.89 nm."""
+    """Return the 195 bands of the RGL database, 358.63 to 1001.89 nm."""
     return Bands.from_array(rgl_wavelengths_nm())
 
 
 def isotropic_materials() -> tuple[Material, ...]:
-    """The 51 isotropic materials, in a fixed order."""
+    """Return the 51 isotropic materials, in a fixed order."""
     return _materials(isotropic_recipes())
 
 
 def anisotropic_materials() -> tuple[Material, ...]:
-    """The 11 anisotropic materials, in a fixed order."""
+    """Return the 11 anisotropic materials, in a fixed order."""
     return _materials(anisotropic_recipes())
 
 
@@ -473,7 +485,7 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator, speckle: float) -> Bsdf
 
 
 def _noisy(values: Array, incidence: Indices, rng: np.random.Generator, speckle: float) -> Array:
-    """Values (n, B) of cells as an instrument reads them, of the elevations with indices (n,)."""
+    """Return values (n, B) of cells as an instrument reads them, at the elevations with indices (n,)."""
     n, n_bands = values.shape
     # Speckle is common to all bands of a cell; the detector's noise is not, and is worse towards both ends.
     cells = 1.0 + speckle * rng.standard_normal(n, dtype=np.float32)

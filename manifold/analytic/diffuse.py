@@ -41,7 +41,7 @@ class RoughDiffuse(AnalyticBRDF):
         return 1.0 / (1.0 + _SINGLE * self.roughness)
 
     def _single(self, w: Array) -> Array:
-        """Albedo of one reflection by white facets, shape (n,)."""
+        """Return the albedo of one reflection by white facets, shape (n,)."""
         cosine = np.clip(w[:, 2], 1e-9, 1.0)
         sine = np.sqrt(1.0 - cosine**2)
         g = sine * (np.arccos(cosine) - sine * cosine) + 2.0 / 3.0 * (sine / cosine * (1.0 - sine**3) - sine)

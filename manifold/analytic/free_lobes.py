@@ -53,12 +53,12 @@ class Lobes:
         return [(alpha, tail) for alpha in self.roughnesses for tail in self.tails]
 
     def shape_of(self, chosen: Indices) -> Indices:
-        """Which of the shapes lobes (n,) have, -1 for the Lambertian and soft lobes."""
+        """Return the shape's index of each lobe (n,), -1 for the Lambertian and soft lobes."""
         shape = (chosen - 1) // (self.degree + 1)
         return np.where(shape < len(self.shapes), shape, -1)
 
     def values(self, wi: Array, wo: Array, chosen: Indices | None = None) -> Array:
-        """f of lobes, by default all, at unit vectors (P, 3) in 1/sr, 0 below the horizon: shape (n, P)."""
+        """Return f of lobes, by default all, at unit vectors (P, 3) in 1/sr, 0 below the horizon: shape (n, P)."""
         chosen = np.arange(len(self)) if chosen is None else chosen
         shape, power = self.shape_of(chosen), (chosen - 1) % (self.degree + 1)
         f = np.full((len(chosen), len(wi)), 1.0 / np.pi)
@@ -80,12 +80,14 @@ class Lobes:
         return np.where((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0), f, 0.0)
 
     def cube_roots(self, wi: Array, wo: Array) -> Array:
-        """`f^(1/3)` of all lobes, see `values`."""
+        """Return `f^(1/3)` of all lobes, see `values`."""
         return np.cbrt(self.values(wi, wo))
 
 
 def microfacet_lobe(wi: Array, wo: Array, alpha: float, tail: float = 2.0) -> Array:
-    """`D G / (4 cos(theta_i) cos(theta_o))` of a perfect reflector in 1/sr, shape (P,); below the horizon anything.
+    """Return `D G / (4 cos(theta_i) cos(theta_o))` of a perfect reflector in 1/sr, shape (P,).
+
+    Values below the horizon are undefined.
 
     Masking is that of GGX, whatever the tail; see `normal_distribution`.
     """
@@ -93,22 +95,25 @@ def microfacet_lobe(wi: Array, wo: Array, alpha: float, tail: float = 2.0) -> Ar
 
 
 def _masking(wi: Array, wo: Array, alpha: float) -> Array:
-    """That of GGX, shape (P,), with cosines of at least 1e-9."""
+    """Return the masking of GGX, shape (P,), with cosines of at least 1e-9."""
     above = (np.maximum(w, [-1.0, -1.0, 1e-9]) for w in (wi, wo))
     return GGX.isotropic(alpha).masking(*above)
 
 
 def cos_theta_h(wi: Array, wo: Array) -> Array:
-    """Cosine between the half vector of directions (P, 3) and the normal, shape (P,); 0 between opposite directions."""
+    """Return the cosine between the half vector of directions (P, 3) and the normal, shape (P,).
+
+    It is 0 between opposite directions.
+    """
     h = wi + wo
     return h[:, 2] / np.maximum(np.linalg.norm(h, axis=1), np.finfo(float).tiny)
 
 
 def cos_theta_d(wi: Array, wo: Array) -> Array:
-    """Cosine between directions (P, 3) and their half vector, shape (P,)."""
+    """Return the cosine between directions (P, 3) and their half vector, shape (P,)."""
     return np.clip(0.5 * np.linalg.norm(wi + wo, axis=1), 0.0, 1.0)
 
 
 def bernstein(x: Array, degree: int) -> Array:
-    """Bernstein polynomials of x (P,) in [0, 1], shape (degree + 1, P): never negative, of sum 1."""
+    """Return the Bernstein polynomials of x (P,) in [0, 1], shape (degree + 1, P): never negative, with sum 1."""
     return np.array([comb(degree, k) * x**k * (1.0 - x) ** (degree - k) for k in range(degree + 1)])

@@ -17,15 +17,17 @@ _FEW = 512  # cosines of a block: fewer take less time than starting a thread
 
 
 def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
-    """Reflectance of a transparent medium of index (B,) relative to air, at cosines (n,) in [0, 1]; 1 beyond the
-    critical angle if eta < 1.
+    """Return the reflectance of a transparent medium of index (B,) relative to air, at cosines (n,) in [0, 1].
+
+    It is 1 beyond the critical angle if eta < 1.
     """
     parallel, perpendicular = _dielectric(cos_theta, eta)
     return 0.5 * (perpendicular + parallel)
 
 
 def _dielectric(cos_theta: Array, eta: Array) -> tuple[Array, Array]:
-    """`fresnel_polarised` of a real index, in NumPy: fits call it for few cosines, many times.
+    """Return `fresnel_polarised` of a real index, in NumPy, because fits call it for few cosines, many times.
+
     Source: Born & Wolf, section 1.5.2.
     """
     c = np.clip(np.asarray(cos_theta, float), 0.0, 1.0)[:, None]
@@ -42,7 +44,7 @@ def _dielectric(cos_theta: Array, eta: Array) -> tuple[Array, Array]:
 
 
 def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
-    """Reflectance of a medium of index eta + i k relative to air, (B,) or (1,), exact, at cosines (n,) in [0, 1].
+    """Return the reflectance of a medium of index eta + i k relative to air, (B,) or (1,), at cosines (n,) in [0, 1].
 
     Source: Born & Wolf, Principles of Optics, section 14.2, in the real form of Lagarde 2013, "Memo on Fresnel
     equations".
@@ -52,7 +54,10 @@ def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
 
 
 def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Array]:
-    """`fresnel_conductor` of light polarised parallel and perpendicular to the plane of incidence, (n, B) each."""
+    """Return `fresnel_conductor` for light polarised parallel and perpendicular to the plane of incidence.
+
+    Both have the shape (n, B).
+    """
     if not np.any(k):
         return _dielectric(cos_theta, eta)
     eta, k = _same_shape(eta, k)
@@ -68,9 +73,10 @@ def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Ar
 def fresnel_thin_film(
     cos_theta: Array, wavelengths_nm: Array, film_eta: Array, thickness_nm: float, eta: Array, k: Array
 ) -> Array:
-    """Reflectance (n, B) of a transparent film on a base of index eta + i k (B,), all internal reflections summed.
-    Cosines (n,) are in [0, 1], wavelengths (B,) in air, the film's index (B,) at least 1; a thickness of 0 is the bare
-    base.
+    """Return the reflectance (n, B) of a transparent film on a base of index eta + i k (B,).
+
+    All internal reflections are summed. Cosines (n,) are in [0, 1], wavelengths (B,) in air, the film's index
+    (B,) is at least 1; a thickness of 0 is the bare base.
 
     Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently; Belcour & Barla
     2017, whose spectral integration to RGB is not needed here.
@@ -83,5 +89,5 @@ def fresnel_thin_film(
 
 
 def _same_shape(*values: Array) -> list[Array]:
-    """Values per band, (B,) or (1,), all as contiguous arrays (B,)."""
+    """Return values per band, (B,) or (1,), as contiguous arrays (B,)."""
     return [np.ascontiguousarray(a, float) for a in np.broadcast_arrays(*map(np.atleast_1d, values))]

@@ -67,12 +67,15 @@ class GGX:
 
     @classmethod
     def isotropic(cls, alpha: float) -> GGX:
-        """The GGX surface of roughness `alpha` (> 0; the width of the slope distribution)."""
+        """Return the GGX surface of roughness `alpha` (> 0; the width of the slope distribution)."""
         return cls.anisotropic(alpha, alpha)
 
     @classmethod
     def anisotropic(cls, alpha_x: float, alpha_y: float, rotation_rad: float = 0.0) -> GGX:
-        """Roughness `alpha_x` along an axis turned by `rotation_rad` from x, `alpha_y` across it."""
+        """Return a surface with two roughnesses.
+
+        `alpha_x` holds along an axis turned by `rotation_rad` from x, and `alpha_y` across it.
+        """
         for name, alpha in (("alpha_x", alpha_x), ("alpha_y", alpha_y)):
             if not (np.isfinite(alpha) and alpha > 0):
                 raise UsageError(f"{name} is {alpha}, expected a roughness above 0, such as 0.1")
@@ -81,7 +84,7 @@ class GGX:
 
     @classmethod
     def skewed(cls, matrix: Array) -> GGX:
-        """The surface stretched by any invertible map of the plane, shape (2, 2) or embedded in (3, 3)."""
+        """Return the surface stretched by any invertible map of the plane, shape (2, 2) or embedded in (3, 3)."""
         m = np.asarray(matrix, dtype=np.float64)
         if m.shape == (2, 2):
             m = np.block([[m, np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]])
@@ -89,7 +92,7 @@ class GGX:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether both roughnesses are equal (to 1e-12)."""
+        """Return whether both roughnesses are equal (to 1e-12)."""
         alpha_x, alpha_y = self.alphas
         return abs(alpha_x - alpha_y) <= 1e-12 * alpha_x
 
@@ -117,11 +120,11 @@ class GGX:
         return abs(float(np.linalg.det(self.transform)))
 
     def stretched_length(self, w: Array) -> Array:
-        """|M^-1 w|, shape (...): the cosine of the transformed direction is w_z over this."""
+        """Return |M^-1 w|, shape (...); the cosine of the transformed direction is w_z over this."""
         return np.sqrt(_squared_length(self._inverse, w))
 
     def D(self, wm: Array) -> Array:
-        """Density of microfacet normals per solid angle and surface area in 1/sr, shape (...); 0 below.
+        """Return the density of microfacet normals per solid angle and surface area in 1/sr, shape (...); 0 below.
 
         Normalised so that the integral of D(wm) <wm, n> over the hemisphere is 1.
         """
@@ -130,16 +133,18 @@ class GGX:
         return np.where(wm[..., 2] > 0, self._determinant / (np.pi * stretched**2), 0.0)
 
     def masking(self, wi: Array, wo: Array) -> Array:
-        """G2 / (4 cos_i cos_o), height-correlated, shape (...), for directions above the horizon; symmetric."""
+        """Return g2 / (4 cos_i cos_o), height-correlated, shape (...), for directions above the horizon; symmetric."""
         # The cosines are cancelled, so grazing directions lose no digits.
         return 0.5 / (wi[..., 2] * self.stretched_length(wo) + wo[..., 2] * self.stretched_length(wi))
 
     def reflection_factor(self, wi: Array, wo: Array) -> Array:
-        """D G2 / (4 cos_i cos_o) in 1/sr, shape (...), for directions above the horizon; symmetric."""
+        """Return D G2 / (4 cos_i cos_o) in 1/sr, shape (...), for directions above the horizon; symmetric."""
         return self.D(half_vector(wi, wo)) * self.masking(wi, wo)
 
     def sample_visible_normal(self, wi: Array, u: Array) -> Array:
-        """Normals (..., 3) that `wi` (..., 3) above the horizon sees, of density G1 <wi, wm> D / cos_i, for u (..., 2).
+        """Return normals (..., 3) that `wi` (..., 3) above the horizon sees, for variates u (..., 2).
+
+        Their density is G1 <wi, wm> D / cos_i.
 
         Source: Dupuy & Benyoub 2023, listing 3.
         """
@@ -151,12 +156,12 @@ class GGX:
         return normalize(h @ self._inverse)  # M^-T h, row vectors
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
-        """Density in 1/sr of the directions that visible normals mirror `wi` to, shape (...)."""
+        """Return the density in 1/sr of the directions to which visible normals mirror `wi`, shape (...)."""
         d = self.D(half_vector(wi, wo))
         return d / (2.0 * (self.stretched_length(wi) + wi[..., 2]))
 
     def albedo_table(self, reflectance: Array) -> AlbedoTable:
-        """Directional albedo of single scattering with a Fresnel reflectance given at `facet_cosines()`.
+        """Return the directional albedo of single scattering with a Fresnel reflectance given at `facet_cosines()`.
 
         Args:
             reflectance: shape (n_cosines, B).
@@ -164,7 +169,7 @@ class GGX:
         return AlbedoTable(self, _facet_moments(*self.alphas) @ reflectance)
 
     def _table_coordinates(self, w: Array) -> tuple[Array, Array]:
-        """Stretched elevation and azimuth of directions (n, 3), both mapped to [0, 1]."""
+        """Return the stretched elevation and azimuth of directions (n, 3), both mapped to [0, 1]."""
         (alpha_x, alpha_y), rotation = self._principal
         plane = (w[:, :2] @ rotation.T) * (alpha_x, alpha_y)
         z = w[:, 2] / np.sqrt(plane[:, 0] ** 2 + plane[:, 1] ** 2 + w[:, 2] ** 2)
@@ -176,15 +181,16 @@ class GGX:
 
 @dataclass(frozen=True, eq=False)
 class AlbedoTable:
-    """Directional albedo over stretched elevation and azimuth, shape (elevations, azimuths, B); one azimuth for an
-    isotropic surface.
+    """The directional albedo over stretched elevation and azimuth, shape (elevations, azimuths, B).
+
+    An isotropic surface has one azimuth.
     """
 
     ggx: GGX
     values: Array
 
     def __call__(self, w: Array) -> Array:
-        """Albedo of directions (n, 3) above the horizon, shape (n, B), interpolated linearly."""
+        """Return the albedo of directions (n, 3) above the horizon, shape (n, B), interpolated linearly."""
         elevation, azimuth = self.ggx._table_coordinates(w)
         n_rows, n_columns, n_bands = self.values.shape
         row, s = _cell(elevation, n_rows)
@@ -206,8 +212,9 @@ class AlbedoTable:
 
 @dataclass(frozen=True, eq=False)
 class GGXMixture:
-    """Isotropic GGX microsurfaces, pairs of the share of the area and roughness alpha, shares with sum 1; it stands in
-    for a `GGX`.
+    """Isotropic GGX microsurfaces as pairs of the share of the area and roughness alpha, in place of a `GGX`.
+
+    The shares sum to 1.
     """
 
     parts: Sequence[tuple[float, float]]
@@ -226,11 +233,11 @@ class GGXMixture:
         return tuple((share, GGX.isotropic(alpha)) for share, alpha in self.parts)
 
     def reflection_factor(self, wi: Array, wo: Array) -> Array:
-        """D G2 / (4 cos_i cos_o) in 1/sr, shape (...), as `GGX.reflection_factor`."""
+        """Return D G2 / (4 cos_i cos_o) in 1/sr, shape (...), as `GGX.reflection_factor`."""
         return sum(share * ggx.reflection_factor(wi, wo) for share, ggx in self._surfaces)  # type: ignore[return-value]
 
     def sample_visible_normal(self, wi: Array, u: Array) -> Array:
-        """Normals (n, 3), as `GGX.sample_visible_normal`."""
+        """Return normals (n, 3) for the same arguments as `GGX.sample_visible_normal`."""
         part, u = choose_lobe(np.array([share for share, _ in self.parts]), u)
         normals = np.empty_like(wi)
         for k, (_, ggx) in enumerate(self._surfaces):
@@ -238,11 +245,11 @@ class GGXMixture:
         return normals
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
-        """Density in 1/sr of mirrored visible normals, shape (...)."""
+        """Return the density in 1/sr of mirrored visible normals, shape (...)."""
         return sum(share * ggx.pdf_reflection(wi, wo) for share, ggx in self._surfaces)  # type: ignore[return-value]
 
     def albedo_table(self, reflectance: Array) -> MixedAlbedo:
-        """Directional albedo of single scattering, as `GGX.albedo_table`."""
+        """Return the directional albedo of single scattering; the argument is that of `GGX.albedo_table`."""
         return MixedAlbedo([(share, ggx.albedo_table(reflectance)) for share, ggx in self._surfaces])
 
 
@@ -253,7 +260,7 @@ class MixedAlbedo:
     parts: Sequence[tuple[float, AlbedoTable]]
 
     def __call__(self, w: Array) -> Array:
-        """Albedo of directions (n, 3) above the horizon, shape (n, B)."""
+        """Return the albedo of directions (n, 3) above the horizon, shape (n, B)."""
         return sum(share * table(w) for share, table in self.parts)  # type: ignore[return-value]
 
     @cached_property
@@ -263,19 +270,19 @@ class MixedAlbedo:
 
 
 def _squared_length(matrix: Array, w: Array) -> Array:
-    """|A w|^2, shape (...), of a map A of the plane and vectors (..., 3)."""
+    """Return |A w|^2, shape (...), of a map A of the plane and vectors (..., 3)."""
     x, y, z = w[..., 0], w[..., 1], w[..., 2]
     (a, b, _), (c, d, _), _ = matrix
     return (a * x + b * y) ** 2 + (c * x + d * y) ** 2 + z * z
 
 
 def facet_cosines() -> Array:
-    """The cosines between direction and facet at which `GGX.albedo_table` needs the Fresnel reflectance."""
+    """Return the cosines between direction and facet at which `GGX.albedo_table` needs the Fresnel reflectance."""
     return np.linspace(0.0, 1.0, _N_COSINES)
 
 
 def normal_distribution(cos_theta_h: Array, alpha: float, tail: float) -> Array:
-    """Density of microfacet normals in 1/sr; the integral of `D cos(theta_h)` over the hemisphere is 1.
+    """Return the density of microfacet normals in 1/sr; the integral of `D cos(theta_h)` over the hemisphere is 1.
 
     `D ~ (1 - (1 - alpha^2) cos^2(theta_h))^-tail` for alpha below 1; GGX has the tail 2, less has longer tails.
 
@@ -287,7 +294,7 @@ def normal_distribution(cos_theta_h: Array, alpha: float, tail: float) -> Array:
 
 
 def sample_normals(u: Array, alpha: float, tail: float) -> Array:
-    """Normals (P, 3) of density `D cos(theta_h)`, D of `normal_distribution`, for uniform variates u (P, 2)."""
+    """Return normals (P, 3) of density `D cos(theta_h)` by `normal_distribution`, for uniform variates u (P, 2)."""
     a2 = alpha * alpha
     x = (a2 ** (1.0 - tail) * (1.0 - u[:, 1]) + u[:, 1]) ** (1.0 / (1.0 - tail))
     sin_squared = np.clip((x - a2) / (1.0 - a2), 0.0, 1.0)
@@ -296,7 +303,7 @@ def sample_normals(u: Array, alpha: float, tail: float) -> Array:
 
 
 def _cell(x: Array, n: int) -> tuple[Indices, Array]:
-    """Index of the left node and the fraction past it, for x in [0, 1] over n even nodes."""
+    """Return the index of the left node and the fraction past it, for x in [0, 1] over n even nodes."""
     position = x * (n - 1)
     left = np.clip(position.astype(np.intp), 0, n - 2)
     return left, position - left
@@ -308,8 +315,9 @@ def _blend(a: Array, b: Array, t: Array) -> Array:
 
 @lru_cache(maxsize=256)
 def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
-    """Directional albedo as a linear map of the Fresnel reflectance at `facet_cosines()`, read-only, shape (elevations,
-    azimuths, n_cosines).
+    """Return the directional albedo as a linear map of the Fresnel reflectance at `facet_cosines()`, read-only.
+
+    Its shape is (elevations, azimuths, n_cosines).
 
     E(wi) is the mean of F(<wi, h>) G2 / G1(wi) over visible normals h: by Gauss-Legendre over the height of the cap and
     an even azimuth, F being linear between the cosines. One table serves any Fresnel term.

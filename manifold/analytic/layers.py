@@ -45,12 +45,12 @@ class Immersed(AnalyticBRDF):
         return self.brdf.is_isotropic
 
     def _inside(self, w: Array) -> Array:
-        """Directions (n, 3) after refraction."""
+        """Return directions (n, 3) after refraction."""
         plane = w[:, :2] / self.eta
         return np.column_stack([plane, np.sqrt(1.0 - np.sum(plane**2, axis=-1))])
 
     def _outside(self, inner: Array) -> Array:
-        """Directions (n, 3) refracted to `inner`; below the horizon where that is, or where the light stays inside."""
+        """Return directions (n, 3) refracted to `inner`, below the horizon if `inner` is or the light stays inside."""
         plane = inner[:, :2] * self.eta
         squared = np.sum(plane**2, axis=-1)
         outer = np.column_stack([plane, np.sqrt(np.maximum(1.0 - squared, 0.0))])
@@ -135,8 +135,9 @@ class _Compound(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class MixedBRDF(_Compound):
-    """A weighted sum of BRDFs with the same bands, such as flakes of several kinds side by side: pairs (weight, BRDF),
-    weights at least 0 with a sum above 0 and at most 1.
+    """A weighted sum of BRDFs with the same bands, such as flakes of several kinds side by side.
+
+    Components are pairs (weight, BRDF), weights at least 0 with a sum above 0 and at most 1.
     """
 
     components: Sequence[tuple[float, BRDF]]

@@ -38,7 +38,7 @@ class _RoughReflector(AnalyticBRDF):
 
     @abstractmethod
     def reflectance(self, cos_theta: Array) -> Array:
-        """Fresnel reflectance of a facet at cosines (n,), shape (n, B) or (n, 1)."""
+        """Return the Fresnel reflectance of a facet at cosines (n,), shape (n, B) or (n, 1)."""
 
     @property
     def is_isotropic(self) -> bool:
@@ -69,7 +69,7 @@ class _RoughReflector(AnalyticBRDF):
         return lost if self.multiple_scattering and lost > 1e-9 else 0.0
 
     def _loss(self, w: Array) -> Array:
-        """1 - E(w), shape (n,)."""
+        """Return 1 - E(w), shape (n,)."""
         return np.maximum(1.0 - self._white(w)[:, 0], 0.0)
 
     def _eval(self, wi: Array, wo: Array) -> Array:
@@ -172,8 +172,9 @@ class ThinFilm(_RoughReflector):
 
 @dataclass(frozen=True, eq=False)
 class RoughDielectric(_RoughReflector):
-    """The reflection of a rough dielectric boundary, of an index above 0 relative to air, shape (B,) or a single
-    number; transmitted light is lost (see `Plastic`, `Layered`).
+    """The reflection of a rough dielectric boundary, of an index above 0 relative to air, shape (B,) or a number.
+
+    Transmitted light is lost (see `Plastic`, `Layered`).
     """
 
     ggx: GGX | GGXMixture
@@ -224,7 +225,7 @@ class Plastic(AnalyticBRDF):
         return RoughDielectric(self.ggx, self.eta, self.bands)
 
     def _passed(self, w: Array) -> Array:
-        """1 - E(w): what the boundary does not reflect, shape (n, B) or (n, 1)."""
+        """Return 1 - E(w), the share that the boundary does not reflect, shape (n, B) or (n, 1)."""
         return np.maximum(1.0 - self.boundary.single_scattering(w), 0.0)
 
     @cached_property

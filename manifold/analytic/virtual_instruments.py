@@ -30,8 +30,9 @@ _FLAKY = ("metallic", "flake", "iridescent")
 
 
 def ma_t12_readings(brdf: BRDF, name: str, rng: np.random.Generator | None = None) -> Readings:
-    """Readings at the 12 geometries; the BRDF must have `MA_T12_BANDS`, or be RGB. `rng` adds noise: 0.3 % of the
-    value, and 3e-4 of reflectance factor.
+    """Return readings at the 12 geometries of a BRDF that has `MA_T12_BANDS` or is RGB.
+
+    `rng` adds noise: 0.3 % of the value, and 3e-4 of reflectance factor.
     """
     wi, wo = geometry_ma_t12()
     R = np.pi * np.asarray(brdf.eval(wi, wo), dtype=float)
@@ -45,8 +46,10 @@ def ma_t12_readings(brdf: BRDF, name: str, rng: np.random.Generator | None = Non
 
 
 def mini_diff_table(brdf: BRDF, rng: np.random.Generator | None) -> tuple[Array, Array]:
-    """The whole table of a Mini-Diff V2, padding included: angles in radians (P, 4), theta_i, phi_i, theta_s, phi_s,
-    and f in 1/sr (P, B). `rng` adds noise: 1 % of the value, and 2e-4 in 1/sr, so that dark values may be negative.
+    """Return the whole table of a Mini-Diff V2, with padding: angles in radians (P, 4) and f in 1/sr (P, B).
+
+    The angles are theta_i, phi_i, theta_s, phi_s. `rng` adds noise: 1 % of the value, and 2e-4 in 1/sr, so
+    that dark values may be negative.
     """
     phi, theta = np.meshgrid(np.arange(0.0, 360.0, 10.0), np.arange(1.0, 91.0), indexing="ij")
     phi_s = np.deg2rad(np.concatenate([[0.0], phi.reshape(-1)]))
@@ -71,7 +74,7 @@ def mini_diff_table(brdf: BRDF, rng: np.random.Generator | None) -> tuple[Array,
 
 
 def write_mini_diff(path: Path, brdf: BRDF, name: str, rng: np.random.Generator | None = None) -> None:
-    """An ASTM file as a Mini-Diff V2 writes it: `VARS` names no phi_s, and what lies beyond 75 degrees is a ramp."""
+    """Write an ASTM file like a Mini-Diff V2: `VARS` names no phi_s, and values beyond 75 degrees form a ramp."""
     angles, values = mini_diff_table(brdf, rng)
     heads = ",".join(f"{nm:g}nm" for nm in brdf.bands.wavelengths_nm or ())
     lines = [
@@ -88,7 +91,7 @@ def write_mini_diff(path: Path, brdf: BRDF, name: str, rng: np.random.Generator 
 def write_ma_t12(
     path: Path, brdf: BRDF, name: str, rng: np.random.Generator, *, flakes: bool = False
 ) -> None:
-    """A workbook as the MA-T12's program exports it, texture included."""
+    """Write a workbook like the MA-T12's program, texture included."""
     entries = [
         {
             "Name": name,
@@ -104,7 +107,7 @@ def write_ma_t12(
 
 
 def _flake_image(rng: np.random.Generator, flakes: bool) -> bytes:
-    """A grey PNG picture of the surface, with bright flakes or without."""
+    """Return a grey PNG picture of the surface, with bright flakes or without."""
     from PIL import Image
 
     grey = 90.0 + 4.0 * rng.standard_normal((64, 64))
@@ -128,8 +131,9 @@ def write(
     seed: int = 0,
     materials: Callable[[], tuple[Material, ...]] = isotropic_materials,
 ) -> list[Path]:
-    """Readings by `ma-t12` (workbooks) or `mini-diff` (ASTM) of every isotropic material of the corpus, one file each,
-    in a folder, made if missing.
+    """Write readings by `ma-t12` (workbooks) or `mini-diff` (ASTM) of every isotropic material of the corpus.
+
+    Each material has one file in the folder, which is made if missing.
     """
     bands, suffix = INSTRUMENTS[instrument]
 

@@ -81,7 +81,7 @@ class Consistency:
     findings: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {name: plain(value) for name, value in vars(self).items()}
 
 
@@ -110,7 +110,7 @@ def check_consistency(file: BsdfFile, *, has_exact_luminance: bool = True) -> Co
 
 
 def _measure(file: BsdfFile, filled: Mask) -> tuple[Array, Array]:
-    """Albedo (P, T, B) at the incidences of a file, and reciprocity (P, T)."""
+    """Return the albedo (P, T, B) at the incidences of a file, and reciprocity (P, T)."""
     brdf = MeasuredBRDF(file)
     elevations = np.minimum(file.theta_i_rad.astype(float), HORIZON)
     albedo = brdf.albedo(from_spherical(elevations, file.phi_i_rad[:, None]), resolution=32)
@@ -118,7 +118,7 @@ def _measure(file: BsdfFile, filled: Mask) -> tuple[Array, Array]:
 
 
 def _reciprocity(file: BsdfFile, brdf: MeasuredBRDF, filled: Mask) -> Array:
-    """Median of f(wi, wo) / f(wo, wi) over the filled cells of each slice, both up to 75 degrees, (P, T)."""
+    """Return the median of f(wi, wo) / f(wo, wi) over the filled cells of each slice, both up to 75 degrees, (P, T)."""
     ratios = np.full(filled.shape[:2], np.nan)
     brdf = brdf.select_bands(list(evenly_spaced(file.bands.count, _MOST_BANDS)))
     least_cosine = np.cos(np.deg2rad(_STEEPEST_DEG))
@@ -134,7 +134,7 @@ def _reciprocity(file: BsdfFile, brdf: MeasuredBRDF, filled: Mask) -> Array:
 
 
 class _LuminanceComparison(NamedTuple):
-    """What the luminance of cells tells about their values.
+    """A comparison of the luminance of cells with their values.
 
     Attributes:
         findings: about slices that disagree as a whole.
@@ -193,8 +193,9 @@ def _compare_luminance(file: BsdfFile) -> _LuminanceComparison:
 
 
 class _Change(NamedTuple):
-    """A factor of a part of the luminance of some cells, in words; the share of them that then agrees; and all that do,
-    (P, T, H, W).
+    """A factor on a part of some cells' luminance, the share of them that then agrees, and all that agree.
+
+    The last is a mask (P, T, H, W).
     """
 
     words: str
@@ -203,7 +204,7 @@ class _Change(NamedTuple):
 
 
 def _likeliest_change(parts: dict[str, Array], total: Array, expected: Array, cells: Mask) -> _Change:
-    """The change of one part of the luminance that explains the most cells (P, T, H, W)."""
+    """Return the change of one part of the luminance that explains the most cells (P, T, H, W)."""
     changes, is_rgb = [], len(parts) > 1
     for name, part in parts.items():
         rest = total - part
@@ -216,7 +217,7 @@ def _likeliest_change(parts: dict[str, Array], total: Array, expected: Array, ce
 
 
 def _agree(total: Array, expected: Array, is_rgb: bool) -> Mask:
-    """Whether luminances of cells (P, T, H, W) are the same but for a tolerance and the noise of dark cells."""
+    """Return whether luminances of cells (P, T, H, W) agree within a tolerance and the noise of dark cells."""
     tolerance = _LUMINANCE_TOLERANCE if is_rgb else _SPECTRAL_LUMINANCE_TOLERANCE
     noise = 0.1 * tolerance * np.mean(np.abs(expected), axis=(2, 3), keepdims=True)
     largest = np.maximum(np.abs(total), np.abs(expected))
@@ -224,7 +225,7 @@ def _agree(total: Array, expected: Array, is_rgb: bool) -> Mask:
 
 
 def _has_warp_of_visible_normals(file: BsdfFile) -> bool:
-    """Whether `vndf` follows from `ndf`, as in measured files; files that this package writes have another warp."""
+    """Return whether `vndf` follows from `ndf`, as in measured files but not in files of this package."""
     nodes = file.ndf.shape[1]
     if file.vndf.shape[2:] != (nodes, nodes):
         return False
@@ -242,8 +243,9 @@ def _has_warp_of_visible_normals(file: BsdfFile) -> bool:
 
 
 def _disagreeing_cells(file: BsdfFile, filled: Mask, implied: Array) -> tuple[tuple[Cell, ...], BsdfFile]:
-    """Values far from all their neighbours, and the likeliest value of each cell that disagrees with its luminance,
-    farthest first; and the file with values in their place that agree.
+    """Find values far from all their neighbours, and the likeliest value of each cell that disagrees.
+
+    Return these cells, farthest first, and the file with values in their place that agree with the luminance.
     """
     disagreeing, spectra = [], file.spectra.copy(order="K")
     for p, t in np.argwhere(np.any(filled, axis=(2, 3))):
@@ -269,13 +271,13 @@ def _disagreeing_cells(file: BsdfFile, filled: Mask, implied: Array) -> tuple[tu
 
 
 def _likeliest_channel(values: Array, implied: Array, around: Array, floor: float) -> int:
-    """The channel of a cell (3,) that comes nearest to its neighbours by its implied value."""
+    """Return the channel of a cell (3,) that comes nearest to its neighbours by its implied value."""
     gain = np.abs(values - around) - np.abs(implied - around)
     return int(np.argmax(gain / (np.abs(around) + floor)))
 
 
 def _median_around(values: Array, filled: Mask, i: int, j: int) -> Array:
-    """Medians (B,) of the filled neighbours of a cell of values (B, H, W), else 0, which empty cells hold."""
+    """Return the medians (B,) of the filled neighbours of a cell of values (B, H, W), else 0, as in empty cells."""
     near = np.s_[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
     is_neighbour = filled[near].copy()
     is_neighbour[min(i, 1), min(j, 1)] = False
@@ -287,7 +289,7 @@ def _median_around(values: Array, filled: Mask, i: int, j: int) -> Array:
 
 
 def _neighbour_range(values: Array, filled: Mask) -> tuple[Array, Array]:
-    """Least and largest of the filled neighbours of values (B, H, W), NaN where fewer than three are filled."""
+    """Return least and largest of the filled neighbours of values (B, H, W), NaN for fewer than three."""
     H, W = filled.shape
     values, filled = np.pad(values, ((0, 0), (1, 1), (1, 1))), np.pad(filled, 1)
     for_low, for_high = np.where(filled, values, np.inf), np.where(filled, values, -np.inf)
@@ -305,7 +307,7 @@ def _neighbour_range(values: Array, filled: Mask) -> tuple[Array, Array]:
 
 
 def _of_cells(file: BsdfFile, cells: Sequence[Cell]) -> list[str]:
-    """One sentence on values that disagree, with the farthest of them."""
+    """Return a sentence on values that disagree, with the farthest of them."""
     if not cells:
         return []
     p, t, b, row, column = cells[0].at
@@ -319,7 +321,7 @@ def _of_cells(file: BsdfFile, cells: Sequence[Cell]) -> list[str]:
 
 
 def _of_albedo(file: BsdfFile, albedo: Array) -> list[str]:
-    """One sentence where more light is reflected than arrives."""
+    """Return a sentence if more light is reflected than arrives."""
     limits = np.where(_is_measured(file), _MOST_ALBEDO, _MOST_ALBEDO_GRAZING)
     is_off = albedo.max(axis=2) > limits
     if not np.any(is_off):
@@ -330,7 +332,7 @@ def _of_albedo(file: BsdfFile, albedo: Array) -> list[str]:
 
 
 def _of_colours(file: BsdfFile, albedo: Array) -> list[str]:
-    """One sentence where an albedo in RGB is a colour that no reflectance from 0 to 1 has."""
+    """Return a sentence if an albedo in RGB is a colour that no reflectance from 0 to 1 has."""
     normals, extent = _solid_of_reflectances()
     norm = np.linalg.norm(albedo, axis=2)
     beyond = np.max(albedo @ normals.T - extent, axis=2)
@@ -349,7 +351,7 @@ def _of_colours(file: BsdfFile, albedo: Array) -> list[str]:
 
 @lru_cache(maxsize=1)
 def _solid_of_reflectances() -> tuple[Array, Array]:
-    """Normals (K, 3) of the solid of all reflectances from 0 to 1 under D65 in linear sRGB, and its extent along each.
+    """Return normals (K, 3) of the solid of all reflectances from 0 to 1 under D65 in linear sRGB, and its extents.
 
     Source: Schroedinger 1920; the extent is reached by a reflectance of 1 where the normal's response is positive.
     """
@@ -360,7 +362,7 @@ def _solid_of_reflectances() -> tuple[Array, Array]:
 
 
 def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]:
-    """Sentences on bands of a spectral file that are negative, or unlike the bands on both sides."""
+    """Return sentences on bands of a spectral file that are negative, or unlike the bands on both sides."""
     labels, sentences = file.bands.labels, []
     negative = negative_share.max(axis=(0, 1))
     if np.any(negative > _MOST_NEGATIVE):
@@ -383,7 +385,7 @@ def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]
 
 
 def _of_incidences(file: BsdfFile, albedo: Array, reciprocity: Array) -> list[str]:
-    """Sentences on incidences whose mean albedo (P, T) is unlike those on both sides, and on exchanged directions."""
+    """Return sentences on incidences whose mean albedo (P, T) is unlike those on both sides, and on reciprocity."""
     sentences = []
     is_step = _is_step(albedo[:, :-2], albedo[:, 1:-1], albedo[:, 2:])
     for p, t in np.argwhere(is_step)[:3]:
@@ -403,20 +405,20 @@ def _of_incidences(file: BsdfFile, albedo: Array, reciprocity: Array) -> list[st
 
 
 def _is_step(before: Array, here: Array, after: Array) -> Mask:
-    """Where an albedo is far above or far below both that stand beside it; negative ones count as 0."""
+    """Return a mask of albedos far above or far below both neighbours; negative ones count as 0."""
     before, here, after = (np.maximum(albedo, 0.0) for albedo in (before, here, after))
     above = here > _MOST_STEP * np.maximum(before, after) + _DARK
     return np.asarray(above | (here < np.minimum(before, after) / _MOST_STEP - _DARK))
 
 
 def _is_measured(file: BsdfFile) -> Mask:
-    """Whether slices are far enough from the horizon, (P, T)."""
+    """Return whether slices are far enough from the horizon, (P, T)."""
     is_far = np.rad2deg(file.theta_i_rad) <= _STEEPEST_DEG
     return np.broadcast_to(is_far, file.spectra.shape[:2])
 
 
 def _in_words(file: BsdfFile, slices: Indices) -> str:
-    """Slices (p, t) by their incident directions."""
+    """Describe slices (p, t) by their incident directions."""
     if len(slices) == file.spectra.shape[0] * file.spectra.shape[1]:
         return "at all incidences"
     degrees, azimuths = np.rad2deg(file.theta_i_rad), np.rad2deg(file.phi_i_rad)

@@ -41,7 +41,7 @@ _FADE = 0.5  # sine of the angle below the horizon at which their weight would b
 
 
 def default_theta_i(n: int) -> Array:
-    """Incident elevations in radians, shape (n,), placed where they lower the error most.
+    """Return incident elevations in radians, shape (n,), placed where they lower the error most.
 
     Source: docs/explanation/rgl-files.md.
 
@@ -55,7 +55,7 @@ def default_theta_i(n: int) -> Array:
 
 
 def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float, steepest: float) -> Array:
-    """Band mean of f_cos(w, w), shape of theta and phi broadcast; the nodes of theta on the last axis.
+    """Return the band mean of f_cos(w, w), shape of theta and phi broadcast; the nodes of theta on the last axis.
 
     A prediction may have no retro-reflection at normals that reflect brightly in other directions, and the normal
     distribution would give these no cells: a share of what they reflect to the side is taken as a lower bound.
@@ -74,7 +74,7 @@ def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float, steepest: fl
 
 
 def _without_pits(retro: Array, steepest: float) -> Array:
-    """The least values (..., n) above `retro` that change by no more than a factor from node to node.
+    """Return the the least values (..., n) above `retro` that change by no more than a factor from node to node.
 
     A normal distribution with pits, or with cliffs between two nodes of the outgoing grid, makes huge stored values
     beside small ones, which do not interpolate. Measured materials and GGX have neither, and stay as they are; what
@@ -90,7 +90,7 @@ def _without_pits(retro: Array, steepest: float) -> Array:
 
 
 def _without_knees(retro: Array, bend: float, exponent: float, resolution: int) -> Array:
-    """The least values (..., n) above `retro` whose logarithm is touched from above by parabolas `bend t^2`.
+    """Return the the least values (..., n) above `retro` whose logarithm is touched from above by parabolas `bend t^2`.
 
     t counts nodes of the outgoing grid at normal incidence. Where a peak ends on a pedestal within a cell, and at other
     incidences somewhere else, stored values do not interpolate, and the file has a valley beside the peak. This is the
@@ -107,7 +107,7 @@ def _without_knees(retro: Array, bend: float, exponent: float, resolution: int) 
 
 
 def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
-    """Normal distribution and projected area at the WARP_NODES elevations, each shape (WARP_NODES,)."""
+    """Return the normal distribution and projected area at the WARP_NODES elevations, each shape (WARP_NODES,)."""
     u = np.linspace(0.0, 1.0, WARP_NODES)
     fine = (np.arange((WARP_NODES - 1) * _OVERSAMPLING) + 0.5) / ((WARP_NODES - 1) * _OVERSAMPLING)
     theta = u_to_theta(fine)
@@ -129,7 +129,7 @@ def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
 
 
 def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
-    """Normal distribution and projected area, each (rows = phi, columns = theta), WARP_NODES^2."""
+    """Return the normal distribution and projected area, each (rows = phi, columns = theta), WARP_NODES^2."""
     u = np.linspace(0.0, 1.0, WARP_NODES)
     theta, phi = u_to_theta(u), u_to_phi(u)
     m = from_spherical(theta[None, :], phi[:, None]).reshape(-1, 3)
@@ -156,13 +156,13 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
 
 
 def node_normals(n: int) -> Array:
-    """Normals (n, n, 3) of the nodes of a square grid over the unit square: rows azimuths, columns elevations."""
+    """Return the normals (n, n, 3) of the nodes of a square grid: rows are azimuths, columns elevations."""
     u = np.linspace(0.0, 1.0, n)
     return from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
 
 
 def visible_normals(ndf: Array, cos_im: Array) -> Array:
-    """Density of visible normals over the unit square (C, C), not normalised, by their cosines with `wi`, (C, C)."""
+    """Return the density of visible normals over the unit square (C, C), not normalised, by their cosines with `wi`."""
     u = np.linspace(0.0, 1.0, ndf.shape[1])
     if len(ndf) != ndf.shape[1]:  # rows are alike in isotropic files
         ndf = ndf[:1]
@@ -171,7 +171,7 @@ def visible_normals(ndf: Array, cos_im: Array) -> Array:
 
 
 def _node_density(ndf: Array, m: Array, wi: Array, exponent: float) -> Array:
-    """Density of the nodes over the unit square (C, C), not normalised: a power of the visible normals' density.
+    """Return the nodes' density over the unit square (C, C), not normalised: a power of the visible normals' density.
 
     Normals m (C, C, 3) that mirror `wi` below the horizon count less, unless the density is the instrument's own
     (exponent 1).
@@ -288,14 +288,14 @@ def measure(
 
 
 def remeasure(brdf: BRDF, file: BsdfFile) -> BsdfFile:
-    """The file with the values of another BRDF of the same bands at its nodes, its warps kept."""
+    """Return the file with the values of another BRDF of the same bands at its nodes, with the same warps."""
     cells = [one for _, _, one in cells_of(file)]
     spectra, _ = _at_nodes(brdf, file.ndf, file.sigma, cells, file.phi_i_rad, file.theta_i_rad)
     return with_luminance(replace(file, spectra=np.moveaxis(spectra, -1, 2)), cells)
 
 
 def with_luminance(file: BsdfFile, cells: list[Cells] | None = None) -> BsdfFile:
-    """The file with the `luminance` that it is sampled by: that of its values over the density of its warp.
+    """Return the file with the `luminance` that it is sampled by, from its values over the density of its warp.
 
     Where the warp is that of the visible normals, as in measured files, it is the luminance of `spectra`. The cells of
     its slices are found unless they are given.
@@ -317,7 +317,7 @@ def with_luminance(file: BsdfFile, cells: list[Cells] | None = None) -> BsdfFile
 def _at_nodes(
     brdf: BRDF, ndf: Array, sigma: Array, cells: list[Cells], phi_i: Array, theta_i: Array
 ) -> tuple[Floats, Mask]:
-    """Stored values (P, T, n, n, B) and which of them were measured (P, T, n, n)."""
+    """Return stored values (P, T, n, n, B) and a mask of those that were measured (P, T, n, n)."""
     shape = (len(phi_i), len(theta_i), *cells[0].is_above.shape)
     spectra, measured = np.zeros((*shape, brdf.bands.count), dtype=np.float32), np.empty(shape, dtype=bool)
     for (p, t), one in zip(np.ndindex(shape[:2]), cells, strict=True):
@@ -331,7 +331,7 @@ def _at_nodes(
 
 
 def _compensate(spectra: Floats, measured: Mask, phi_i: Array, theta_i: Array) -> Floats:
-    """Node values whose piecewise-linear interpolant is closest in the mean square: f - h^2 f'' / 12 per axis.
+    """Return node values whose piecewise-linear interpolant is closest in the mean square: f - h^2 f'' / 12 per axis.
 
     Interpolating samples overshoots wherever f is convex and undershoots where it is concave. The shift is
     limited to a fifth of the value, so that sharp edges do not ring and nothing turns negative.
@@ -350,5 +350,5 @@ def _compensate(spectra: Floats, measured: Mask, phi_i: Array, theta_i: Array) -
 
 
 def pack_valid(measured: Mask, version: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Bits of the `valid` field: "measured" up to pipeline version 3.1, "not measured" from 3.2 on."""
+    """Pack bits of the `valid` field: "measured" up to pipeline version 3.1, "not measured" from 3.2 on."""
     return np.packbits(measured if tuple(version) < (3, 2) else ~measured)

@@ -22,7 +22,7 @@ _FEW = 512  # pairs of directions of a block: fewer take less time than starting
 
 
 class EvaluableBRDF(Protocol):
-    """What fits, balls and slices need of a BRDF: B bands at once, directions (..., 3) that broadcast, z the normal."""
+    """The part of a BRDF that fits, balls and slices use: B bands at once, directions (..., 3), z the normal."""
 
     @property
     def bands(self) -> Bands:
@@ -30,10 +30,10 @@ class EvaluableBRDF(Protocol):
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether f is invariant under rotation of both directions about the normal."""
+        """Return whether f is invariant under rotation of both directions about the normal."""
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B); 0 where a direction is not above the horizon."""
+        """Return f in 1/sr, shape (..., B); 0 for a direction that is not above the horizon."""
 
 
 @runtime_checkable
@@ -41,28 +41,28 @@ class BRDF(EvaluableBRDF, Protocol):
     """The interface of a BRDF."""
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B): what Mitsuba's `eval` returns."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B), like Mitsuba's `eval`."""
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (..., 3) for uniform variates (..., 2), and their pdf (...) in 1/sr.
+        """Return outgoing directions (..., 3) for uniform variates (..., 2), and their pdf (...) in 1/sr.
 
         A pdf of 0 marks an invalid sample.
         """
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density in 1/sr with which `sample` returns wo, shape (...)."""
+        """Return the density in 1/sr with which `sample` returns wo, shape (...)."""
 
     def albedo(self, wi: Array) -> Array:
-        """Directional albedo, the integral of f * cos(theta_o) over outgoing directions, shape (..., B)."""
+        """Return the directional albedo, the integral of f * cos(theta_o) over outgoing directions, shape (..., B)."""
 
 
 def all_isotropic(brdfs: Iterable[BRDF]) -> bool:
-    """Whether every one is isotropic, so that direction pairs of one azimuth tell all of them."""
+    """Return whether every BRDF is isotropic, so that direction pairs of one azimuth determine all of them."""
     return all(brdf.is_isotropic for brdf in brdfs)
 
 
 def values_at(brdf: EvaluableBRDF, pairs: Pairs) -> Array:
-    """f in 1/sr at K pairs, shape (K, B); measured materials share the pairs' places in their files."""
+    """Return f in 1/sr at K pairs, shape (K, B); measured materials share the pairs' locations in their files."""
     return brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
 
 
@@ -138,7 +138,7 @@ class MeasuredBRDF(NotebookPicture):
         return f"MeasuredBRDF({self.name!r}, {self.bands})"
 
     def select_bands(self, bands: Sequence[int]) -> MeasuredBRDF:
-        """The same material in some of its bands; warps are shared.
+        """Return the material in some of its bands; warps are shared.
 
         Args:
             bands: indices, increasing. All three of an RGB material, or any of a spectral one.
@@ -156,7 +156,7 @@ class MeasuredBRDF(NotebookPicture):
         return selected
 
     def turned(self, angle_rad: float) -> MeasuredBRDF:
-        """The same sample turned by an azimuth; tables are shared."""
+        """Return the sample turned by an azimuth; tables are shared."""
         if self.is_isotropic:
             return self
         turned = copy.copy(self)
@@ -179,7 +179,7 @@ class MeasuredBRDF(NotebookPicture):
         return out
 
     def eval_at(self, pairs: Pairs) -> Array:
-        """`eval` of K pairs, shape (K, B), on one core and outside the interpreter's lock.
+        """Return `eval` at K pairs, shape (K, B), on one core and outside the interpreter's lock.
 
         For callers that distribute materials or blocks of pairs over threads.
         """
@@ -188,7 +188,7 @@ class MeasuredBRDF(NotebookPicture):
         return out
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """BRDF f in 1/sr, shape (..., B).
+        """Return f in 1/sr, shape (..., B).
 
         Args:
             wi, wo: unit vectors (..., 3) that broadcast against each other.
@@ -200,11 +200,11 @@ class MeasuredBRDF(NotebookPicture):
         return self._evaluate(wi, wo, True, out)
 
     def eval_cos(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
         return self._evaluate(wi, wo, False, out)
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
+        """Return the density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
         pairs = Pairs(wi, wo)
         out = np.empty(len(pairs))
         isotropic, repeats, rotation = self.symmetry
@@ -219,7 +219,7 @@ class MeasuredBRDF(NotebookPicture):
         return out.reshape(pairs.shape)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks an invalid sample.
+        """Return outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks an invalid sample.
 
         Args:
             wi: incident unit vectors (..., 3).
@@ -245,7 +245,9 @@ class MeasuredBRDF(NotebookPicture):
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
-        """Directional albedo, shape (..., B): the midpoint rule on resolution^2 points of the warped square.
+        """Return the directional albedo, shape (..., B).
+
+        It is computed by the midpoint rule on resolution^2 points of the warped square.
 
         There f * cos(theta_o) / pdf of the visible normals is nearly the smooth stored spectrum.
 

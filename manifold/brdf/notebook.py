@@ -27,7 +27,7 @@ class NotebookPicture:
 
 
 def ball_png(brdf: BRDF) -> bytes:
-    """A ball of a BRDF as a PNG file of 64 x 64 pixels, transparent around the ball."""
+    """Return a ball of a BRDF as a PNG file of 64 x 64 pixels, transparent around the ball."""
     from PIL import Image
 
     shown, inside = ball_image(brdf, _PIXELS)
@@ -40,12 +40,12 @@ def ball_png(brdf: BRDF) -> bytes:
 def ball_image(
     brdf: EvaluableBRDF, size: int, rings: int = _RINGS, spokes: int = _SPOKES
 ) -> tuple[Array, Mask]:
-    """A ball of a BRDF: display values (size, size, 3), and which pixels show it."""
+    """Return a ball of a BRDF as display values (size, size, 3), and a mask of the pixels that show it."""
     return _picture(brdf, ball_colours.ball(size, rings, spokes), size)
 
 
 def sun_image(brdf: EvaluableBRDF, size: int, degrees: float) -> tuple[Array, Mask]:
-    """The same under a sun so many degrees beside the view; of the ball, the lit pixels."""
+    """Return the lit pixels of a ball under a sun `degrees` beside the view, as display values, and their mask."""
     return _picture(brdf, ball_colours.sun_ball(degrees, size), size)
 
 

@@ -15,13 +15,15 @@ _DIGITS = 1  # decimals of degrees
 
 
 def aligned(file: BsdfFile) -> BsdfFile:
-    """The file as one whose normals spread most along x; the file itself where no rotation is found."""
+    """Return the file turned so that its normals spread most along x, or itself if no rotation is found."""
     rotation = rotation_of(file)
     return file if rotation is None else replace(file, rotation_rad=rotation)
 
 
 def rotation_of(file: BsdfFile) -> float | None:
-    """Azimuth in radians by which a sample is turned from where its normals spread most along x.
+    """Return the azimuth in radians by which a sample is turned.
+
+    At azimuth 0 its normals spread most along x.
 
     Highlights are wide along x then, as those of `principled` and of engines are along the tangent. From above -90 to
     90 degrees, to a tenth of a degree: second moments of the normals are the same after half a turn. None where the
@@ -36,7 +38,10 @@ def rotation_of(file: BsdfFile) -> float | None:
 
 
 def rotation_of_brdf(brdf: EvaluableBRDF) -> float | None:
-    """The same of any BRDF, by the normals that its retro-reflection tells: `4 cos^2 f(w, w)`, but for masking."""
+    """Return the azimuth in radians along which a BRDF's normals spread most, or None.
+
+    The normals follow from retro-reflection, `4 cos^2 f(w, w)`, up to masking.
+    """
     if brdf.is_isotropic:
         return None
     theta, phi = np.deg2rad(np.arange(1.0, 80.0, 2.0)), np.deg2rad(np.arange(0.0, 360.0, 5.0))
@@ -45,7 +50,7 @@ def rotation_of_brdf(brdf: EvaluableBRDF) -> float | None:
 
 
 def _widest(density: Array, theta: Array, phi: Array) -> float | None:
-    """Azimuth along which normals of a density (P, T), over steps in theta, spread most."""
+    """Return the azimuth along which normals of a density (P, T), over steps in theta, spread most."""
     # sin^2 of the elevation, over projected solid angles
     weight = (density * (np.sin(theta) ** 3 * np.cos(theta))).sum(axis=1)
     moment = np.sum(weight * np.exp(2j * phi)) / max(float(np.sum(weight)), np.finfo(float).tiny)

@@ -46,12 +46,12 @@ class ReciprocalBRDF(WrappedBRDF):
     """
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, at least 0, shape (..., B)."""
+        """Return f in 1/sr, at least 0, shape (..., B)."""
         f_cos, cos_o = self.eval_cos(wi, wo), np.asarray(wo)[..., 2:]
         return np.asarray(np.divide(f_cos, cos_o, out=np.zeros_like(f_cos), where=cos_o > 0.0))
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B)."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B)."""
         wi, wo = np.broadcast_arrays(wi, wo)
         is_above = ((wi[..., 2] > 0.0) & (wo[..., 2] > 0.0))[..., None]
         f_cos, exchanged = (np.maximum(self._brdf.eval_cos(*pair), 0.0) for pair in ((wi, wo), (wo, wi)))
@@ -66,7 +66,7 @@ class ReciprocalBRDF(WrappedBRDF):
 def physical_file(
     file: BsdfFile, measure: Callable[[int, int], BsdfFile] | None = None, *, keeps_hue: bool = False
 ) -> BsdfFile:
-    """A file that is physical, between its nodes too; one that is already is returned as it is.
+    """Return a file that is physical, between its nodes as well; a physical file is returned unchanged.
 
     Negative values become zero. A file that is not reciprocal within 5 % gets values of exchanged directions that are;
     while it does not become so, incidences are refined, then both grids, up to three times as many nodes per axis,
@@ -87,7 +87,7 @@ def physical_file(
 
 
 def _reciprocal(file: BsdfFile) -> tuple[BsdfFile, float]:
-    """A file whose impossible values are averaged with their exchanged selves, and its reciprocity error."""
+    """Average impossible values with those of exchanged directions; return the file and its reciprocity error."""
     file = replace(file, spectra=np.maximum(file.spectra, 0.0))
     measured = MeasuredBRDF(file)
     error = plausibility(measured).reciprocity_error
@@ -108,8 +108,9 @@ def _reciprocal(file: BsdfFile) -> tuple[BsdfFile, float]:
 
 
 def _changed(file: BsdfFile, brdf: BRDF, movable: Mask | None = None) -> tuple[BsdfFile, Mask]:
-    """The file with the values of a BRDF made of it, at its nodes, where these differ and may change, by default all,
-    and where that is, shape of `spectra`.
+    """Return the file with a BRDF's values at its nodes, and a mask of the changed values, shape of `spectra`.
+
+    Only values that differ and are movable, by default all, change.
     """
     changed = goniometer.remeasure(brdf, file).spectra
     is_changed = changed != goniometer.remeasure(MeasuredBRDF(file), file).spectra
@@ -123,9 +124,11 @@ class AlbedoScaledBRDF(WrappedBRDF):
     """A BRDF times s(theta_i) s(theta_o), with s below 1 only at elevations whose albedo exceeds 1."""
 
     def __init__(self, brdf: BRDF, theta_rad: Array, albedo: Array, keeps_hue: bool):
-        """Find s at elevations (T,), increasing, of albedo (T, B): s <- s sqrt(0.99 / albedo), as in symmetric Sinkhorn
-        scaling. Between them s is interpolated; with `keeps_hue` it is the same in all bands.
-        Source: Sinkhorn & Knopp 1967, for sums that may not exceed a limit.
+        """Find s at elevations (T,), increasing, of albedo (T, B), so that no albedo exceeds 1.
+
+        The iteration is s <- s sqrt(0.99 / albedo), as in symmetric Sinkhorn scaling. Between elevations s is
+        interpolated; with `keeps_hue` it is equal in all bands. Source: Sinkhorn & Knopp 1967, for sums that
+        may not exceed a limit.
         """
         super().__init__(brdf)
         self._theta = np.minimum(theta_rad, HORIZON)
@@ -149,7 +152,7 @@ class AlbedoScaledBRDF(WrappedBRDF):
         self._loss = 1.0 - scale  # exactly 0 where nothing is scaled
 
     def _hats(self, w: Array) -> Array:
-        """Weights (..., T) of the elevations between which directions lie; constant beyond the last."""
+        """Return weights (..., T) of the elevations between which directions lie; constant beyond the last."""
         theta = np.arccos(np.clip(np.asarray(w)[..., 2], 0.0, 1.0))
         return np.stack([np.interp(theta, self._theta, hat) for hat in np.eye(self._theta.size)], axis=-1)
 
@@ -157,16 +160,16 @@ class AlbedoScaledBRDF(WrappedBRDF):
         return np.asarray(1.0 - self._hats(w) @ self._loss)
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., B)."""
+        """Return f in 1/sr, shape (..., B)."""
         return self._brdf.eval(wi, wo) * self._scale(wi) * self._scale(wo)
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B)."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B)."""
         return self._brdf.eval_cos(wi, wo) * self._scale(wi) * self._scale(wo)
 
 
 def _limit_albedo(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
-    """The file, scaled down at the incidences where its albedo exceeds 1."""
+    """Scale the file down at the incidences where its albedo exceeds 1."""
     for _ in range(_DIMMINGS):
         excess = _excess_albedo(file)
         if excess.max() <= 1.0:
@@ -181,7 +184,7 @@ def _limit_albedo(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
 
 
 def _excess_albedo(file: BsdfFile) -> Array:
-    """Albedo at the file's incidences (T, B), or the largest beside one where only what lies between exceeds 1."""
+    """Return albedo at the file's incidences (T, B); an excess only between incidences counts at both neighbours."""
     measured = MeasuredBRDF(file)
     nodes_deg = np.rad2deg(np.minimum(file.theta_i_rad.astype(float), HORIZON))
     at_nodes, between = (

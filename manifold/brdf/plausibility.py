@@ -32,8 +32,9 @@ _DARK = 1e-9  # 1/sr
 def profile_pairs(
     incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG, azimuths_deg: Sequence[float] = (0.0,)
 ) -> tuple[Array, Array]:
-    """Directions wi (I, 1, 3) and wo (I, D, 3), I for all incidences at all azimuths: in the plane of incidence, around
-    the mirror direction.
+    """Return directions wi (I, 1, 3) and wo (I, D, 3) in the plane of incidence, around the mirror direction.
+
+    I counts all incidences at all azimuths.
     """
     offset = np.arange(-REACH_DEG, REACH_DEG + 1.0)
     incidence = np.array(incidences_deg)
@@ -46,8 +47,9 @@ def profile_pairs(
 
 
 def valley_depth(f: Array) -> Array:
-    """Depth of the deepest minimum of profiles f (..., D), relative to the lower of the maxima on its two sides, (...);
-    0 where all values are dark.
+    """Return the relative depth of the deepest minimum of profiles f (..., D), shape (...); 0 for dark profiles.
+
+    The depth is relative to the lower of the maxima on the minimum's two sides.
     """
     f = np.asarray(f, dtype=np.float64)
     depth = np.empty(f.shape[:-1])
@@ -56,8 +58,9 @@ def valley_depth(f: Array) -> Array:
 
 
 def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
-    """Squared depths of the valleys of blends u (K, N) beyond the mean of the depths (N,) allowed for their materials,
-    summed, (K,), and its gradient by u, (K, N).
+    """Return the summed squared depths of valleys of blends u (K, N) beyond their limit, (K,), and the gradient (K, N).
+
+    The limit of a blend is the weighted mean of the depths (N,) that are allowed for its materials.
 
     Profiles are cube roots of the materials at `profile_pairs()` or some of them, shape (N, I, D, B). Smooth in u, so
     that what minimises it does not depend on rounding: depths are summed over directions, where `valley_depth` takes
@@ -74,7 +77,7 @@ def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Ar
 def squared_valleys_of_some(
     u: Array, materials: Indices, profiles: Array, limits: Array
 ) -> tuple[Array, Array]:
-    """`squared_valleys` of blends u (K, n) of some of the materials, (K, n) indices; the gradient is (K, n), too."""
+    """Return `squared_valleys` of blends u (K, n) of some of the materials, (K, n) indices, and the gradient (K, n)."""
     flat = profiles.reshape(len(profiles), -1)
     starts = np.arange(0, u.size + 1, u.shape[1])
     blends = scipy.sparse.csr_array((u.ravel(), materials.ravel(), starts), (len(u), len(flat)))
@@ -88,8 +91,9 @@ def squared_valleys_of_some(
 
 
 def _squared(roots: Array, allowed: Array) -> tuple[Array, Indices, Array, Array]:
-    """Of blends with cube roots (K, I, D, B) and depths allowed (K,): `squared_valleys`, (K,), which blends have any,
-    (k,), and the gradients of these by their roots, (k, I D B), and by what is allowed, (k,).
+    """Return `squared_valleys` (K,), the blends that have any (k,), and the gradients by roots and limits.
+
+    Blends have cube roots (K, I, D, B) and allowed depths (K,); the gradients are (k, I D B) and (k,).
     """
     value, by_allowed, by_roots = np.zeros(len(roots)), np.zeros(len(roots)), np.empty_like(roots)
     loops.squared_valleys(roots, allowed, _DARK, value, by_roots, by_allowed)
@@ -143,8 +147,9 @@ def plausibility(brdf: BRDF) -> Plausibility:
 
 
 def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausibility]:
-    """Measure M BRDFs that are evaluated together, in blocks of a few thousand direction pairs in all; anisotropic ones
-    at eight azimuths of incidence.
+    """Measure M BRDFs that are evaluated together, in blocks of a few thousand direction pairs.
+
+    Anisotropic ones are measured at eight azimuths of incidence.
     """
     wo, _ = hemisphere_quadrature(12, 16)
     wide = [(wi, wo, np.ones(len(wo))) for wi in incident_directions(_INCIDENCES_DEG, is_isotropic)]
@@ -175,14 +180,19 @@ def plausibility_of_file(file: BsdfFile) -> Plausibility:
 
 
 def albedo_at(brdf: BRDF, elevations_deg: Sequence[float]) -> Array:
-    """Largest directional albedo over bands, and azimuths of anisotropic BRDFs, at K elevations: shape (K,)."""
+    """Return the largest directional albedo at K elevations, shape (K,).
+
+    It is the largest over bands, and over azimuths of anisotropic BRDFs.
+    """
     wi = incident_directions(elevations_deg, brdf.is_isotropic)
     return np.asarray(brdf.albedo(wi).reshape(len(elevations_deg), -1).max(axis=1))
 
 
 def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
-    """Depth of the deepest valley around the mirror direction, shape (M,): of profiles, and of geometric means of their
-    two sides, whichever is less. A rise towards grazing beside a weak highlight is no valley, nor is retroreflection.
+    """Return the depth of the deepest valley around the mirror direction, shape (M,).
+
+    It is the lesser depth of the profiles and of the geometric means of their two sides. A rise towards
+    grazing beside a weak highlight is no valley, and neither is retroreflection.
     """
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     wi, wo = np.broadcast_arrays(*profile_pairs(ASSESSED_INCIDENCES_DEG, azimuths))
@@ -193,7 +203,7 @@ def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
 
 
 def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: bool) -> Array:
-    """Incident directions (K, 3); of anisotropic BRDFs at eight azimuths each, which vary first."""
+    """Return incident directions (K, 3); for anisotropic BRDFs at eight azimuths each, which vary first."""
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
 
@@ -201,8 +211,9 @@ def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: b
 def _over_incidences(
     evaluate: Evaluate, quadratures: Iterable[tuple[Array, Array, Array]]
 ) -> tuple[Array, Array, Array]:
-    """Share of negative values and reciprocity error of M BRDFs (M,), and their albedo at K incidences (K, M), by
-    quadratures: wi (3,), wo (P, 3) and their weights in sr (P,).
+    """Return the share of negative values and the reciprocity error of M BRDFs (M,), and their albedo (K, M).
+
+    Each of the K quadratures has wi (3,), wo (P, 3) and their weights in sr (P,).
     """
     negative, squared, difference, albedo = [], [], [], []
     for incident, wo, measure in quadratures:
@@ -219,7 +230,9 @@ def _over_incidences(
 
 
 def mirror_difference(brdf: BRDF, other: BRDF) -> float:
-    """Difference of another BRDF within five degrees of mirror directions, at incidences of 15, 20, ... 75 degrees.
+    """Return the difference of two BRDFs near mirror directions.
+
+    It covers five degrees around them, at incidences of 15, 20, ... 75 degrees.
 
     It is `sum |f* - f| / sum f` over directions and bands at each incidence (and azimuth), the largest of these;
     negative values count as 0.
@@ -234,8 +247,9 @@ def mirror_difference(brdf: BRDF, other: BRDF) -> float:
 
 
 def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
-    """Directional albedo of a BRDF at unit vectors wi (..., 3) by quadrature over half vectors, `resolution` nodes in
-    elevation and in azimuth, shape (..., B).
+    """Return the directional albedo at unit vectors wi (..., 3) by quadrature over half vectors, shape (..., B).
+
+    `resolution` is the number of nodes in elevation and in azimuth.
     """
     wi = require_directions(wi, "wi")
     flat = wi.reshape(-1, 3)
@@ -247,7 +261,7 @@ def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
 
 
 def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:
-    """Outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
+    """Return outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
 
     Nodes are half vectors, in elevation Gauss-Legendre in its fourth root, so that lobes down to alpha = 0.02
     are resolved; d omega_o = 4 <wi, m> d omega_m.

@@ -20,8 +20,9 @@ class WeightedSum:
     def __init__(
         self, materials: Sequence[MeasuredBRDF], weights: Sequence[float] | Array, *, cube_root: bool
     ):
-        """Prepare a sum of f, or of its cube roots, over materials of the same bands, by weights used in single
-        precision.
+        """Prepare a sum of f, or of its cube roots, over materials of the same bands.
+
+        Weights are used in single precision.
         """
         self._cube_root = cube_root
         terms: dict[
@@ -36,8 +37,9 @@ class WeightedSum:
         ]
 
     def add_to(self, total: Array, pairs: Pairs) -> None:
-        """Add the sum at K direction pairs to a total (K, B), of `dtype`, C-contiguous, on one core and outside the
-        interpreter's lock; pairs below the horizon add nothing.
+        """Add the sum at K direction pairs to a total (K, B), of `dtype`, C-contiguous.
+
+        It runs on one core and outside the interpreter's lock; pairs below the horizon add nothing.
         """
         for symmetry, tables, weights in self._groups:
             loops.add_located(pairs.located(*symmetry), tables, weights, self._cube_root, total)

@@ -40,9 +40,10 @@ class Cells:
     def seen_from(
         cls, warp: Warp, phi_i: float, theta_i: float, shape: tuple[int, ...], *, is_isotropic: bool
     ) -> Cells:
-        """The cells of a grid (R, C) under the warp of the visible normals, at an incident direction in radians; on the
-        horizon its limit is taken. Azimuths of half vectors of an isotropic file count from that of the incident
-        direction.
+        """Return the cells of a grid (R, C) under the warp of the visible normals, at an incident direction in radians.
+
+        On the horizon its limit is taken. Azimuths of half vectors of an isotropic file count from that of
+        the incident direction.
         """
         rows, columns = (np.linspace(0.0, 1.0, n) for n in shape)
         points, density = warp.sample(np.stack(np.meshgrid(columns, rows), axis=-1), phi_i, theta_i)
@@ -57,7 +58,7 @@ class Cells:
 def cells_of(
     file: BsdfFile, slices: Iterable[Sequence[int]] | None = None
 ) -> Iterator[tuple[int, int, Cells]]:
-    """The cells of a file's slices with their indices p of azimuth and t of elevation; of all slices by default."""
+    """Yield the cells of a file's slices, all by default, with their indices p of azimuth and t of elevation."""
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     shape = file.spectra.shape
     for p, t in np.ndindex(shape[:2]) if slices is None else slices:
@@ -72,7 +73,7 @@ _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 
 def unmeasured_cells(file: BsdfFile) -> Mask:
-    """Cells above the horizon that are zero in all bands or marked as not measured, bool, shape (P, T, H, W)."""
+    """Return a mask of cells above the horizon that are zero in all bands or not measured, shape (P, T, H, W)."""
     unmeasured: Mask = np.all(file.spectra == 0, axis=2) | np.logical_not(file.measured_mask)
     suspects = np.any(unmeasured, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
     if not np.any(suspects):
@@ -84,7 +85,7 @@ def unmeasured_cells(file: BsdfFile) -> Mask:
 
 
 def find_rim(file: BsdfFile) -> Mask:
-    """Cells with directions above the horizon, too close to it to be measured, bool, shape (P, T, H, W)."""
+    """Return a mask of cells above the horizon that are too close to it to be measured, bool, shape (P, T, H, W)."""
     rim = np.zeros_like(file.measured_mask)
     for p, t, cells in cells_of(file):
         rim[p, t] = cells.is_above & (cells.wo[..., 2] <= _LEAST_COSINE)
@@ -92,20 +93,22 @@ def find_rim(file: BsdfFile) -> Mask:
 
 
 def unmeasured_share(file: BsdfFile, cells: Mask) -> float:
-    """Unmeasured cells (P, T, H, W) as a share of the cells that should hold something."""
+    """Return unmeasured cells (P, T, H, W) as a share of the cells that should hold a value."""
     expected = np.any(file.spectra != 0, axis=2) | cells
     return float(np.sum(cells) / max(int(np.sum(expected)), 1))
 
 
 def blank_unmeasured(file: BsdfFile) -> BsdfFile:
-    """The same file with NaN in its unmeasured cells, and so wherever a value would be interpolated from one."""
+    """Return the file with NaN in its unmeasured cells, and so in every value interpolated from one."""
     cells = unmeasured_cells(file)
     return replace(file, spectra=np.where(cells[:, :, None], np.float32(np.nan), file.spectra))
 
 
 def fill_unmeasured(file: BsdfFile, cells: Mask | None = None, *, copy: bool = True) -> BsdfFile:
-    """The same file with its unmeasured cells, found unless they are given, filled from their rims inwards; the file
-    itself where it has none. Without a copy, its spectra, which must be writeable, are filled.
+    """Return the file with its unmeasured cells, found unless they are given, filled from their rims inwards.
+
+    A file without such cells is returned itself. Without a copy, its spectra, which must be writeable, are
+    filled.
 
     Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice without any
     known cell stays as it is.

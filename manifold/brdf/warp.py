@@ -22,7 +22,7 @@ _DENSITY, _SAMPLE, _INVERT = range(3)  # modes of `map_points`
 
 
 def interpolate(table: Array, points: Array) -> Array:
-    """Values of an (R, C) table at points (K, 2) of the unit square, clamped to it, shape (K,)."""
+    """Return the values of an (R, C) table at points (K, 2) of the unit square, clamped to it, shape (K,)."""
     out = np.empty(len(points))
     loops.interpolate(table, points, out)
     return out
@@ -83,19 +83,19 @@ class Warp:
         return out.reshape(*shape, 3)
 
     def evaluate(self, points: Array, phi: Array | float = 0.0, theta: Array | float = 0.0) -> Array:
-        """Density at points (..., 2) of the unit square for parameters in radians, shape (...)."""
+        """Return the density at points (..., 2) of the unit square for parameters in radians, shape (...)."""
         return self._run(_DENSITY, points, phi, theta)[..., 2]
 
     def sample(
         self, variates: Array, phi: Array | float = 0.0, theta: Array | float = 0.0
     ) -> tuple[Array, Array]:
-        """Points (..., 2) for uniform variates (..., 2), and their densities (...)."""
+        """Return points (..., 2) for uniform variates (..., 2), and their densities (...)."""
         out = self._run(_SAMPLE, variates, phi, theta)
         return out[..., :2], out[..., 2]
 
     def invert(
         self, points: Array, phi: Array | float = 0.0, theta: Array | float = 0.0
     ) -> tuple[Array, Array]:
-        """Uniform variates (..., 2) that `sample` maps to these points (..., 2), and the densities (...)."""
+        """Return the uniform variates (..., 2) that `sample` maps to these points (..., 2), and the densities (...)."""
         out = self._run(_INVERT, points, phi, theta)
         return out[..., :2], out[..., 2]

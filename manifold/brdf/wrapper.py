@@ -26,20 +26,20 @@ class WrappedBRDF(NotebookPicture, ABC):
 
     @abstractmethod
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., B)."""
+        """Return f in 1/sr, shape (..., B)."""
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B)."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B)."""
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (..., 3) and their pdf (...) in 1/sr, as the wrapped BRDF draws them."""
+        """Return outgoing directions (..., 3) and their pdf (...) in 1/sr, as the wrapped BRDF draws them."""
         return self._brdf.sample(wi, u)
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr, shape (...)."""
+        """Return the density of `sample` in 1/sr, shape (...)."""
         return self._brdf.pdf(wi, wo)
 
     def albedo(self, wi: Array) -> Array:
-        """Directional albedo (..., B) at wi (..., 3), by quadrature over half vectors."""
+        """Return the directional albedo (..., B) at wi (..., 3), by quadrature over half vectors."""
         return quadrature_albedo(self, wi, self._albedo_nodes)

@@ -29,8 +29,9 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def environment() -> Array:
-    """The studio's light in coarse cells, which soften its edges, and that of its floor from below: radiance, float32,
-    laid out as `lights.studio` does, shape (20, 40, 3).
+    """Return the studio's light in coarse cells, which soften its edges, and its floor's light from below.
+
+    Radiance, float32, laid out as `lights.studio` does, shape (20, 40, 3).
     """
     fine = lights.studio(_ENVIRONMENT_ROWS * _BLUR)
     image: Array = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
@@ -56,11 +57,11 @@ class Picture(Pairs):
         self.sums, self.places = sums, np.empty((0, 2)) if places is None else places
 
     def of(self, f: Array) -> Array:
-        """The sums of values f (P, ...), shape (K, ...)."""
+        """Return the the sums of values f (P, ...), shape (K, ...)."""
         return np.asarray(self.sums @ f.reshape(len(f), -1)).reshape(-1, *f.shape[1:])
 
     def mean(self, f: Array) -> Array:
-        """The weighted means of values f (P, ...), shape (K, ...)."""
+        """Return the the weighted means of values f (P, ...), shape (K, ...)."""
         totals = self.of(np.ones(len(f)))
         return self.of(f) / totals.reshape(-1, *(1,) * (f.ndim - 1))
 
@@ -70,36 +71,37 @@ class Picture(Pairs):
         return np.asarray(self.sums.sum(axis=0))
 
     def xyz(self, f: Array, bands: Bands) -> Array:
-        """CIE XYZ (K, 3) under D65 of each pixel, as a display shows it, of BRDF values (P, B) in 1/sr. What lies
-        outside the range of linear sRGB is clipped to it, as in a picture without tone mapping.
+        """Return CIE XYZ (K, 3) under D65 of each pixel, as a display shows it, of BRDF values (P, B) in 1/sr.
+
+        Values outside the range of linear sRGB are clipped to it, as in a picture without tone mapping.
         """
         linear = xyz_to_srgb(self.of(to_xyz(f, bands)), to_xyz(np.ones(bands.count), bands))
         return srgb_to_xyz(np.clip(linear, 0.0, 1.0))
 
     def difference(self, f: Array, f_star: Array, bands: Bands) -> float:
-        """Mean CIEDE2000 between the balls of two materials, by their values as `xyz` takes them."""
+        """Return the mean CIEDE2000 between the balls of two materials, by their values as `xyz` takes them."""
         return delta_e(self.xyz(f, bands), self.xyz(f_star, bands))
 
     def under(self, radiance: Array) -> Picture:
-        """A picture in white light in another one, of radiance (P,) along wo."""
+        """Return this picture in white light under another radiance (P,) along wo."""
         sums = self.sums.copy()
         sums.data *= radiance[sums.indices]
         return Picture(self.wi, self.wo, sums, self.places)
 
     def of_pixels(self, pixels: slice) -> Picture:
-        """Some of the pixels, and the pairs that light them."""
+        """Return some of the pixels, and the pairs that light them."""
         sums = self.sums[pixels]
         used = np.unique(sums.indices)
         return Picture(self.wi[used], self.wo[used], sums[:, used], self.places[pixels])
 
 
 def delta_e(xyz: Array, xyz_star: Array) -> float:
-    """Mean CIEDE2000 between two balls, XYZ (K, 3) each."""
+    """Return the mean CIEDE2000 between two balls, XYZ (K, 3) each."""
     return float(np.mean(delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))))
 
 
 def sums_of_runs(weights: Array, starts: Indices) -> scipy.sparse.csr_array:
-    """Weights (P,) of pairs as sums over runs that begin at starts (K,), shape (K, P)."""
+    """Return weights (P,) of pairs as a matrix of sums over runs that begin at starts (K,), shape (K, P)."""
     P = len(weights)
     return scipy.sparse.csr_array((weights, np.arange(P), np.append(starts, P)), shape=(len(starts), P))
 
@@ -108,7 +110,7 @@ def sums_of_runs(weights: Array, starts: Indices) -> scipy.sparse.csr_array:
 def ball(
     pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, turned_deg: float = 0.0
 ) -> Picture:
-    """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors; cached: do not write to it.
+    """Return a ball in a square of pixels^2, each lit by at most rings * spokes half vectors, cached and read-only.
 
     The studio is turned about the vertical; by 180 degrees it has its key light behind the ball.
     """
@@ -118,7 +120,7 @@ def ball(
 
 @lru_cache(maxsize=8)
 def white_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> tuple[Picture, Array]:
-    """`ball` under the radiance 1 from everywhere, and the world's directions of wo (P, 3); do not write to them."""
+    """Return `ball` under radiance 1 from everywhere, and the world's directions of wo (P, 3), both read-only."""
     x, y, frame = frames(pixels)
     u = (np.arange(rings) + 0.5) / rings
     theta = np.repeat(0.5 * np.pi * u * u, spokes)
@@ -138,7 +140,7 @@ def white_ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES
 
 
 def frames(pixels: int) -> tuple[Array, Array, Array]:
-    """Right and up (K,) of the pixels of a ball in a square of pixels^2, and their frames (K, 3, 3): rows are axes."""
+    """Return right and up (K,) of the pixels of a ball in a square of pixels^2, and their frames (K, 3, 3) in rows."""
     right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
     up = np.cross(VIEW, right)
     across = 2.0 * (np.arange(pixels) + 0.5) / pixels - 1.0
@@ -153,8 +155,9 @@ def frames(pixels: int) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=32)
 def sun_ball(degrees: float, pixels: int) -> Picture:
-    """The lit pixels of a ball, so many across, under a distant lamp, one direction pair each; cached: do not write to
-    it.
+    """Return the lit pixels of a ball under a distant lamp, one direction pair each.
+
+    The ball is `pixels` across. The result is cached: do not write to it.
 
     A white diffuser that faces the lamp has the radiance 1. The lamp is to the right of the view by `degrees`; above 90
     it stands behind the ball.
@@ -169,7 +172,7 @@ def sun_ball(degrees: float, pixels: int) -> Picture:
 
 
 def radiance_at(image: Array, directions: Array) -> Array:
-    """Radiance (M,) from world directions (M, 3), bilinear, of an environment without colour."""
+    """Return the radiance (M,) of an environment without colour from world directions (M, 3), bilinear."""
     rows, columns = image.shape[:2]
     elevation = np.arccos(np.clip(directions[:, 2], -1.0, 1.0)) / np.pi * rows - 0.5
     azimuth = np.arctan2(directions[:, 0], directions[:, 1]) / (2.0 * np.pi) * columns - 0.5

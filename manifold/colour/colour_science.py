@@ -22,8 +22,9 @@ from manifold.records import Array
 
 
 def cached(name: str, key: str, compute: Callable[[], Any]) -> Any:
-    """Plain values, as JSON holds them: from a file of the user's cache folder, or else computed and stored there; a
-    damaged file, or one with another key, which tells what the values depend on, is replaced.
+    """Return plain values, as JSON holds them, from a file in the user's cache folder, or compute and store them there.
+
+    A file that is damaged or has another key is replaced. The key names all that the values depend on.
     """
     path = user_cache_path("manifold") / name
     with suppress(OSError, ValueError):
@@ -43,9 +44,7 @@ OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 @lru_cache(maxsize=1)
 def colour_science() -> ModuleType:
-    """The package colour-science, imported without its remarks on optional packages, and without its changes to how
-    NumPy prints arrays.
-    """
+    """Import colour-science without its remarks on optional packages and its changes to NumPy's printing."""
     with warnings.catch_warnings(), np.printoptions():
         warnings.simplefilter("ignore")
         import colour
@@ -75,7 +74,7 @@ class StandardTables:
 
 @lru_cache(maxsize=1)
 def standard_tables() -> StandardTables:
-    """Illuminants, observer and matrices; cached per version of colour-science, which takes a second to import."""
+    """Return illuminants, observer and matrices, cached per version of colour-science, which is slow to import."""
     names = ("illuminants", "observer", "bradford")
     key = f"{', '.join(names)} of colour-science {metadata.version('colour-science')}"
     values = cached("colour-science.json", key, _standard_values)
@@ -99,7 +98,7 @@ def _standard_values() -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def wide_observer() -> tuple[Array, Array]:
-    """Wavelengths in nm, shape (K,), and colour-matching functions (K, 3) of the 10 degree observer."""
+    """Return wavelengths in nm, shape (K,), and colour-matching functions (K, 3) of the 10 degree observer."""
     return distribution(colour_science().MSDS_CMFS["CIE 1964 10 Degree Standard Observer"])
 
 
@@ -108,11 +107,11 @@ def _pair(first: list[Any], second: list[Any]) -> tuple[Array, Array]:
 
 
 def distribution(table: Any) -> tuple[Array, Array]:
-    """Wavelengths in nm and values of one of colour-science's distributions, as plain arrays."""
+    """Return the wavelengths in nm and values of one of colour-science's distributions, as plain arrays."""
     return np.asarray(table.wavelengths, np.float64), np.asarray(table.values, np.float64)
 
 
 def frozen(a: Array) -> Array:
-    """The same array, read-only: cached arrays are shared."""
+    """Make an array read-only, because cached arrays are shared."""
     a.setflags(write=False)
     return a

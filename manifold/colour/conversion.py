@@ -34,7 +34,9 @@ class InvisibleBandsWarning(UserWarning):
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
-    """CIE XYZ (..., 3) of reflectance-like spectra (..., B); a perfect diffuser has Y = 1 under every illuminant.
+    """Return CIE XYZ (..., 3) of reflectance-like spectra (..., B).
+
+    A perfect diffuser has Y = 1 under every illuminant.
 
     The spectrum is taken as piecewise linear between the bands and constant beyond them, and integrated at 1 nm against
     the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) carry no spectrum: they are
@@ -48,7 +50,7 @@ def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
 
 
 def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool = True) -> Array:
-    """Linear sRGB (Rec. 709 primaries, not clipped) of reflectance-like spectra, shape (..., 3).
+    """Convert reflectance-like spectra to linear sRGB (Rec. 709 primaries, not clipped), shape (..., 3).
 
     With `adapt` the illuminant's white is adapted to D65 (Bradford), so a perfect diffuser is (1, 1, 1)
     under every illuminant, as for an adapted observer; without it, colours under illuminant A are orange. RGB
@@ -89,14 +91,16 @@ def warn_if_invisible(bands: Bands) -> None:
 
 
 def file_to_srgb(file: BsdfFile) -> BsdfFile:
-    """A file with its values in linear sRGB under D65."""
+    """Return a file with its values in linear sRGB under D65."""
     rgb = to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
     return replace(file, wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))
 
 
 def luminance(values: Array, bands: Bands) -> Array:
-    """Y of reflectance-like spectra (..., B), shape (...): 1 for a perfect diffuser; under D65, which agrees with the Y
-    of linear sRGB, so that spectral and RGB materials compare.
+    """Return Y of reflectance-like spectra (..., B), shape (...), 1 for a perfect diffuser.
+
+    The light is D65, which agrees with the Y of linear sRGB, so that spectral and RGB materials can be
+    compared.
     """
     weights = _RGB_WEIGHTS if bands.is_rgb else xyz_weights(bands)
     return _require_bands(values, bands) @ weights[:, 1]
@@ -104,7 +108,10 @@ def luminance(values: Array, bands: Bands) -> Array:
 
 @lru_cache(maxsize=64)
 def xyz_weights(bands: Bands, illuminant: str = "D65", observer_deg: int = 2) -> Array:
-    """The read-only matrix (B, 3) from band values to XYZ; see `to_xyz`. Linear sRGB has one observer, 2 degrees."""
+    """Return the read-only matrix (B, 3) from band values to XYZ; see `to_xyz`.
+
+    Linear sRGB has one observer, 2 degrees.
+    """
     light = Illuminant.named(illuminant)
     if bands.is_rgb:
         return _RGB_WEIGHTS
@@ -113,9 +120,10 @@ def xyz_weights(bands: Bands, illuminant: str = "D65", observer_deg: int = 2) ->
 
 
 def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Array, Array]:
-    """Wavelengths in nm, (K,), every 1 nm, and the light times the matching functions of an observer, (K, 3). The
-    observer is CIE's of 2 degrees (1931) or 10 (1964); sums over wavelengths are the XYZ of the perfect diffuser, with
-    Y = 1.
+    """Return wavelengths in nm, (K,), every 1 nm, and the light times an observer's matching functions, (K, 3).
+
+    The observer is CIE's of 2 degrees (1931) or 10 (1964); sums over wavelengths are the XYZ of the perfect
+    diffuser, with Y = 1.
     """
     if observer_deg not in (2, 10):
         raise UsageError(f"an observer of {observer_deg} degrees, expected 2 (CIE 1931) or 10 (CIE 1964)")
@@ -130,12 +138,15 @@ def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Arr
 
 
 def interpolation_matrix(nodes: Array, at: Array) -> Array:
-    """The matrix (K, n) of linear interpolation from n nodes to K points, constant beyond the ends."""
+    """Return the the matrix (K, n) of linear interpolation from n nodes to K points, constant beyond the ends."""
     return np.stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))], axis=1)
 
 
 def xyz_to_srgb(xyz: Array, white: Array | None = None) -> Array:
-    """Linear sRGB (not clipped) of XYZ (..., 3), seen under a white (3,) that becomes (1, 1, 1); D65 by default."""
+    """Convert XYZ (..., 3) to linear sRGB, not clipped.
+
+    The XYZ are seen under a white (3,) that becomes (1, 1, 1), by default D65.
+    """
     to_rgb = np.linalg.inv(SRGB_TO_XYZ)
     if white is not None:
         to_rgb = to_rgb @ _adaptation(np.asarray(white, float), SRGB_TO_XYZ.sum(axis=1))
@@ -143,25 +154,25 @@ def xyz_to_srgb(xyz: Array, white: Array | None = None) -> Array:
 
 
 def srgb_to_xyz(linear: Array) -> Array:
-    """CIE XYZ of linear sRGB (..., 3); white is that of D65 with Y = 1."""
+    """Convert linear sRGB (..., 3) to CIE XYZ; white is that of D65 with Y = 1."""
     return np.asarray(linear) @ SRGB_TO_XYZ.T
 
 
 def encode_srgb(linear: Array) -> Array:
-    """Linear sRGB in [0, 1], shape (..., 3), as display values in [0, 1] (IEC 61966-2-1)."""
+    """Encode linear sRGB in [0, 1], shape (..., 3), as display values in [0, 1] (IEC 61966-2-1)."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
 
 
 def decode_srgb(display: Array) -> Array:
-    """Linear sRGB of display values in [0, 1], any shape (IEC 61966-2-1)."""
+    """Decode display values in [0, 1], any shape, to linear sRGB (IEC 61966-2-1)."""
     display = np.asarray(display, dtype=np.float64)
     curve = ((np.maximum(display, 0.0) + 0.055) / 1.055) ** 2.4
     return np.where(display <= 12.92 * 0.0031308, display / 12.92, curve)
 
 
 def _adaptation(white: Array, target: Array) -> Array:
-    """Bradford's matrix (3, 3) that takes XYZ seen under one white to XYZ seen under another."""
+    """Return Bradford's matrix (3, 3) that takes XYZ seen under one white to XYZ seen under another."""
     bradford = standard_tables().bradford
     return np.linalg.inv(bradford) @ np.diag(bradford @ target / (bradford @ white)) @ bradford
 

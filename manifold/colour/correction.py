@@ -34,7 +34,7 @@ FORMS = ("linear", "root polynomial of degree 2", *_CHEUNG)
 
 
 def _terms(form: str, x: Array) -> Array:
-    """Terms (n, T) of values x (n, 3)."""
+    """Return the terms (n, T) of values x (n, 3)."""
     if form == "linear":
         return x
     of = colour_science().characterisation
@@ -45,7 +45,7 @@ def _terms(form: str, x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ColourCorrection:
-    """From three bands of one instrument to B bands of a reference.
+    """A conversion from three bands of one instrument to B bands of a reference.
 
     Attributes:
         form: one of `FORMS`.
@@ -73,22 +73,22 @@ class ColourCorrection:
 
     @property
     def is_worse(self) -> Mask:
-        """Which samples' colours are worse with the correction than without, bool (S,)."""
+        """Return a mask of the samples whose colours are worse with the correction than without, bool (S,)."""
         return np.asarray(self.colours[:, 1] > self.colours[:, 0])
 
     def apply(self, x: Array) -> Array:
-        """Corrected values (n, B) of values x (n, 3), never negative."""
+        """Return the corrected values (n, B) of values x (n, 3), never negative."""
         x = np.asarray(x, dtype=np.float64) / self.scale
         beyond = np.maximum(np.linalg.norm(x, axis=1, keepdims=True) / self.largest, 1.0)
         terms = _terms(self.form, np.maximum(x / beyond, 0.0))
         return np.asarray(np.maximum(terms @ self.matrix * beyond * self.scale, 0.0))
 
     def is_beyond(self, x: Array) -> Mask:
-        """Whether values (n, 3) are larger than all that it was learned from, bool (n,)."""
+        """Return whether values (n, 3) are larger than all values that it was learned from, bool (n,)."""
         return np.asarray(np.linalg.norm(x / self.scale, axis=1) > self.largest)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; None for an error that could not be measured."""
+        """Return plain values; None for an error that could not be measured."""
         names = ("form", "matrix", "scale", "largest", "errors", "uncorrected")
         return plain({name: getattr(self, name) for name in names})
 
@@ -150,14 +150,17 @@ def learn_correction(
 
 
 def _estimated(x: Array, source: Bands) -> Array | None:
-    """Colours of x (n, 3) without a correction: linear sRGB as it is, or spectra; None where neither is known."""
+    """Return the colours of x (n, 3) without a correction, or None.
+
+    Linear sRGB is returned unchanged, and narrow bands as estimated spectra.
+    """
     if source.is_rgb:
         return x
     return estimate_spectra(x, source) if is_narrow(source) else None
 
 
 def _sample_colours(f: Array, bands: Bands, wanted: Array, reference: Bands, samples: Indices) -> Array:
-    """Mean CIEDE2000 (D65) of every sample between f (n, B) and that of the reference (n, B_r), shape (S,)."""
+    """Return the mean CIEDE2000 (D65) of every sample between f (n, B) and the reference (n, B_r), shape (S,)."""
     labs = [
         to_lab(to_xyz(np.pi * values, axis), xyz_weights(axis).sum(axis=0))
         for values, axis in ((f, bands), (wanted, reference))
@@ -167,7 +170,7 @@ def _sample_colours(f: Array, bands: Bands, wanted: Array, reference: Bands, sam
 
 
 def _uncorrected_error(spectra: Array | None, wanted: Array, weight: Array, reference: Bands) -> float:
-    """Root mean square relative error of estimated spectra (n, B_s), at the bands of the reference."""
+    """Return the root mean square relative error of estimated spectra (n, B_s), at the bands of the reference."""
     if spectra is None:
         return float("nan")
     if reference.wavelengths_nm is None:

@@ -30,7 +30,7 @@ ILLUMINANTS = ("D65", "A", "F11")
 
 
 def multi_angle_pairs() -> tuple[Array, Array]:
-    """Direction pairs of the six geometries: wi and wo, each of shape (6, 3)."""
+    """Return the direction pairs of the six geometries: wi and wo, each of shape (6, 3)."""
     wi = from_spherical(np.deg2rad(INCIDENCE_DEG), 0.0)
     towards_light = np.deg2rad(np.array(ASPECULAR_DEG) - INCIDENCE_DEG)  # elevation, negative on the far side
     wo = from_spherical(np.abs(towards_light), np.where(towards_light < 0, np.pi, 0.0))
@@ -38,12 +38,12 @@ def multi_angle_pairs() -> tuple[Array, Array]:
 
 
 def illuminants_for(bands: Bands) -> tuple[str, ...]:
-    """Illuminants under which colours are compared: linear sRGB carries no spectrum and knows only D65."""
+    """Return the illuminants under which colours are compared; linear sRGB carries no spectrum and has only D65."""
     return ("D65",) if bands.is_rgb else ILLUMINANTS
 
 
 def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -> tuple[Array, Array]:
-    """CIEDE2000 (...) and spectral angle in degrees (...) between measured and predicted BRDF values (..., B) in 1/sr.
+    """Return CIEDE2000 (...) and spectral angle in degrees (...) between measured and predicted f (..., B) in 1/sr.
 
     Colours are relative to the illuminant's white. The spectral angle is that between the spectra of the reflected
     light; of RGB bands, between linear sRGB vectors.
@@ -58,20 +58,21 @@ def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -
 
 
 def to_lab(xyz: Array, white: Array) -> Array:
-    """CIELAB (..., 3) of CIE XYZ (..., 3) seen under a white (3,) with Y = 1."""
+    """Convert CIE XYZ (..., 3) seen under a white (3,) with Y = 1 to CIELAB (..., 3)."""
     white = np.asarray(white)
     return np.asarray(colour_science().XYZ_to_Lab(np.asarray(xyz), white[:2] / np.sum(white)))
 
 
 def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
-    """CIELAB (..., 3) of BRDF values (..., B) in 1/sr, taken as radiance factors; linear sRGB has that of D65/2."""
+    """Return CIELAB (..., 3) of f (..., B) in 1/sr, taken as radiance factors; linear sRGB has that of D65/2."""
     weights = xyz_weights(bands, *viewing)
     return to_lab(np.pi * np.asarray(f) @ weights, weights.sum(axis=0))
 
 
 def lab_under_d65(lab: Array, viewing: Viewing) -> Array:
-    """CIELAB (..., 3) under D65 and the 2 degree observer of what has a CIELAB (..., 3), relative to its white, under
-    another light, or to another eye.
+    """Convert CIELAB (..., 3) under another light or for another observer to D65 and the 2 degree observer.
+
+    Both are relative to their whites.
 
     Of all spectra of the colour, the one that is a combination of the smooth ones of the primaries is taken.
     Source: Mallett & Yuksel 2019, for the spectra.
@@ -87,7 +88,7 @@ def lab_under_d65(lab: Array, viewing: Viewing) -> Array:
 
 
 def delta_e_2000(xyz: Array, xyz_star: Array, white: Array) -> Array:
-    """CIEDE2000 between colours seen under one white, shape (...).
+    """Return CIEDE2000 between colours seen under one white, shape (...).
 
     Args:
         xyz, xyz_star: CIE XYZ, shape (..., 3), in the units of the white.
@@ -102,12 +103,14 @@ def delta_e_2000(xyz: Array, xyz_star: Array, white: Array) -> Array:
 
 
 def delta_e_2000_lab(lab: Array, lab_star: Array) -> Array:
-    """CIEDE2000 between CIELAB colours (..., 3), shape (...)."""
+    """Return CIEDE2000 between CIELAB colours (..., 3), shape (...)."""
     return np.asarray(colour_science().delta_E(lab, lab_star, method="CIE 2000"))
 
 
 def delta_e_itp(xyz: Array, xyz_star: Array) -> Array:
-    """Delta E_ITP (...) between XYZ (..., 3) of a display whose white, Y = 1, is D65 at 100 cd/m^2; 1 is just seen.
+    """Return Delta E_ITP (...) between XYZ (..., 3) of a display with white D65, Y = 1, at 100 cd/m^2.
+
+    A difference of 1 is just visible.
 
     Source: ITU-R BT.2124.
     """

@@ -20,7 +20,7 @@ _CIE_FLUORESCENT = {f"F{i}": f"FL{i}" for i in range(1, 13)}
 
 
 def illuminant_names() -> tuple[str, ...]:
-    """The illuminants `to_xyz` knows: those of colour-science, and CIE's F1 to F12 for its FL1 to FL12."""
+    """Return the illuminants `to_xyz` knows: those of colour-science, and CIE's F1 to F12 for its FL1 to FL12."""
     return (*standard_tables().illuminants, *_CIE_FLUORESCENT)
 
 
@@ -39,7 +39,7 @@ class Illuminant:
 
     @classmethod
     def named(cls, name: str) -> Illuminant:
-        """One of `illuminant_names()`."""
+        """Return one of `illuminant_names()`."""
         key, known = _CIE_FLUORESCENT.get(name, name), standard_tables().illuminants
         if key not in known:
             raise UnknownNameError(
@@ -61,17 +61,18 @@ class Illuminant:
 
     @property
     def is_d65(self) -> bool:
-        """Whether it is the light of linear sRGB."""
+        """Return whether it is the light of linear sRGB."""
         return self.name == "D65"
 
     def at(self, wavelengths_nm: Array) -> Array:
-        """Power at wavelengths in nm, any shape."""
+        """Return the power at wavelengths in nm, any shape."""
         return np.interp(wavelengths_nm, self.wavelengths_nm, self.power, left=0.0, right=0.0)
 
 
 def illuminant_power(bands: Bands, illuminant: str) -> Array:
-    """Relative spectral power of an illuminant at the bands, shape (B,): 1 for RGB bands, 0 where its table does not
-    reach.
+    """Return the relative spectral power of an illuminant at the bands, shape (B,).
+
+    It is 1 for RGB bands, and 0 beyond the illuminant's table.
     """
     lamp = Illuminant.named(illuminant)
     return np.ones(bands.count) if bands.is_rgb else lamp.at(np.asarray(bands.wavelengths_nm))

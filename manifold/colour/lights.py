@@ -25,7 +25,7 @@ _ZENITH, _HORIZON = 0.9, 0.28
 
 
 def studio(height: int = 256) -> Array:
-    """The package's own environment: a dim dome and three soft boxes, linear and without colour.
+    """Return the package's own environment: a dim dome and three soft boxes, linear and without colour.
 
     Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right from
     there.
@@ -39,7 +39,7 @@ def studio(height: int = 256) -> Array:
 
 
 def directions(height: int) -> Array:
-    """World directions of the pixels of an environment of `height` rows, shape (height, 2 height, 3)."""
+    """Return the world directions of the pixels of an environment of `height` rows, shape (height, 2 height, 3)."""
     theta = np.pi * (np.arange(height) + 0.5) / height
     azimuth = 2 * np.pi * (np.arange(2 * height) + 0.5) / (2 * height)
     return from_spherical(theta[:, None], azimuth[None, :])
@@ -48,14 +48,18 @@ def directions(height: int) -> Array:
 def soft_box(
     direction: Array, azimuth: float, elevation: float, half_width: float, half_height: float
 ) -> Array:
-    """1 where directions (..., 3) fall into a box of some size at some place (degrees), 0 elsewhere, smooth between."""
+    """Return 1 for directions (..., 3) within a box, 0 elsewhere, smooth between.
+
+    The box has its place and size in degrees.
+    """
     x, y = _angles_from(direction, np.deg2rad(azimuth), np.deg2rad(elevation))
     return _plateau(np.rad2deg(x), half_width) * _plateau(np.rad2deg(y), half_height)
 
 
 def exposed(environment: Array) -> Array:
-    """An environment (H, W, 3), laid out as `studio` does, scaled so that a white diffuser that lies on the floor has
-    the mean radiance 1.
+    """Scale an environment (H, W, 3), so that a white diffuser on the floor has the mean radiance 1.
+
+    The environment is laid out as `studio` does.
     """
     require_light(environment)
     theta = np.pi * (np.arange(len(environment)) + 0.5) / len(environment)
@@ -87,7 +91,7 @@ def require_light(environment: Array) -> None:
 
 
 def _angles_from(direction: Array, azimuth: float, elevation: float) -> tuple[Array, Array]:
-    """Horizontal and vertical angle of directions (..., 3), as seen when facing a point."""
+    """Return horizontal and vertical angles of directions (..., 3), as seen when facing a point."""
     forward = from_spherical(np.pi / 2 - elevation, azimuth)
     right = from_spherical(np.pi / 2, azimuth + np.pi / 2)
     up = np.cross(forward, right)
@@ -97,7 +101,7 @@ def _angles_from(direction: Array, azimuth: float, elevation: float) -> tuple[Ar
 
 
 def _plateau(angle_deg: Array, half_width: float) -> Array:
-    """1 within the half width, 0 beyond its edge, smooth between."""
+    """Return 1 within the half width, 0 beyond its edge, smooth between."""
     t = np.clip((half_width + _EDGE_DEG - np.abs(angle_deg)) / _EDGE_DEG, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -109,8 +113,10 @@ _LAMP, _DARK = (-140.0, 45.0), 0.0015
 
 
 def environment(name: str, height: int = 128) -> Array:
-    """One of `ENVIRONMENTS`, with the light of its floor from below: linear sRGB radiance, float32, shape (height, 2
-    height, 3), laid out as `studio` does. A white diffuser that lies on the floor has the mean radiance 1.
+    """Return one of `ENVIRONMENTS`, with its floor's light from below, as linear sRGB radiance.
+
+    float32, shape (height, 2 height, 3), laid out as `studio` does. A white diffuser on the floor has the
+    mean radiance 1.
     """
     make, floor = ENVIRONMENTS[name]
     image = exposed(make(height))
@@ -129,7 +135,10 @@ def _sky(height: int) -> Array:
 
 
 def _overcast(height: int) -> Array:
-    """CIE standard overcast sky (ISO 15469:2004, type 16): three times as bright at the zenith as at the horizon."""
+    """Return the CIE standard overcast sky (ISO 15469:2004, type 16).
+
+    It is three times brighter at the zenith than at the horizon.
+    """
     up = np.maximum(directions(height)[..., 2:], 0.0)
     return np.repeat(1.0 + 2.0 * up, 3, axis=-1)
 

@@ -29,7 +29,7 @@ _NOISE = 0.02  # standard deviation of the noise of cube roots, relative to thei
 
 
 def is_narrow(bands: Bands) -> bool:
-    """Whether these are three bands in the blue, the green and the red."""
+    """Return whether the bands are three: in the blue, the green and the red."""
     nm = bands.wavelengths_nm
     return (
         nm is not None
@@ -39,13 +39,14 @@ def is_narrow(bands: Bands) -> bool:
 
 
 def estimate_spectra(values: Array, bands: Bands) -> Array:
-    """Values in `SPECTRUM`, shape (..., 31), never negative, of values in three narrow bands, shape (..., 3)."""
+    """Estimate values in `SPECTRUM`, shape (..., 31), never negative, from three narrow bands, shape (..., 3)."""
     return _estimated(np.asarray(values, dtype=np.float64), _matrix(bands))
 
 
 def with_spectra(readings: Readings) -> Readings:
-    """Return readings in three narrow bands as spectra, with a note of the expected error of their colours; others as
-    `in_daylight` has them.
+    """Return readings in three narrow bands as spectra, with a note of the expected error of their colours.
+
+    Other readings are converted by `in_daylight`.
     """
     if not is_narrow(readings.bands):
         return in_daylight(readings)
@@ -65,8 +66,9 @@ def with_spectra(readings: Readings) -> Readings:
 
 
 def in_daylight(readings: Readings) -> Readings:
-    """Return linear sRGB that is relative to another light or observer than D65/2 relative to these, with a note of the
-    expected error; other readings as they are.
+    """Return readings in linear sRGB relative to D65/2, with a note of the expected error if they had another light.
+
+    Other readings are returned unchanged.
     """
     if readings.wavelengths_nm is not None or readings.viewing == DAYLIGHT:
         return readings
@@ -93,7 +95,7 @@ def in_daylight(readings: Readings) -> Readings:
 
 @lru_cache(maxsize=8)
 def conversion_errors(viewing: Viewing) -> tuple[float, float]:
-    """Median and 90th percentile of the CIEDE2000 of colours of measured reflectances, converted to D65/2."""
+    """Return median and 90th percentile of the CIEDE2000 of colours of measured reflectances, converted to D65/2."""
     f = _reflectances()[1] / np.pi
     found = lab_under_d65(lab_values(f, SPECTRUM, viewing), viewing)
     errors = delta_e_2000_lab(found, lab_values(f, SPECTRUM))
@@ -102,8 +104,9 @@ def conversion_errors(viewing: Viewing) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)
 def colour_errors(bands: Bands) -> tuple[float, float]:
-    """Median and 90th percentile of the CIEDE2000 (D65) of measured reflectances, estimated from all others but those
-    of the same name, such as the patches of several ColorCheckers.
+    """Return median and 90th percentile of the CIEDE2000 (D65) of measured reflectances, estimated from the others.
+
+    Those of the same name, such as the patches of several ColorCheckers, are left out together.
     """
     names, spectra = _reflectances()
     read = _at(spectra, bands)
@@ -129,7 +132,10 @@ def _matrix(bands: Bands) -> Array:
 
 
 def _learned(spectra: Array, read: Array) -> Array:
-    """The matrix (3, 31) from deviations of three bands to those of spectra, from n examples (n, 31) and (n, 3)."""
+    """Learn the matrix (3, 31) from deviations of three bands to those of spectra.
+
+    The n examples have spectra (n, 31) and readings (n, 3).
+    """
     roots = np.cbrt(read)
     level = roots.mean(axis=1, keepdims=True)
     of_bands, of_spectra = roots / level - 1.0, np.cbrt(spectra) / level - 1.0
@@ -143,7 +149,7 @@ def _at(spectra: Array, bands: Bands) -> Array:
 
 @lru_cache(maxsize=1)
 def _reflectances() -> tuple[list[str], Array]:
-    """Names, without their sets, and spectra (n, 31) of all measured reflectances."""
+    """Return names, without their sets, and spectra (n, 31) of all measured reflectances."""
     names = diffuse_reflectance_names()
     spectra = [diffuse_reflectance(name, np.array(SPECTRUM.wavelengths_nm)) for name in names]
     return [name.partition("/")[2].lower() for name in names], np.array(spectra)

@@ -35,7 +35,7 @@ class Panel(Picture):
     """A ball in L lights: by their names: the pixels of one after those of the other."""
 
     def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[scipy.sparse.csr_array]) -> None:
-        """Pixels of each light as sums over the same pairs."""
+        """Join the pixels of each light, as sums over the same pairs."""
         super().__init__(pairs.wi, pairs.wo, scipy.sparse.csr_array(scipy.sparse.vstack(sums)))
         self.names, self.counts = names, np.array([len(each.indptr) - 1 for each in sums])
 
@@ -45,7 +45,7 @@ class Panel(Picture):
         return np.repeat(self.counts.mean() / self.counts, self.counts)
 
     def every(self, step: int) -> tuple[Panel, Indices]:
-        """Every `step`-th pixel of each light, and the indices of those."""
+        """Return every `step`-th pixel of each light, and the indices of those."""
         lights = np.split(np.arange(self.counts.sum()), np.cumsum(self.counts)[:-1])
         chosen = [light[::step] for light in lights]
         used = np.unique(self.sums[np.concatenate(chosen)].indices)
@@ -53,7 +53,7 @@ class Panel(Picture):
         return Panel(self.names, self[used], parts), np.concatenate(chosen)
 
     def compare(self, xyz: Array, xyz_star: Array) -> Errors[float]:
-        """How differently two balls look, by what `xyz` returns."""
+        """Return the differences between two balls, by their values of `xyz`."""
         each = np.cumsum(self.counts)[:-1]
         found = np.split(difference.delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3))), each)
         itp = np.split(difference.delta_e_itp(xyz, xyz_star), each)
@@ -61,13 +61,13 @@ class Panel(Picture):
         return Errors.of_lights(lights, float(np.mean([one.mean() for one in itp])))
 
     def errors(self, f: Array, f_star: Array, bands: Bands) -> Errors[float]:
-        """How differently the balls of values f and f_star (P, B) look."""
+        """Return the differences between the balls of values f and f_star (P, B)."""
         return self.compare(self.xyz(f, bands), self.xyz(f_star, bands))
 
 
 @lru_cache(maxsize=8)
 def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
-    """A panel of lights by their names, as in `FITTED` and `JUDGED`; cached: do not write to it.
+    """Return a panel of lights by their names, as in `FITTED` and `JUDGED`, cached and read-only.
 
     `lit` is pixels, rings and spokes of the balls in soft lights, as in `ball_colours.ball`; `sun_pixels` are those
     across the balls under suns.
@@ -97,15 +97,15 @@ def panel(names: tuple[str, ...], *lit: int, sun_pixels: int = _SUN_PIXELS) -> P
 
 
 def fitted(*lit: int, sun_pixels: int = _SUN_PIXELS) -> Panel:
-    """The panel that fits see."""
+    """Return the panel that fits minimise errors in."""
     return panel(FITTED, *lit, sun_pixels=sun_pixels)
 
 
 def sun(degrees: float) -> Picture:
-    """The ball under one of the suns, as in panels."""
+    """Return the ball under one of the suns, as in panels."""
     return ball_colours.sun_ball(degrees, _SUN_PIXELS)
 
 
 def judged() -> Panel:
-    """The panel that errors are measured in."""
+    """Return the the panel that errors are measured in."""
     return panel(JUDGED)

@@ -61,7 +61,9 @@ class Image:
 
 
 def read_picture(path: Path) -> Image:
-    """A picture: EXR, HDR, PFM and TIFF are linear, others and TIFF with a profile of sRGB are decoded as sRGB.
+    """Read a picture as linear sRGB.
+
+    EXR, HDR, PFM and TIFF are linear; other formats, and TIFF with a profile of sRGB, are decoded as sRGB.
 
     PNG of 16 bits that names no colour space is linear, too, as photometric stereo has it. Raw files of cameras are
     developed by LibRaw: linear, in sRGB's primaries, with the camera's white balance.
@@ -128,7 +130,7 @@ def _read(path: Path, kind: str) -> Image:
 
 
 def _read_raw(path: Path) -> Image:
-    """A raw file, developed without curves."""
+    """Read a raw file, developed without curves."""
     rawpy = require("rawpy")
     try:
         with rawpy.imread(str(path)) as raw:
@@ -151,7 +153,7 @@ def _read_raw(path: Path) -> Image:
 
 
 def _kind(path: Path) -> str:
-    """The format by its first bytes, by OpenImageIO's name: no other reader is tried."""
+    """Return OpenImageIO's name of the format, by a file's first bytes, so that no other reader is tried."""
     try:
         with path.open("rb") as stream:
             head = stream.read(12)
@@ -216,7 +218,10 @@ def _require_kind(path: Path, image: Any, kind: str) -> None:
 
 
 def _is_encoded(path: Path, spec: Any, kind: str) -> bool:
-    """Whether values are those of a display; FileFormatError where they are neither these nor linear sRGB."""
+    """Return whether values are encoded for a display.
+
+    Raises FileFormatError if they are neither that nor linear sRGB.
+    """
     profile = spec.getattribute("ICCProfile")
     space = "" if kind == "pnm" else spec.get_string_attribute("oiio:ColorSpace")
     if profile is not None:
@@ -236,7 +241,7 @@ def _is_encoded(path: Path, spec: Any, kind: str) -> bool:
 
 
 def _chunks(path: Path) -> set[bytes]:
-    """Types of the chunks of a PNG file before its pixels."""
+    """Return the types of the chunks of a PNG file before its pixels."""
     found: set[bytes] = set()
     with path.open("rb") as stream:
         stream.seek(8)
@@ -247,7 +252,7 @@ def _chunks(path: Path) -> set[bytes]:
 
 
 def _encoding(profile: bytes, n_channels: int) -> bool | None:
-    """Whether a profile is that of sRGB, or of linear sRGB; None where it is neither."""
+    """Return True for a profile of sRGB, False for one of linear sRGB, None for others."""
     from PIL import Image, ImageCms
 
     ramp = np.arange(256, dtype=np.uint8)
@@ -268,7 +273,7 @@ def _encoding(profile: bytes, n_channels: int) -> bool | None:
 
 
 def _linear(stored: Array, is_encoded: bool, is_float: bool) -> tuple[Array, Mask]:
-    """Linear float32 values of stored ones (H, W, 3), codes of 8 or 16 bits or floats, and which pixels are clipped."""
+    """Return linear float32 values of stored codes or floats (H, W, 3), and a mask of clipped pixels."""
     full = {"uint8": 255, "uint16": _MOST_CODE}.get(str(stored.dtype), 1)
     most = np.max(stored, where=np.isfinite(stored), initial=0) if is_float else full
     clipped: Mask = np.any(np.equal(stored, most), axis=2)
@@ -286,7 +291,7 @@ def _linear(stored: Array, is_encoded: bool, is_float: bool) -> tuple[Array, Mas
 
 
 def _upright(pixels: Any, orientation: int) -> Any:
-    """Pixels (H, W, ...) turned and mirrored as TIFF 6.0 numbers orientations."""
+    """Turn and mirror pixels (H, W, ...) by TIFF 6.0's number of the orientation."""
     if orientation >= 5:
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):

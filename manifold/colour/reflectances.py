@@ -20,7 +20,7 @@ _VISIBLE_NM = (400.0, 700.0)
 
 
 def diffuse_reflectance_names() -> tuple[str, ...]:
-    """The spectra `diffuse_reflectance` knows, as `set/name`.
+    """Return the names of the spectra `diffuse_reflectance` knows, as `set/name`.
 
     Sets: `ohta`, `babel` and `iso17321` (the 24 patches of a ColorChecker, three measurements), `pmc` (skin,
     fruit, grass and other objects of daily life), `tcs` (CIE test colour samples), `vs` (NIST colour
@@ -30,7 +30,7 @@ def diffuse_reflectance_names() -> tuple[str, ...]:
 
 
 def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
-    """A measured diffuse reflectance, in [0, 1], in the shape of `wavelengths_nm`.
+    """Return a measured diffuse reflectance, in [0, 1], in the shape of `wavelengths_nm`.
 
     Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`), 380 to 780
     (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and infrared bands of RGL
@@ -49,7 +49,7 @@ def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
 
 
 def srgb_reflectance(display: Array, bands: Bands) -> Array:
-    """A smooth reflectance that has an sRGB colour under D65, in [0, 1], shape (B,).
+    """Return a smooth reflectance that has an sRGB colour under D65, in [0, 1], shape (B,).
 
     Of RGB bands, the linear colour itself.
 
@@ -72,7 +72,7 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
 
 @lru_cache(maxsize=8)
 def srgb_spectra(bands: Bands) -> Array:
-    """Smooth spectra of the three linear sRGB primaries under D65, read-only, shape (3, B), B wavelengths.
+    """Return smooth spectra of the three linear sRGB primaries under D65, read-only, shape (3, B), B wavelengths.
 
     A colour times them is a spectrum of that colour; none is negative, and they sum to 1 in every band.
 
@@ -121,7 +121,7 @@ class ReflectanceSpectrum:
         object.__setattr__(self, "values", tuple(values.tolist()))
 
     def in_bands(self, bands: Bands) -> Array:
-        """The reflectance in bands, shape (B,); of RGB bands its linear sRGB colour under D65."""
+        """Return the reflectance in bands, shape (B,); for RGB bands its linear sRGB colour under D65."""
         nm, values = np.array(self.wavelengths_nm), np.array(self.values)
         if bands.is_rgb:
             return np.clip(to_srgb(values, Bands(self.wavelengths_nm)), 0.0, 1.0)
@@ -148,7 +148,7 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
 
 @lru_cache(maxsize=1)
 def _reflectances() -> dict[str, tuple[Array, Array]]:
-    """All measured reflectances by `set/name`: wavelengths in nm and values."""
+    """Return all measured reflectances by `set/name`: wavelengths in nm and values."""
     colour = colour_science()
     from colour.quality.datasets import SDS_TCS, SDS_VS
 
@@ -165,12 +165,12 @@ def _reflectances() -> dict[str, tuple[Array, Array]]:
 
 
 def metal_names() -> tuple[str, ...]:
-    """The materials `metal_ior` knows, sorted: element symbols and formulas such as `Au`, `Cr`, `TiN`."""
+    """Return the materials `metal_ior` knows, sorted: element symbols and formulas such as `Au`, `Cr`, `TiN`."""
     return tuple(sorted(_ior_files()))
 
 
 def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
-    """Complex index of refraction eta + i k of a metal or crystal, relative to vacuum.
+    """Return the complex index of refraction eta + i k of a metal or crystal, relative to vacuum.
 
     Interpolated linearly between the table's wavelengths and held constant outside them: most tables end
     between 750 and 900 nm, so the last infrared bands of RGL files repeat the table's end.
@@ -199,7 +199,7 @@ def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=1)
 def _ior_files() -> dict[str, tuple[Path, Path]]:
-    """The files of eta and k by material: our own, and Mitsuba's, which is looked up and not imported."""
+    """Return the files of eta and k by material: our own, and Mitsuba's, which is located without an import."""
     # Past sys.modules: an imported mitsuba that has set a variant no longer says where it lies.
     spec = PathFinder.find_spec("mitsuba")
     folders = [Path(p) / "data" / "ior" for p in (spec.submodule_search_locations or [])] if spec else []
@@ -214,7 +214,7 @@ def _ior_files() -> dict[str, tuple[Path, Path]]:
 
 @lru_cache(maxsize=256)
 def _read_spd(path: Path) -> tuple[Array, Array]:
-    """Wavelengths in nm, increasing, and values of a file of `wavelength value` lines."""
+    """Read wavelengths in nm, increasing, and values from a file of `wavelength value` lines."""
     try:
         table = np.loadtxt(path, comments="#", ndmin=2)
     except ValueError as error:
@@ -231,14 +231,15 @@ _LEAST = 1e-3  # least change of a weight, so that spectra stay positive
 
 
 def weights_at(wavelengths_nm: Array) -> Array:
-    """Shares of red, green and blue at wavelengths, piecewise linear, sums 1, shape (W, 3)."""
+    """Return the shares of red, green and blue at wavelengths, piecewise linear, with sum 1, shape (W, 3)."""
     blue, green, red = (np.interp(wavelengths_nm, NODES_NM, row) for row in np.eye(3))
     return np.stack([red, green, blue], axis=-1)
 
 
 def spectral_changes(ratios: Array, mean: Array, bands: Bands) -> Array:
-    """Changes of red, green and blue weights, (..., 3), above 0, that give points their colours, by linear sRGB over
-    the mean's, (..., 3), above 0, and the mean's spectrum (B,).
+    """Return the changes of red, green and blue weights, (..., 3), above 0, that give points their colours.
+
+    Colours are ratios of linear sRGB over the mean's, (..., 3), above 0; the mean has a spectrum (B,).
 
     The spectrum of a point is that of the mean times `weights_at(wavelengths) @ changes`: smooth, never negative, and
     that of the mean where all ratios are 1. Its linear sRGB has the given ratios to the mean's, except for points so

@@ -83,7 +83,7 @@ def read_bsdf(path: Path | str) -> BsdfFile:
 
 
 def rgl_wavelengths_nm() -> AnyArray:
-    """Return the the 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
+    """Return the 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
 
     Rounded to float32, as the files hold them, and returned as float64.
     """

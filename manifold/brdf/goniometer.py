@@ -74,7 +74,7 @@ def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float, steepest: fl
 
 
 def _without_pits(retro: Array, steepest: float) -> Array:
-    """Return the the least values (..., n) above `retro` that change by no more than a factor from node to node.
+    """Return the least values (..., n) above `retro` that change by no more than a factor from node to node.
 
     A normal distribution with pits, or with cliffs between two nodes of the outgoing grid, makes huge stored values
     beside small ones, which do not interpolate. Measured materials and GGX have neither, and stay as they are; what
@@ -90,7 +90,7 @@ def _without_pits(retro: Array, steepest: float) -> Array:
 
 
 def _without_knees(retro: Array, bend: float, exponent: float, resolution: int) -> Array:
-    """Return the the least values (..., n) above `retro` whose logarithm is touched from above by parabolas `bend t^2`.
+    """Return the least values (..., n) above `retro` whose logarithm is touched from above by parabolas `bend t^2`.
 
     t counts nodes of the outgoing grid at normal incidence. Where a peak ends on a pedestal within a cell, and at other
     incidences somewhere else, stored values do not interpolate, and the file has a valley beside the peak. This is the

@@ -57,11 +57,11 @@ class Picture(Pairs):
         self.sums, self.places = sums, np.empty((0, 2)) if places is None else places
 
     def of(self, f: Array) -> Array:
-        """Return the the sums of values f (P, ...), shape (K, ...)."""
+        """Return the sums of values f (P, ...), shape (K, ...)."""
         return np.asarray(self.sums @ f.reshape(len(f), -1)).reshape(-1, *f.shape[1:])
 
     def mean(self, f: Array) -> Array:
-        """Return the the weighted means of values f (P, ...), shape (K, ...)."""
+        """Return the weighted means of values f (P, ...), shape (K, ...)."""
         totals = self.of(np.ones(len(f)))
         return self.of(f) / totals.reshape(-1, *(1,) * (f.ndim - 1))
 

@@ -138,7 +138,7 @@ def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Arr
 
 
 def interpolation_matrix(nodes: Array, at: Array) -> Array:
-    """Return the the matrix (K, n) of linear interpolation from n nodes to K points, constant beyond the ends."""
+    """Return the matrix (K, n) of linear interpolation from n nodes to K points, constant beyond the ends."""
     return np.stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))], axis=1)
 
 

@@ -107,5 +107,5 @@ def sun(degrees: float) -> Picture:
 
 
 def judged() -> Panel:
-    """Return the the panel that errors are measured in."""
+    """Return the panel that errors are measured in."""
     return panel(JUDGED)

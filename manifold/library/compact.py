@@ -51,16 +51,19 @@ class Compact:
 
     @property
     def stored_bytes(self) -> int:
-        """Bytes of all arrays as a library stores them."""
+        """Return the bytes of all arrays as a library stores them."""
         return compressed_bytes(self.coefficients) + compressed_bytes(pack(self.tables)[0])
 
     def decode(self) -> dict[str, Any]:
-        """The fields of `BsdfFile` that hold arrays."""
+        """Return the fields of `BsdfFile` that hold arrays."""
         return decode(self.coefficients, self.tables)
 
 
 def decode(coefficients: NDArray[np.int32], tables: Mapping[str, AnyArray]) -> dict[str, Any]:
-    """The fields of `BsdfFile` that hold arrays, from those of `Compact`. Raises LookupError or ValueError."""
+    """Return the fields of `BsdfFile` that hold arrays, from those of `Compact`.
+
+    Raises LookupError or ValueError.
+    """
 
     tables = dict(tables)
     slices = visible_normals.Slices(*(tables.pop(name) for name in visible_normals.Slices._fields))

@@ -42,7 +42,7 @@ _VNDF_BITS, _BASIS_BITS = 10, 8  # last bits that are not kept
 
 @dataclass(frozen=True)
 class CompactResult:
-    """What became of each material: errors, names of those that were compact before, or why it stays as it is."""
+    """The outcome of each material: errors, names of those that were compact before, or the reason of a failure."""
 
     compacted: dict[str, Accuracy]
     skipped: tuple[str, ...]
@@ -90,7 +90,7 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
 
 
 def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
-    """The coarsest compact form that was found within a tolerance, verified on what it decodes to.
+    """Return the coarsest compact form that was found within a tolerance, verified on the decoded file.
 
     The tolerance is the mean CIEDE2000 of the ball; the cube-root error may be `CUBE_ROOT_PER_BALL` times that.
     """
@@ -130,7 +130,7 @@ class _Roots:
         self.norm = float(np.sqrt(np.trace(products) / max(np.count_nonzero(self._is_lit), 1))) or 1.0
 
     def quantised(self, step: float) -> tuple[NDArray[np.int32], Array]:
-        """Coefficients as they are stored, and the basis."""
+        """Return the coefficients as they are stored, and the basis."""
         multiples = np.rint(self._coefficients / np.float32(step)).astype(np.int32)
         count = 1 + int(np.flatnonzero(np.any(multiples, axis=1)).max(initial=0))
         multiples, basis = multiples[:count], self._components[:count].copy()
@@ -146,7 +146,7 @@ class _Roots:
 
 
 def _rounded(numbers: NDArray[np.int32], bits: int) -> NDArray[np.int32]:
-    """Numbers, or those behind floats in single precision, whose last bits are zero."""
+    """Round numbers, or those behind floats in single precision, so that their last bits are zero."""
     return (numbers + (1 << (bits - 1))) >> bits << bits
 
 
@@ -173,7 +173,7 @@ def _pairs(is_isotropic: bool) -> Pairs:
 
 
 def _errors_from(file: BsdfFile) -> Callable[[BsdfFile], tuple[float, float]]:
-    """Ball and cube-root error of other forms of a file."""
+    """Return a function of other forms of a file that returns their ball and cube-root errors."""
     lights, pairs = panel.judged(), _pairs(file.is_isotropic)
 
     def values(other: BsdfFile) -> tuple[Array, Array]:

@@ -31,7 +31,7 @@ class Entry:
 
 @cache
 def rgl_table() -> Mapping[str, Entry]:
-    """The database's spectral files by name: 51 isotropic ones, and 11 anisotropic ones without checksums."""
+    """Return the database's spectral files by name: 51 isotropic ones, and 11 anisotropic ones without checksums."""
     data = resources.files("manifold.library")
     with (data / "rgl_isotropic.tsv").open(encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines, delimiter="\t"))
@@ -42,7 +42,7 @@ def rgl_table() -> Mapping[str, Entry]:
 
 
 def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic: bool) -> list[Entry]:
-    """The entries of some names, or all isotropic ones, and with `anisotropic` those too."""
+    """Return the entries of some names, or all isotropic ones; with `anisotropic` the others as well."""
     if names is None:
         return [entry for entry in table.values() if entry.is_isotropic or anisotropic]
     for name in names:
@@ -220,7 +220,7 @@ class _Meter:
         progress.report(self._before + done, sum(self._sizes.values()), f"{self._entry.name}_spec.bsdf")
 
     def close(self) -> None:
-        """Nothing: the next file follows."""
+        """Do nothing, because the next file follows."""
 
 
 def _summary(count: int, result: FetchResult, failed: dict[str, str], folder: Path) -> str:

@@ -87,12 +87,12 @@ class MaterialInfo:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether one incident azimuth was measured, as `BsdfFile.is_isotropic` has it."""
+        """Return whether one incident azimuth was measured, by the rule of `BsdfFile.is_isotropic`."""
         return self.shape[0] <= 2
 
 
 def origins_in_words(materials: Iterable[MaterialInfo]) -> str:
-    """How many materials were not measured, such as `3 of them synthetic, 1 of them predicted`; may be empty."""
+    """Return the number of materials that were not measured, such as `3 of them synthetic`; may be empty."""
     origins = Counter(material.origin for material in materials)
     del origins["measured"]
     return ", ".join(f"{count} of them {origin}" for origin, count in origins.most_common())
@@ -104,7 +104,10 @@ def describe(
     sha256: str,
     compact: tuple[Mapping[str, AnyArray], Accuracy] | None = None,
 ) -> MaterialInfo:
-    """Metadata that a library stores about a file, with the arrays of its compact form, if any, and their errors."""
+    """Return the metadata that a library stores about a file.
+
+    With a compact form, they include its arrays and errors.
+    """
     arrays, accuracy = compact or (None, None)
     return MaterialInfo(
         name=file.name,
@@ -123,14 +126,14 @@ def describe(
 
 
 def present_arrays(file: BsdfFile) -> dict[str, Array]:
-    """The array fields that a file has: an RGB file has no `wavelengths_nm`."""
+    """Return the array fields that a file has: an RGB file has no `wavelengths_nm`."""
     from manifold.library.layout import FIELDS  # which imports zarr
 
     return {name: getattr(file, name) for name in FIELDS if getattr(file, name) is not None}
 
 
 def file_sha256(path: Path) -> str:
-    """The hash of a file, in hexadecimal."""
+    """Return the hash of a file, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -138,7 +141,7 @@ def file_sha256(path: Path) -> str:
 def content_sha256(
     file: BsdfFile, source_file: str, sha256: str, arrays: Mapping[str, AnyArray] | None = None
 ) -> str:
-    """Hash of all that a library holds of a material, compact or as in the file, independent of how it is chunked.
+    """Return the hash of all that a library holds of a material, compact or as in the file, whatever its chunks.
 
     SHA-256 in hexadecimal over one line of JSON (name, source file, hash of the file, description, version, jacobian,
     and the rotation where there is one) and then, as `hash_arrays` has it, of the fields and the extra fields.
@@ -155,7 +158,7 @@ def content_sha256(
 
 
 def hash_arrays(arrays: Mapping[str, Array]) -> str:
-    """SHA-256 over name, dtype, shape and little-endian bytes, in C order, of each array."""
+    """Return the SHA-256 over name, dtype, shape and little-endian bytes, in C order, of each array."""
     digest = hashlib.sha256()
     for name, array in arrays.items():
         _update(digest, name, np.asarray(array))
@@ -163,7 +166,7 @@ def hash_arrays(arrays: Mapping[str, Array]) -> str:
 
 
 def is_material_name(name: str) -> bool:
-    """Whether a name can be that of a group in a zarr store and of a folder."""
+    """Return whether a name can be that of a group in a zarr store and of a folder."""
     is_sound = re.fullmatch(r"(?!\.|__)[^/\\]{1,200}", name) and name.isprintable()
     return bool(is_sound) and name != "zarr.json"
 
@@ -187,12 +190,12 @@ def require_tolerance(tolerance: float) -> None:
 
 
 def alike(name: str) -> str:
-    """A key that is equal for names that differ in case or Unicode form only, as on some file systems."""
+    """Return a key that is equal for names that differ in case or Unicode form only, as on some file systems."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 
 def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
-    """Metadata of a material, from the attributes of its group."""
+    """Return the metadata of a material from the attributes of its group."""
     optional = ("name", "accuracy", "rotation_rad")
     known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name not in optional}
     accuracy, rotation_rad = values.get("accuracy"), float(values.get("rotation_rad", 0.0))

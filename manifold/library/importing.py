@@ -47,7 +47,7 @@ class InconsistentFileWarning(UserWarning):
 
 @dataclass(frozen=True)
 class ImportResult:
-    """What became of each file.
+    """The outcome of each file.
 
     Attributes:
         imported: names of new materials, sorted.
@@ -152,7 +152,7 @@ def find_files(
     is_wanted: Callable[[Path], bool] = lambda path: path.suffix == ".bsdf",
     what: str = ".bsdf file",
 ) -> list[Path]:
-    """The files among sources, each once, in order; folders are searched at every depth, and sorted.
+    """Return the files among sources, each once, in order; folders are searched at every depth, and sorted.
 
     Of a folder, libraries and hidden folders in it are left out; `what` says in words which files are wanted.
     """
@@ -205,7 +205,7 @@ class _Report:
 
 
 def _stored_hashes(library: Library) -> frozenset[str]:
-    """SHA-256 of the files whose materials are in a library."""
+    """Return the SHA-256 of the files whose materials are in a library."""
     return frozenset(library.attributes(name).sha256 for name in library.names)
 
 
@@ -226,7 +226,7 @@ def _load(
 
 
 def _check(paths: Sequence[Path], *, rotation_rad: Rotation, stored: frozenset[str]) -> list[_Source | str]:
-    """What is known of files, or why one cannot be imported."""
+    """Check files; return the record of each, or the reason why it cannot be imported."""
     return [_checked(path, rotation_rad, stored) for path in paths]
 
 
@@ -255,7 +255,7 @@ def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library
 def _choose(
     library: Library, loaded: Sequence[_Source], replace: bool, tolerance: float | None, report: _Report
 ) -> dict[Outcome, list[_Source]]:
-    """The files to be stored, as new materials or in place of others; the rest is reported."""
+    """Return the files to be stored, as new materials or in place of others, and report the rest."""
     first_of: dict[str, _Source] = {}
     chosen: dict[Outcome, list[_Source]] = {"imported": [], "replaced": []}
     for source in loaded:
@@ -335,6 +335,6 @@ def _stored(source: _Source, library: Path, staged: Path, tolerance: float | Non
 
 
 def _in_groups(items: Sequence[T]) -> list[Sequence[T]]:
-    """Items of tasks: few, where there are many, and independent of who runs them."""
+    """Return groups of items for tasks: few tasks for many items, independent of who runs them."""
     size = min(max(len(items) // _MANY_TASKS, 1), _MOST_TOGETHER)
     return [items[first : first + size] for first in range(0, len(items), size)]

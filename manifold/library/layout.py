@@ -74,7 +74,7 @@ class StoredArray:
 
 
 def stored(name: str, values: Array, bands: Bands) -> StoredArray:
-    """A field of `BsdfFile`, by its name there, as the store holds it."""
+    """Return a field of `BsdfFile`, by its name there, as the store holds it."""
     _, dims, units = FIELDS[name]
     attributes: dict[str, Any] = {"units": units} if units else {}
     if name == "luminance":
@@ -96,7 +96,7 @@ def stored(name: str, values: Array, bands: Bands) -> StoredArray:
 
 
 def root_attributes(bands: Bands) -> dict[str, Any]:
-    """Attributes of a new library."""
+    """Return the attributes of a new library."""
     wavelengths = "RGB" if bands.wavelengths_nm is None else list(bands.wavelengths_nm)
     return {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "bands": wavelengths}
 
@@ -140,39 +140,42 @@ def write_array(folder: Path, stored: StoredArray) -> None:
 
 
 def compressed_bytes(values: AnyArray) -> int:
-    """How many bytes an array takes that is stored compressed."""
+    """Return the number of bytes of an array that is stored compressed."""
     return len(Blosc("zstd", clevel=5, shuffle=Blosc.BITSHUFFLE, typesize=4).encode(values))
 
 
 def open_group(folder: Path) -> zarr.Group:
-    """The group in a folder; zarr raises many kinds of errors: OSError, ValueError, KeyError, JSON errors."""
+    """Open the group in a folder.
+
+    zarr raises many kinds of errors: OSError, ValueError, KeyError, JSON errors.
+    """
     _require_metadata(folder, "it lacks its zarr.json")
     return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
 
 
 def read_attributes(folder: Path) -> dict[str, Any]:
-    """The attributes of the group in a folder, without zarr, which takes thirty times as long."""
+    """Read the attributes of the group in a folder, without zarr, which takes thirty times as long."""
     _require_metadata(folder, "it lacks its zarr.json")
     found: dict[str, Any] = json.loads((folder / "zarr.json").read_bytes())["attributes"]
     return found
 
 
 def read_array(group: zarr.Group, name: str) -> AnyArray:
-    """One array, C-contiguous in the axis order of the store."""
+    """Read one array, C-contiguous in the axis order of the store."""
     array = _array(group, name)
     _require_chunks(array)
     return np.asarray(array[:] if array.ndim else array[()])
 
 
 def pack(tables: Mapping[str, AnyArray]) -> tuple[AnyArray, list[Any]]:
-    """Arrays one behind the other as bytes (n,), and name, dtype and shape of each: reading few arrays is quicker."""
+    """Join arrays into bytes (n,), and return name, dtype and shape of each, because few arrays read faster."""
     little = {name: np.asarray(array, array.dtype.newbyteorder("<")) for name, array in tables.items()}
     layout = [[name, array.dtype.str, list(array.shape)] for name, array in little.items()]
     return np.frombuffer(b"".join(array.tobytes() for array in little.values()), np.uint8), layout
 
 
 def unpack(packed: AnyArray, layout: Any) -> dict[str, AnyArray]:
-    """What `pack` packed. Raises LookupError or ValueError where the layout is none of these bytes."""
+    """Restore the arrays from `pack`. Raises LookupError or ValueError if the layout does not fit the bytes."""
     tables, content, position = {}, packed.tobytes(), 0
     for name, kind, shape in layout:
         dtype = np.dtype(kind)
@@ -186,7 +189,7 @@ def unpack(packed: AnyArray, layout: Any) -> dict[str, AnyArray]:
 
 
 def read_extra(group: zarr.Group) -> dict[str, Array]:
-    """The fields of a material that this package does not interpret, by name."""
+    """Read the fields of a material that this package does not interpret, by name."""
     folder = _folder(group) / "extra"
     if not folder.is_dir():
         return {}
@@ -196,7 +199,7 @@ def read_extra(group: zarr.Group) -> dict[str, Array]:
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    """One of the group's arrays, whose size and codecs can be trusted."""
+    """Return one of the group's arrays, after a check of its size and codecs."""
     _require_metadata(_folder(group) / name, f"it lacks its field '{name}'")
     array = group[name]
     if not isinstance(array, zarr.Array):

@@ -87,7 +87,7 @@ def require_no_link(folder: Path) -> None:
 
 
 def contents(library: Path) -> list[Path]:
-    """What a folder holds, without lock and staging folder."""
+    """Return the contents of a folder, without lock and staging folder."""
     return [path for path in library.iterdir() if not path.name.startswith(f".{library.name}.")]
 
 
@@ -116,7 +116,7 @@ def keep_arrays(group: Path, names: Collection[str]) -> None:
 
 
 def publish(staged: Path, target: Path) -> None:
-    """Rename a finished folder of the staging folder to its final name, in place of what is there.
+    """Rename a finished folder of the staging folder to its final name, in place of an existing one.
 
     Of a process killed in between, `standing` finds the old folder, and the next writer puts it back.
     """
@@ -127,12 +127,12 @@ def publish(staged: Path, target: Path) -> None:
 
 
 def standing(target: Path) -> Path:
-    """Where a folder stands: at its place, or beside it where it is being replaced."""
+    """Return the current place of a folder, which is beside its final one while it is being replaced."""
     return _replaced(target) if not target.exists() and _replaced(target).is_dir() else target
 
 
 def standing_names(folder: Path) -> set[str]:
-    """Names of the folders in a folder, those that are being replaced among them."""
+    """Return the names of the folders in a folder, including those that are being replaced."""
     found = {entry.name for entry in os.scandir(folder) if entry.is_dir()}
     replaced = {
         name[1 : -len(_REPLACED)] for name in found if name.startswith(".") and name.endswith(_REPLACED)

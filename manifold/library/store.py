@@ -106,7 +106,7 @@ class Library:
 
     @classmethod
     def open(cls, path: Path | str) -> Library:
-        """The same as `Library(path)`."""
+        """Open a library."""
         return cls(path)
 
     @classmethod
@@ -141,7 +141,7 @@ class Library:
         return isinstance(name, str) and is_material_name(name) and self._folder(name).is_dir()
 
     def read(self, name: str) -> BsdfFile:
-        """One material, verified by its hash.
+        """Read one material, verified by its hash.
 
         It equals the imported file in every value, shape and dtype, unless it is compact: `attributes` tells how
         accurate it is then.
@@ -169,7 +169,7 @@ class Library:
         return file
 
     def attributes(self, name: str) -> MaterialInfo:
-        """Metadata of a material, without reading its arrays.
+        """Return the metadata of a material, without reading its arrays.
 
         Raises:
             UsageError: no such material.
@@ -180,7 +180,7 @@ class Library:
 
     @property
     def disk_bytes(self) -> int:
-        """Bytes of the materials' files."""
+        """Return the bytes of the materials' files."""
         return sum(path.stat().st_size for path in (self.path / "materials").rglob("*") if path.is_file())
 
     @property
@@ -208,7 +208,7 @@ class Library:
         return problems
 
     def cache_get(self, key: str) -> dict[str, Array] | None:
-        """Arrays that `cache_put` stored under a key, or None if there are none or they are damaged."""
+        """Return the arrays that `cache_put` stored under a key, or None if there are none or they are damaged."""
         folder = self.path / "cache" / key
         if not folder.is_dir():
             return None
@@ -239,18 +239,18 @@ class Library:
             return
 
     def _folder(self, name: str) -> Path:
-        """Where a material stands, or would."""
+        """Return the folder of a material, whether it exists or not."""
         return staging.standing(self.path / "materials" / name)
 
     @contextmanager
     def _material(self, name: str) -> Iterator[zarr.Group]:
-        """The material's group, likewise."""
+        """Yield the material's group; any fault of it becomes a LibraryError that names it."""
         with self._named(name) as folder:
             yield open_group(folder)
 
     @contextmanager
     def _named(self, name: str) -> Iterator[Path]:
-        """The material's folder; whatever goes wrong with it becomes one LibraryError that names it."""
+        """Yield the material's folder; any fault of it becomes a LibraryError that names it."""
         if name not in self:
             raise UnknownNameError(
                 f"{name}: no such material in {self.path.name}, which holds {len(self)} materials; "
@@ -270,7 +270,7 @@ class Library:
 
 
 def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
-    """Schema version and bands of the library in a folder, which is `shown` in errors."""
+    """Return schema version and bands of the library in a folder, which is `shown` in errors."""
     again = "import its files again into a new library"
     try:
         attributes: dict[str, Any] = dict(open_group(folder).attrs)
@@ -301,12 +301,12 @@ def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
 
 
 def _first_line(error: Exception) -> str:
-    """The first line of an error of zarr; its type, if it has no message."""
+    """Return the first line of an error of zarr, or its type if it has no message."""
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
-    """A material, and the hash of what was read; RGB has no wavelengths."""
+    """Return a material and the hash of the data that were read; RGB has no wavelengths."""
     hashed: dict[str, AnyArray] | None = None
     if info.accuracy is None:
         fields = _as_imported(group, is_rgb=is_rgb)
@@ -329,7 +329,7 @@ def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tup
 
 
 def _as_imported(group: zarr.Group, *, is_rgb: bool) -> dict[str, Any]:
-    """The fields of `BsdfFile` that hold arrays."""
+    """Return the fields of `BsdfFile` that hold arrays."""
     fields: dict[str, Any] = {
         field: read_array(group, stored)
         for field, (stored, _, _) in FIELDS.items()

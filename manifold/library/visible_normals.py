@@ -21,7 +21,7 @@ Differences = NDArray[np.int32]
 
 
 class Slices(NamedTuple):
-    """What the tables of visible normals of P x T incident directions follow from, beside `ndf`: factors (P, T).
+    """The parameters of the tables of visible normals of P x T incident directions, beside `ndf`: factors (P, T).
 
     Attributes:
         elevations_rad: of the incident directions, shape (P, T): those of the file, or the limit at the horizon.
@@ -31,17 +31,17 @@ class Slices(NamedTuple):
     factors: Array
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {name: values.tolist() for name, values in self._asdict().items()}
 
     @classmethod
     def from_json(cls, content: Any) -> Slices:
-        """From plain values. Raises LookupError or ValueError where they are none."""
+        """Restore the slices from plain values. Raises LookupError or ValueError for other values."""
         return cls(*(np.array(content[name], dtype=np.float64) for name in cls._fields))
 
 
 def encode(file: BsdfFile) -> tuple[Differences, Slices]:
-    """Differences in units in the last place, shape of `vndf`, and what they are differences from."""
+    """Return differences in units in the last place, shape of `vndf`, and the slices that they refer to."""
     shape = file.vndf.shape[:2]
     differences = np.empty(file.vndf.shape, np.int32)
     slices = Slices(np.empty(shape), np.empty(shape))
@@ -61,7 +61,7 @@ def encode(file: BsdfFile) -> tuple[Differences, Slices]:
 
 
 def decode(differences: Differences, slices: Slices, ndf: Array, phi_i_rad: Array) -> Array:
-    """The `vndf` that was encoded, float32, bit for bit on every machine."""
+    """Return the `vndf` that was encoded, float32, bit for bit on every machine."""
     vndf = np.empty(differences.shape, np.float32)
     azimuths = _azimuths(phi_i_rad)
     for p, t in np.ndindex(differences.shape[:2]):
@@ -73,12 +73,12 @@ def decode(differences: Differences, slices: Slices, ndf: Array, phi_i_rad: Arra
 
 
 def _azimuths(phi_i_rad: Array) -> Array:
-    """Of the incident directions; isotropic files count the azimuths of normals from them."""
+    """Return the azimuths of the incident directions; isotropic files count the normals' azimuths from them."""
     return phi_i_rad.astype(np.float64) if len(phi_i_rad) > 2 else np.zeros(len(phi_i_rad))
 
 
 def _visible(ndf: Array, shape: tuple[int, ...], theta_i: float, phi_i: float) -> Array:
-    """`D(m) max(0, wi . m) u sin(theta)` on a grid (R, C), u that of theta; 0 where `ndf` has another grid."""
+    """Return `D(m) max(0, wi . m) u sin(theta)` on a grid (R, C), u that of theta; 0 if `ndf` has another grid."""
     rows, columns = shape
     if ndf.shape[1] != columns:
         return np.zeros(shape)
@@ -94,7 +94,10 @@ def _visible(ndf: Array, shape: tuple[int, ...], theta_i: float, phi_i: float) -
 
 
 def _sine(x: AnyArray) -> Array:
-    """Sine of angles within a turn, by its series: numpy's differs between machines in the last bit."""
+    """Return the sine of angles within a turn by its series.
+
+    NumPy's differs between machines in the last bit.
+    """
     square, total = x * x, np.ones_like(x)
     for k in range(40, 0, -2):
         total = 1.0 - square / (k * (k + 1.0)) * total

@@ -48,7 +48,7 @@ Halves = NDArray[np.float16]  # cube roots to 0.05 %, which no colour difference
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """What N materials are compared by.
+    """The values by which N materials are compared.
 
     Attributes:
         lab: CIELAB of the pixels of their balls, shape (N, K, 3).
@@ -66,7 +66,7 @@ class Appearance:
         return len(self.lab)
 
     def subset(self, materials: Indices) -> Appearance:
-        """That of some of the materials."""
+        """Return the values of some of the materials."""
         return Appearance(*(values[materials] for values in vars(self).values()))
 
     @property
@@ -76,7 +76,7 @@ class Appearance:
         return np.ascontiguousarray(self.profiles[:, :, ::_PROFILE_STRIDE][..., some])
 
     def compare(self, i: int, others: Indices) -> Array:
-        """Material i beside others (n,), shape (3, n).
+        """Return the differences of material i from others (n,), shape (3, n).
 
         Mean CIEDE2000 between their balls, the distance of their logarithms, and the depth, beyond what is allowed, of
         the deepest valley in blends of the two.
@@ -91,7 +91,7 @@ class Appearance:
         return np.stack([ball, np.sqrt(np.einsum("nd,nd->n", apart, apart)), valley])
 
     def distances(self) -> AppearanceDistances:
-        """Those of all pairs."""
+        """Return the differences of all pairs."""
         N = len(self)
         found = np.zeros((3, N, N))
         for i in range(1, N):
@@ -104,7 +104,7 @@ class Appearance:
 
 
 def _targets(ball: Array, shape: Array, valley: Array) -> tuple[Array, Array]:
-    """Target and least distances on a map."""
+    """Return target and least distances on a map."""
     return np.hypot(0.5 * (ball + shape), _VALLEY_APART * valley) / _UNIT, ball / _UNIT
 
 
@@ -129,7 +129,7 @@ class AppearanceDistances:
     scale: float
 
     def subset(self, materials: Indices) -> AppearanceDistances:
-        """The distances between some of the materials."""
+        """Return the distances between some of the materials."""
         rows = np.ix_(materials, materials)
         return AppearanceDistances(
             self.ball[rows], self.shape[rows], self.valley[rows], self.allowed[materials],
@@ -137,7 +137,7 @@ class AppearanceDistances:
         )  # fmt: skip
 
     def layout(self, latent_dim: int) -> Layout:
-        """Places of the materials in Q dimensions, in units of the kernel's length scale."""
+        """Return the places of the materials in Q dimensions, in units of the kernel's length scale."""
 
         def cost(u: Array) -> tuple[Array, Array]:
             squared, slope = squared_valleys(u, self.profiles, self.allowed)
@@ -167,11 +167,11 @@ class BlendSamples:
     reflectances: Array
 
     def rows(self, materials: Indices) -> Indices:
-        """Indices of the samples of materials (n,), shape (n B_s,)."""
+        """Return the indices of the samples of materials (n,), shape (n B_s,)."""
         return sample_rows(materials, len(self.bands))
 
     def subset(self, materials: Indices) -> BlendSamples:
-        """Those of some of the materials, (n,) indices."""
+        """Return the samples of some of the materials, (n,) indices."""
         rows, (inside, measure) = self.rows(materials), self.sphere
         albedo = [(values[rows], measure) for values, measure in self.albedo]
         return BlendSamples(
@@ -184,7 +184,7 @@ class BlendSamples:
         )
 
     def paths(self, landmarks: Indices | None = None) -> ColourPaths:
-        """Colour paths, made of a material's own samples and those of landmarks, by default of all."""
+        """Return colour paths made of a material's own samples and those of landmarks, by default of all materials."""
         cosines = encoding_pairs().cosines
         return fit_paths(
             self.roots[:, : len(cosines)], cosines, len(self.bands), self.sphere, self.albedo, landmarks
@@ -194,7 +194,10 @@ class BlendSamples:
 def evaluate(
     materials: Iterable[MeasuredBRDF], bands: Indices, is_isotropic: bool
 ) -> tuple[Appearance, BlendSamples]:
-    """What maps of blends are fitted to, of materials one after another; `bands` (B_s,) become samples."""
+    """Return the values to which maps of blends are fitted, from one material after another.
+
+    `bands` (B_s,) become samples.
+    """
     ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), encoding_pairs(is_isotropic)
     lights = panel.judged()
     wi_wo = profile_pairs() if is_isotropic else profile_pairs(azimuths_deg=LAYOUT_AZIMUTHS_DEG)
@@ -245,11 +248,11 @@ class BlendTables:
         return cls(appearance.distances(), samples)
 
     def subset(self, materials: Indices) -> BlendTables:
-        """The tables of some of the materials, (n,) indices."""
+        """Return the tables of some of the materials, (n,) indices."""
         return BlendTables(self.distances.subset(materials), self.samples.subset(materials))
 
     def fit(self, latent_dim: int, kernel: Kernel) -> tuple[BlendSpace, Layout]:
-        """The map of the materials, and its layout."""
+        """Return the map of the materials, and its layout."""
         layout, s = self.distances.layout(latent_dim), self.samples
         return BlendSpace(layout.X, s.paths(), s.bands, s.reflectances, kernel), layout
 
@@ -257,7 +260,7 @@ class BlendTables:
 def fit_landmarks(
     appearance: Appearance, samples: BlendSamples, count: int, latent_dim: int, kernel: Kernel,
 ) -> tuple[BlendSpace, Layout]:  # fmt: skip
-    """The map of N materials by landmarks, `count` of them, and its layout: at a cost linear in N."""
+    """Return the map of N materials by `count` landmarks, and its layout, at a cost linear in N."""
     N, everything = len(appearance), np.arange(len(appearance))
     compared = {}
     scale = appearance.subset(evenly_spaced(N, count)).distances().scale
@@ -296,7 +299,7 @@ def fit_landmarks(
 
 
 def _signatures(samples: BlendSamples, landmarks: Indices) -> Array:
-    """Coordinates (N, r) of the materials in the span of a few landmarks: distances of cube roots, approximately."""
+    """Return coordinates (N, r) of the materials in the span of a few landmarks, for distances of cube roots."""
     weight = appearance_weight(samples.roots[samples.rows(landmarks)]).astype(np.float32)
     rows = (samples.roots * weight).reshape(len(samples.reflectances), -1)
     some = rows[landmarks[:SIGNATURE]]

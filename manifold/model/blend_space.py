@@ -78,7 +78,10 @@ class BlendSpace(LatentSpace):
 
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
-        """The space of a file's arrays. Raises ValueError where they do not fit each other or the number of bands."""
+        """Restore the space from a file's arrays.
+
+        Raises ValueError if they do not fit each other or the number of bands.
+        """
         X, bands = stored["X"], require_bands(stored, n_bands)
         N, n = len(X), len(X) * len(bands)
         shapes = {
@@ -102,7 +105,7 @@ class BlendSpace(LatentSpace):
         return cls(X, paths, bands, reflectances, kernel, landmarks, signatures)
 
     def subset(self, materials: Indices, length_scale: float = 1.0) -> BlendSpace:
-        """The map of some of its materials, (n,) indices, all of them laid out, in units of another length scale."""
+        """Return the map of some of its materials, (n,) indices, all of them laid out, with another length scale."""
         kernel = replace(self.kernel, length_scale=self.kernel.length_scale * length_scale)
         paths, reflectances = self.paths.subset(materials), self.reflectances[materials]
         return BlendSpace(self.X[materials], paths, self.bands, reflectances, kernel)
@@ -120,22 +123,25 @@ class BlendSpace(LatentSpace):
         return super().gp if self.landmarks is None else self.of_landmarks.gp
 
     def around(self, x: Array) -> tuple[Indices, BlendSpace] | None:
-        """The neighbours of x (Q,), and the landmarks, of which colour paths are made, and their space."""
+        """Return the neighbours of x (Q,) with the landmarks, of which colour paths are made, and their space."""
         if self.landmarks is None:
             return None
         materials = np.union1d(self.landmarks, self.neighbours(x, NEIGHBOURS + 1))
         return materials, self.subset(materials)
 
     def neighbours(self, x: Array, count: int) -> Indices:
-        """The nearest materials to x (Q,), nearest first, shape (count,) or (N,)."""
+        """Return the materials nearest to x (Q,), nearest first, shape (count,) or (N,)."""
         return np.argsort(np.sum((self.X - x) ** 2, axis=1), kind="stable")[:count]
 
     def printed(self, x: Array) -> tuple[str, ...]:
-        """Coordinates of a place (Q,): predictions are continuous, so three decimals reproduce them."""
+        """Return the coordinates of a place (Q,) with three decimals, which reproduce its continuous prediction."""
         return tuple(f"{v:.3f}" for v in x)
 
     def weights(self, x: Array, colours: Array | None) -> Array:
-        """Weights of the materials at x (Q,), shape (N,); in chosen colours those of samples, shape (B, N B_s)."""
+        """Return the weights of materials at x (Q,), shape (N,).
+
+        In chosen colours they are the weights of samples, shape (B, N B_s).
+        """
         u = self.material_weights(x[None], None)[0]
         if colours is None:
             return u
@@ -143,37 +149,40 @@ class BlendSpace(LatentSpace):
         return self.paths.weights(u, coordinates) * np.reshape(gains, (-1, 1))
 
     def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
-        """The weighted sum of a prediction at x (Q,): of whole materials, or of single bands in chosen colours."""
+        """Return the weighted sum of a prediction at x (Q,).
+
+        It sums whole materials, or single bands in chosen colours.
+        """
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])
         return Combination(mapping, self.weights(x, colours), None if colours is None else self.bands)
 
     def material_weights(self, X: Array, colours: Array | None) -> Array:
-        """Shares of the materials at places X (M, Q), whatever their colours, shape (M, N)."""
+        """Return the shares of the materials at places X (M, Q), in any colours, shape (M, N)."""
         return blend_weights(X, self.X, self.kernel.length_scale)
 
     def weights_without(self, i: int, x: Array) -> Array:
-        """Shares of the materials at x (Q,) if material i is left out, shape (N,)."""
+        """Return the shares of the materials at x (Q,) if material i is left out, shape (N,)."""
         others = np.delete(np.arange(len(self.X)), i)
         u = np.zeros(len(self.X))
         u[others] = blend_weights(x[None], self.X[others], self.kernel.length_scale)[0]
         return u
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
-        """The material at x (Q,), where the colours are its own; else None."""
+        """Return the material at x (Q,) if the colours are its own, else None."""
         k = int(first_equal_row(x[None], self.X)[0])
         is_own = colours is None or np.array_equal(colours, self.own_colours[k])
         return k if k >= 0 and is_own else None
 
     def reflectance_of(self, x: Array, colours: Array, decoder: Decoder, measure: Array) -> Array:
-        """Reflectance (B,) of a place x (Q,) in colours, by a measure (P,) of the decoder's outputs."""
+        """Return the reflectance (B,) of a place x (Q,) in colours, by a measure (P,) of the decoder's outputs."""
         return (self.weights(x, colours) @ decoder.mapped) ** 3 @ measure
 
     def colours_of(
         self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
     ) -> tuple[Array, Array]:
-        """Coordinates (B,) at which a place x (Q,) has a reflectance (B,), and the reflectance reached, (B,)."""
+        """Return coordinates (B,) at which a place x (Q,) has a reflectance (B,), and the reflectance reached, (B,)."""
         u = self.material_weights(x[None], None)[0]
         return self.paths.coordinates_of(u, reflectance, decoder.mapped, measure)
 
@@ -183,11 +192,11 @@ class BlendSpace(LatentSpace):
         return np.cbrt(np.maximum(self.reflectances, 0.0))
 
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Bands whose values are compared to find a place: the samples of the paths."""
+        """Return the bands whose values are compared to find a place: the samples of the paths."""
         return self.bands
 
     def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
-        """Direction pairs of the encoding grid and of a ball's light."""
+        """Return the direction pairs of the encoding grid and of a ball's light."""
         return appearance_pairs(is_isotropic)
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
@@ -202,7 +211,7 @@ class BlendSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """A search for each material among the others; colour paths that use its samples are kept."""
+        """Return a search for each material among the others; colour paths that use its samples are kept."""
         N, B, pairs = len(self.X), len(self.bands), self.embedding_pairs(materials.is_isotropic)
         at = np.searchsorted(table.bands, self.bands)
         roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)
@@ -220,7 +229,7 @@ class BlendSpace(LatentSpace):
 
 
 def require_blends(space: LatentSpace) -> BlendSpace:
-    """The space of a map of blends. Raises UsageError where the map is of another kind."""
+    """Return the space of a map of blends. Raises UsageError for a map of another kind."""
     if not isinstance(space, BlendSpace):
         raise UsageError(f"a map of kind {space.kind}, expected blend: embed the library with that kind")
     return space
@@ -230,7 +239,7 @@ class Rows(Protocol):
     """Rows of a table (n, P), some of which may be read when they are asked for."""
 
     def __getitem__(self, rows: Indices) -> Array:
-        """Rows (m, P) by their indices (m,)."""
+        """Return rows (m, P) by their indices (m,)."""
 
 
 class PlaceSearch:
@@ -288,12 +297,12 @@ class PlaceSearch:
         return x, np.stack([self._grid[k], gains]), relative
 
     def first_place(self, target: Array, bands: Indices, without: int | None) -> Array:
-        """The best of the places (Q,) that `find` starts from; arguments as there."""
+        """Return the best of the places (Q,) that `find` starts from; the arguments are those of `find`."""
         weighted, _, found = self._of(target, without)
         return found.starts(bands, float(np.sum(weighted[bands] ** 2)))[0]
 
     def _of(self, target: Array, without: int | None) -> tuple[Array, Indices, _BestPlace]:
-        """A target weighted, (B, P), the candidates for it, (M,), and the search among them."""
+        """Return a weighted target, (B, P), the candidates for it, (M,), and the search among them."""
         weighted = target.astype(self._weight.dtype) * self._weight
         at_vertices = (self._at_vertices @ weighted.T).astype(np.float64)  # [V, B]
         cross = np.stack([self._on_grid(at_vertices, k) for k in range(_COORDINATES)], axis=1)  # [N', K, B]
@@ -304,18 +313,21 @@ class PlaceSearch:
         return weighted, used, _BestPlace(self._X[used], self._l, cross, gram)
 
     def _on_grid(self, at_vertices: Array, k: int) -> Array:
-        """What is known at the vertices of all paths, (V, ...), at coordinate k of the grid, (N', ...)."""
+        """Interpolate values at the vertices of all paths, (V, ...), to coordinate k of the grid, (N', ...)."""
         lower, t = self._lower[k], self._t[k]
         return (1.0 - t) * at_vertices[lower] + t * at_vertices[lower + 1]
 
     def _own_products(self, weighted: Array, used: Indices) -> tuple[Array, Array]:
-        """Products of materials with a target in the bands of the samples, at least 0, and squared norms, (M, B_s)."""
+        """Return the products of materials with a target, at least 0, and squared norms, (M, B_s).
+
+        The bands are those of the samples.
+        """
         own = self._own[used]
         inner = np.maximum(np.einsum("nbp,bp->nb", own, weighted), 0.0)
         return inner, np.maximum(np.einsum("nbp,nbp->nb", own, own), _LEAST_NORM)
 
     def _in_own_colours(self, k: int, weighted: Array) -> Array:
-        """Path coordinates of material k in its own colours, and the best gains, (2, B)."""
+        """Return path coordinates of material k in its own colours, and the best gains, (2, B)."""
         coordinates = self._own_colours[k]
         vertices = self._at_vertices[self._starts[k] : self._starts[k + 1]]
         own = interpolate(self._coordinates[k], coordinates, vertices)
@@ -335,7 +347,10 @@ class _BestPlace:
         self._rows = gram.reshape(-1, len(X))  # [K N, N]
 
     def place(self, bands: Indices, norm: float) -> tuple[Array, float]:
-        """The place (Q,) of least squared residual in some bands, and that; `norm`: the target's squared norm there."""
+        """Return the place (Q,) of least squared residual in some bands, and that residual.
+
+        `norm` is the target's squared norm there.
+        """
         residuals, Q = self._residuals(bands, norm), self._X.shape[1]
         steps = np.vstack([np.zeros(Q), 0.2 * self._l * np.eye(Q)])
         ends = [
@@ -349,7 +364,7 @@ class _BestPlace:
         return np.asarray(best.x), float(best.fun)
 
     def starts(self, bands: Indices, norm: float) -> Array:
-        """The best of the materials' places and random blends of three, the best first, shape (S, Q)."""
+        """Return the best of the materials' places and random blends of three, the best first, shape (S, Q)."""
         X, rng = self._X, np.random.default_rng(0)
         count = min(3, len(X))
         chosen = [rng.choice(len(X), count, replace=False) for _ in range(_TRIED_PLACES)]
@@ -358,7 +373,7 @@ class _BestPlace:
         return places[order[:_REFINED_PLACES]]
 
     def _residuals(self, bands: Indices, norm: float) -> Callable[[Array], Array]:
-        """Squared residuals (M,) at places (M, Q); infinite where the data do not support blends."""
+        """Return squared residuals (M,) as a function of places (M, Q); infinite if the data do not support blends."""
         X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
 
         def residuals(x: Array) -> Array:
@@ -369,13 +384,16 @@ class _BestPlace:
         return residuals
 
     def coordinates(self, x: Array) -> tuple[Indices, Array]:
-        """Index of the best path coordinate of each band at a place x (Q,), and its gain, (B,) each."""
+        """Return the index of each band's best path coordinate at a place x (Q,), and its gain, (B,) each."""
         inner, squared = (found[0] for found in self._products(x[None], self._cross))
         k = np.argmax(inner**2 / squared, axis=0)
         return k, inner[k, np.arange(len(k))] / squared[k, 0]
 
     def _products(self, x: Array, cross: Array) -> tuple[Array, Array]:
-        """Products of blends at places (M, Q) with a target, (M, K, B), at least 0, and squared norms (M, K, 1)."""
+        """Return products of blends at places (M, Q) with a target, at least 0, and squared norms.
+
+        Their shapes are (M, K, B) and (M, K, 1).
+        """
         u = blend_weights(x, self._X, self._l)
         inner = np.maximum(u @ cross.reshape(len(cross), -1), 0.0).reshape(len(u), *cross.shape[1:])
         squared = (u @ self._rows.T).reshape(len(u), -1, u.shape[1]) @ u[:, :, None]

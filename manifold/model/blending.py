@@ -63,7 +63,7 @@ class Layout:
 
 
 def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
-    """Weights u of samples X (N, Q) at places x (M, Q), never negative and of sum 1, shape (M, N).
+    """Return the weights u of samples X (N, Q) at places x (M, Q), never negative and with sum 1, shape (M, N).
 
     `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`: a unit vector at a sample, continuous, with a slope of 0 at the samples. Of
     more than `NEIGHBOURS` samples only the nearest have a weight, less that of the next one.
@@ -79,7 +79,10 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
 
 
 def _weights(squared: Array, *, is_cut: bool = False) -> Array:
-    """Weights (M, N) by squared distances in length scales (M, N), or (M, N + 1), where the last one has none."""
+    """Return weights (M, N) from squared distances in length scales (M, N).
+
+    If these have N + 1 columns, the last one gets weight 0.
+    """
     with np.errstate(divide="ignore"):
         log = -0.5 * squared - np.log(squared)
     is_sample = np.isposinf(log)
@@ -93,19 +96,19 @@ def _weights(squared: Array, *, is_cut: bool = False) -> Array:
 
 
 def nearest_distance(x: Array, X: Array) -> Array:
-    """Distances of places x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
+    """Return the distances of places x (M, Q) from the nearest of the samples X (N, Q), shape (M,)."""
     if len(X) > NEIGHBOURS:
         return np.asarray(scipy.spatial.KDTree(X).query(x)[0])
     return np.sqrt(squared_distances(x, X).min(axis=1))
 
 
 def widest_gap(X: Array) -> float:
-    """The largest distance of a sample of X (N, Q) from its nearest other one; infinity for a single sample."""
+    """Return the largest distance of a sample of X (N, Q) from its nearest other one; infinity for a single sample."""
     return float(_gaps(X).max())
 
 
 def _gaps(X: Array) -> Array:
-    """The distance of every sample of X (N, Q) from its nearest other one, shape (N,)."""
+    """Return the distance of every sample of X (N, Q) from its nearest other one, shape (N,)."""
     if len(X) > NEIGHBOURS:
         return np.asarray(scipy.spatial.KDTree(X).query(X, 2)[0][:, 1])
     squared = squared_distances(X, X)
@@ -116,7 +119,7 @@ def _gaps(X: Array) -> Array:
 def blend_layout(
     distance: Array, separation: Array, implausible: Array, n_components: int, cost: Cost | None = None
 ) -> Layout:
-    """Places of N samples, in length scales of `blend_weights`, centred.
+    """Return places of N samples, in length scales of `blend_weights`, centred.
 
     Target distances, positive off the diagonal, least distances in the same unit, and costs of blends of two, at least
     0, are (N, N); `cost` is that of blends of any number. Minimises the relative stress `sum (d_ij - distance_ij)^2 /
@@ -147,8 +150,9 @@ def blend_layout(
 
 
 class LayoutObjective:
-    """Stress and separation of pairs of samples, by target and least distances (R,), with other terms, and their
-    gradients; a pair may stand for several, (R,).
+    """An objective of stress and separation of pairs of samples, by target and least distances (R,), and its gradient.
+
+    It may have other terms; a pair may stand for several, (R,).
     """
 
     def __init__(
@@ -166,14 +170,14 @@ class LayoutObjective:
         self._stress, self._hinge = weight / weight.sum(), _SEPARATION * count / count.sum()
 
     def value(self, X: Array, more: Term) -> tuple[float, Array]:
-        """The objective at places X (N, Q) with another term, and its gradient."""
+        """Return the objective at places X (N, Q) plus another term, and its gradient."""
         (value, gradient), (added, slope) = self._apart(X), more(X)
         return value + added, gradient + slope
 
     def minimise(
         self, start: Array, more: Term, damping: float = 0.0, limits: dict[str, float] = _TIGHT
     ) -> Array:
-        """Places (N, Q) at the nearest minimum, with the mean squared distance from the start times a damping added."""
+        """Return places (N, Q) at the nearest minimum, with a damping of the mean squared distance from the start."""
         held = damping / len(start)
 
         def flat(z: Array) -> tuple[float, Array]:
@@ -186,7 +190,10 @@ class LayoutObjective:
         return np.asarray(found.x).reshape(start.shape)
 
     def unfold(self, start: Array, rng: np.random.Generator) -> Array:
-        """Places (N, Q) near a minimum, from a start in one dimension more, (N, Q + 1), that is flattened slowly."""
+        """Return places (N, Q) near a minimum, from a start in one more dimension.
+
+        The start, (N, Q + 1), is flattened slowly.
+        """
         X: Array = start + 1e-3 * self._unit * rng.normal(size=start.shape)
         for weight in _FLATTENING / self._unit**2:
 
@@ -208,21 +215,21 @@ class LayoutObjective:
         return float(value), add_rows(i, pull, len(X)) - add_rows(j, pull, len(X))
 
     def result(self, start: Array, X: Array, more: Term) -> Layout:
-        """The layout of places X (N, Q) that were found from a start (N, Q)."""
+        """Return the layout of places X (N, Q) that were found from a start (N, Q)."""
         first, value = (self.value(places, more)[0] for places in (start, X))
         axes, unit = np.linalg.svd(X - X.mean(axis=0), full_matrices=False)[2], kernel_radius(X)
         return Layout(fix_gauge(X @ axes.T) / unit, unit, first, value)
 
 
 def add_rows(index: Indices, rows: Array, count: int) -> Array:
-    """Rows (R, Q) summed by their index (R,), shape (count, Q)."""
+    """Sum rows (R, Q) by their index (R,), shape (count, Q)."""
     return np.stack([np.bincount(index, column, count) for column in rows.T], axis=1)
 
 
 def _blends(
     shares: Array, radius: float, implausible: Array, cost: Cost | None = None, weight: float = 0.0
 ) -> Term:
-    """Mean over the places `shares @ X`, shares (K, N), of u^T implausible u, and of the cost times a weight."""
+    """Return the mean over places `shares @ X`, shares (K, N), of u^T implausible u, plus the weighted cost."""
 
     def term(X: Array) -> tuple[float, Array]:
         places, at = (np.ascontiguousarray(points.T) for points in (shares @ X, X))
@@ -240,7 +247,7 @@ def _blends(
 
 
 def soft_weights(D: Array, radius: float) -> tuple[Array, Array]:
-    """Weights u (K, N) of blends by differences of places D (Q, K, N), smooth at the samples too; and |D|^2."""
+    """Return weights u (K, N) of blends from differences D (Q, K, N), smooth at the samples as well; and |D|^2."""
     squared = np.sum(D * D, axis=0) + 1e-6 * radius**2
     log = -0.5 * squared / radius**2 - np.log(squared)
     u = np.exp(log - log.max(axis=1, keepdims=True))
@@ -249,13 +256,13 @@ def soft_weights(D: Array, radius: float) -> tuple[Array, Array]:
 
 
 def pulled_back(D: Array, u: Array, squared: Array, slope: Array, radius: float) -> Array:
-    """Gradient by D (Q, K, N) of a function of `soft_weights(D, radius)` whose gradient by u is `slope` (K, N)."""
+    """Return the gradient by D (Q, K, N) of a function of `soft_weights(D, radius)`, from its gradient by u (K, N)."""
     d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True))
     return np.asarray(-d_log * (1.0 / radius**2 + 2.0 / squared) * D)
 
 
 def _principal_coordinates(distance: Array, n_components: int) -> Array:
-    """Classical scaling: places (N, Q) whose inner products are nearest to those of the distances."""
+    """Return places (N, Q) by classical scaling, whose inner products are nearest to those of the distances."""
     N = len(distance)
     centring = np.eye(N) - 1.0 / N
     values, vectors = np.linalg.eigh(-0.5 * centring @ distance**2 @ centring)
@@ -266,7 +273,7 @@ def _principal_coordinates(distance: Array, n_components: int) -> Array:
 
 
 def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
-    """Shares (K, N) of random places inside the hull, of at most four samples each."""
+    """Return shares (K, N) of random places inside the hull, of at most four samples each."""
     shares = np.zeros((_places(N), N))
     for row in shares:
         count = int(rng.integers(2, min(_MOST_BLENDED, N) + 1))
@@ -275,8 +282,9 @@ def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
 
 
 def inside_hull(X: Array, count: int, rng: np.random.Generator) -> Array:
-    """Shares (K, N) of the samples around `count` places drawn uniformly from the hull of X (N, Q); None where it is
-    flat.
+    """Return shares (K, N) of the samples around `count` places drawn uniformly from the hull of X (N, Q).
+
+    A flat hull has no such places, and K is 0.
     """
     N, Q = X.shape
     try:
@@ -296,8 +304,10 @@ def _places(N: int) -> int:
 
 
 def kernel_radius(X: Array) -> float:
-    """Length scale of the kernel: about the side of a sample's share of the convex hull's volume, and no less than what
-    reaches neighbours, else blends would be copies of the nearest sample.
+    """Return the kernel's length scale: about the side of a sample's share of the convex hull's volume.
+
+    It is no less than the distance to neighbours, since otherwise blends would be copies of the nearest
+    sample.
     """
     N, Q = X.shape
     extent = np.ptp(X, axis=0)

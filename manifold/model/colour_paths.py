@@ -49,7 +49,10 @@ class ColourPaths:
 
     @cached_property
     def vertices(self) -> list[tuple[Array, Indices, Array]]:
-        """Of every path: coordinates (V,), black first, the samples it is made of, (c,), and their weights (V, c)."""
+        """Return the vertices of every path.
+
+        They are coordinates (V,), black first, the samples it is made of, (c,), and their weights (V, c).
+        """
         N = len(self.dark_coordinate)
         return [self._path(i, len(self.reflectances) // N) for i in range(N)]
 
@@ -59,8 +62,9 @@ class ColourPaths:
         return max(float(coordinates[-1]) for coordinates, _, _ in self.vertices)
 
     def weights(self, u: Array, coordinates: Array) -> Array:
-        """Weights of the samples where materials are blended by u (N,), at coordinates (B,), or (N, B) if each material
-        has its own, shape (B, n).
+        """Return the weights of samples for materials blended by u (N,), shape (B, n).
+
+        Coordinates are (B,), or (N, B) if each material has its own.
         """
         total = np.zeros((coordinates.shape[-1], len(self.reflectances)))
         each = np.broadcast_to(coordinates, (len(u), coordinates.shape[-1]))
@@ -70,7 +74,7 @@ class ColourPaths:
         return total
 
     def subset(self, materials: Indices) -> ColourPaths:
-        """The paths of some materials (N',), which are made of samples of these alone."""
+        """Return the paths of some materials (N',), made of these materials' samples only."""
         samples = sample_rows(materials, len(self.reflectances) // len(self.dark_coordinate))
         dark, bright = (rows[materials][:, samples] for rows in (self.dark, self.bright))
         ends = (self.dark_coordinate[materials], self.bright_coordinate[materials])
@@ -79,8 +83,9 @@ class ColourPaths:
     def coordinates_of(
         self, u: Array, reflectance: Array, samples: Array, measure: Array
     ) -> tuple[Array, Array]:
-        """Coordinates (B,) at which a blend u (N,) has a reflectance (B,), and that reached, (B,), from cube roots (n,
-        P) inside an integrating sphere, and the measure (P,) of values there.
+        """Return coordinates (B,) at which a blend u (N,) has a reflectance (B,), and the reflectance reached, (B,).
+
+        `samples` are cube roots (n, P) inside an integrating sphere, `measure` (P,) weighs values there.
         """
 
         def reached(at: Array) -> Array:
@@ -125,21 +130,21 @@ class ColourPaths:
 
 
 def between(vertices: Array, coordinates: Array) -> tuple[Indices, Array]:
-    """Index of the vertex (V,) below each coordinate (B,), and how far to the next one it lies, from 0 to 1, (B,)."""
+    """Return the index of the vertex (V,) below each coordinate (B,), and the fraction of the way to the next."""
     at = np.clip(coordinates, vertices[0], vertices[-1])
     k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)
     return k, (at - vertices[k]) / (vertices[k + 1] - vertices[k])
 
 
 def interpolate(vertices: Array, coordinates: Array, at_vertices: Array) -> Array:
-    """What is known at vertices (V,), shape (V, C), at coordinates (B,) of their path, shape (B, C)."""
+    """Interpolate values at vertices (V,), shape (V, C), to coordinates (B,) of their path, shape (B, C)."""
     k, t = between(vertices, coordinates)
     t = t[:, None].astype(at_vertices.dtype)
     return np.asarray((1.0 - t) * at_vertices[k] + t * at_vertices[k + 1])
 
 
 def sample_rows(materials: Indices, n_bands: int) -> Indices:
-    """Indices of the samples of materials (N,), shape (N n_bands,)."""
+    """Return indices of the samples of materials (N,), shape (N n_bands,)."""
     return (materials[:, None] * n_bands + np.arange(n_bands)).reshape(-1)
 
 
@@ -151,7 +156,7 @@ def fit_paths(
     albedo: Sequence[tuple[Array, Array]],
     landmarks: Indices | None = None,
 ) -> ColourPaths:
-    """Paths from cube roots (n, P) of samples, material by material, and cosines (P,) of the direction pairs.
+    """Return paths from cube roots (n, P) of samples, material by material, and cosines (P,) of the direction pairs.
 
     `sphere` is samples (n, P') inside an integrating sphere, and its measure (P',); `albedo` the same at several
     incidences: no path ends above an albedo of 1. Paths are made of the samples of `landmarks`, by default all, and of
@@ -166,7 +171,7 @@ def fit_paths(
     is_shared[shared // n_bands] = True
 
     def targets(i: int) -> Array:
-        """The vertices of material i below its darkest and above its brightest band, (2, P); 0 where it has none."""
+        """Return the vertices of material i below its darkest and above its brightest band, (2, P); 0 for none."""
         own = np.arange(i * n_bands, (i + 1) * n_bands)
         low, high = own[np.argmin(reflectances[own])], own[np.argmax(reflectances[own])]
         f = samples[low].astype(np.float64) ** 3
@@ -198,7 +203,7 @@ def fit_paths(
 
 
 def _rows(rows: Sequence[tuple[Indices, Array]], count: int) -> scipy.sparse.csr_array:
-    """A sparse matrix (N, count) of rows of columns and values."""
+    """Return a sparse matrix (N, count) from rows of columns and values."""
     kept = [(columns[values > 0.0], values[values > 0.0]) for columns, values in rows]
     starts = np.cumsum([0, *(len(columns) for columns, _ in kept)])
     columns, values = (np.concatenate(parts) for parts in zip(*kept, strict=True))
@@ -206,5 +211,5 @@ def _rows(rows: Sequence[tuple[Indices, Array]], count: int) -> scipy.sparse.csr
 
 
 def _body(f: Array, cosines: Array) -> float:
-    """The Lambertian part of values f (P,) in 1/sr."""
+    """Return the Lambertian part of values f (P,) in 1/sr."""
     return max(float(np.quantile(f[cosines > 0.05], _BODY_QUANTILE)), 0.0)

@@ -46,7 +46,7 @@ class ColourChoice:
             raise UsageError(f"found {' and '.join(given)}, expected one of them; a material has one colour")
 
     def made_of(self) -> dict[str, Any]:
-        """What the colour depends on, plain values: of a file its content.
+        """Return all that the colour depends on as plain values; for a file its content.
 
         Raises:
             UsageError: the file cannot be read.
@@ -121,7 +121,7 @@ def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> Chosen
 
 
 def parse_srgb(text: str) -> Array:
-    """Encoded sRGB values in [0, 1], shape (3,), of `#rrggbb` or `r,g,b`."""
+    """Parse `#rrggbb` or `r,g,b` into encoded sRGB values in [0, 1], shape (3,)."""
     digits = text.removeprefix("#")
     try:
         if "," in text:
@@ -153,17 +153,17 @@ class ReflectanceColours:
         return f"<ReflectanceColours: of {len(self._own)} materials>"
 
     def reflectance(self, name: str) -> Array:
-        """Reflectance of a material, shape (B,)."""
+        """Return the reflectance of a material, shape (B,)."""
         return self._reflectances[self._materials.index(name)].copy()
 
     def reached(self, x: Array, colours: Array) -> Array:
-        """Reflectance of a structure x (Q,) in colours (B,), shape (B,)."""
+        """Return the reflectance of a structure x (Q,) in colours (B,), shape (B,)."""
         x = self._latent(x)
         space, decoder, measure = self._around(x)
         return space.reflectance_of(x, colours, decoder, measure)
 
     def like(self, x: Array, name: str) -> Array:
-        """Colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
+        """Return the colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
 
         At the material's own latent, its own colours: there the prediction is the measured file.
         """
@@ -173,8 +173,9 @@ class ReflectanceColours:
         return self.of_reflectance(x, self._reflectances[k])[0]
 
     def of_reflectance(self, x: Array, reflectance: Array) -> tuple[Array, Array]:
-        """Colour coordinates (B,) that give a structure x (Q,) a reflectance (B,), and the one reached, (B,): what the
-        structure cannot have (a metal cannot be black) is approximated.
+        """Return colour coordinates (B,) that give a structure x (Q,) a reflectance (B,), and the one reached, (B,).
+
+        A reflectance that the structure cannot have (a metal cannot be black) is approximated.
         """
         expected = self._reflectances.shape[1:]
         reflectance = np.asarray(reflectance, dtype=np.float64)
@@ -188,8 +189,9 @@ class ReflectanceColours:
         return require_latent(x, self._space.X.shape[1])
 
     def _around(self, x: Array) -> tuple[BlendSpace, Decoder, Array]:
-        """The space, or what of it predictions at x (Q,) depend on, its decoder inside an integrating sphere, and what
-        gives the reflectance when multiplied with its values, (P,).
+        """Return the space on which predictions at x (Q,) depend, and its decoder inside an integrating sphere.
+
+        The third value, (P,), gives the reflectance when multiplied with the decoder's values.
         """
         part = self._space.around(x)
         if part is None:

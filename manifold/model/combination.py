@@ -35,7 +35,7 @@ class Values:
 
     @classmethod
     def at(cls, materials: Sequence[MeasuredBRDF], pairs: Pairs) -> Values:
-        """Those of N materials of the same bands at direction pairs."""
+        """Return the values of N materials of the same bands at direction pairs."""
         f = np.empty((len(materials), len(pairs), materials[0].bands.count))
         for k, material in enumerate(materials):
             f[k] = material.eval_at(pairs)
@@ -47,7 +47,7 @@ class Values:
         return cosine_weight(self.wi, self.wo)
 
     def mapped(self, mapping: ValueMapping) -> Array:
-        """T(f) of all materials, shape (N, P, B); cached."""
+        """Return t(f) of all materials, shape (N, P, B); cached."""
         if mapping not in self._mapped:
             cosines = np.broadcast_to(self.cosines, self.f.shape[:2])
             self._mapped[mapping] = mapping.forward(self.f, cosines)
@@ -59,7 +59,7 @@ class Values:
         return np.cbrt(self.cosines)[:, None] * np.cbrt(self.f)
 
     def mapped_samples(self, mapping: ValueMapping, bands: Indices) -> Array:
-        """T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); cached."""
+        """Return T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); cached."""
         key = (mapping, tuple(int(b) for b in bands))
         if key not in self._samples:
             f = np.ascontiguousarray(np.moveaxis(self.f[..., list(key[1])], 2, 1))  # [N, B_s, P]
@@ -69,7 +69,7 @@ class Values:
         return self._samples[key]
 
     def mapped_lobes(self, mapping: ValueMapping, lobes: Lobes) -> Array:
-        """T(f) of analytic lobes, shape (n_l, P); cached."""
+        """Return t(f) of analytic lobes, shape (n_l, P); cached."""
         key = mapping, lobes
         if key not in self._lobes:
             self._lobes[key] = mapping.forward(lobes.values(self.wi, self.wo))
@@ -118,7 +118,7 @@ class Combination:
         return used, replace(self, weights=of_materials[:, used].reshape(len(self.weights), -1))
 
     def in_bands(self, bands: Indices) -> Combination:
-        """The same prediction in some bands (B',), to meet values that are measured in these alone."""
+        """Return the prediction in some bands (B',), for comparison with values in these bands."""
         if self.sample_bands is None:
             return self
         missing = np.setdiff1d(self.sample_bands, bands)
@@ -131,7 +131,7 @@ class Combination:
         return replace(self, weights=self.weights[bands], sample_bands=position, variance=variance)
 
     def mapped(self, values: Values) -> Array:
-        """T of the prediction, shape (P, B)."""
+        """Return T of the prediction, shape (P, B)."""
         if self.sample_bands is None:
             return np.tensordot(self.weights, values.mapped(self.mapping), axes=1)
         samples = values.mapped_samples(self.mapping, self.sample_bands)
@@ -141,14 +141,15 @@ class Combination:
         return self.dictionary.combine(self.weights, samples, lobes).T
 
     def evaluate(self, values: Values) -> Array:
-        """The prediction f in 1/sr, shape (P, B); at a unit vector the measured values, bit for bit."""
+        """Return the prediction f in 1/sr, shape (P, B); at a unit vector the measured values, bit for bit."""
         (predicted,) = evaluate([self], values)
         return predicted
 
 
 def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool = True) -> Array:
-    """Predictions f in 1/sr at the direction pairs of measured values, shape (M, P, B); without `clip`, negative values
-    stay, whatever a combination says.
+    """Return predictions f in 1/sr at the direction pairs of measured values, shape (M, P, B).
+
+    Without `clip`, negative values are kept, whatever a combination says.
     """
     predicted = np.empty((len(combinations), *values.f.shape[1:]))
     for group in _alike(combinations):
@@ -171,7 +172,7 @@ def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool 
 
 
 def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
-    """Indices of those that one product serves, group by group; measured materials are in none."""
+    """Return groups of indices of combinations that one product evaluates; measured materials are in no group."""
     groups: dict[tuple[ValueMapping, bool], list[int]] = {}
     for m, combination in enumerate(combinations):
         if combination.source is None:
@@ -182,20 +183,22 @@ def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
 
 @dataclass(frozen=True)
 class Dictionary:
-    """Atoms in a mapped domain: the samples cut at 0 to every exponent in turn, which makes measured lobes broader or
-    narrower, then analytic lobes.
+    """Atoms in a mapped domain: powers of the samples, then analytic lobes.
+
+    Samples, cut at 0, are raised to every exponent in turn, which makes measured lobes broader or narrower.
     """
 
     exponents: tuple[float, ...] = (1.0,)
     lobes: Lobes = field(default_factory=Lobes)
 
     def size(self, n_samples: int) -> int:
-        """How many atoms n samples make."""
+        """Return the number of atoms that n samples make."""
         return len(self.exponents) * n_samples + len(self.lobes)
 
     def combine(self, weights: Array, samples: Array, lobes: Array) -> Array:
-        """The sum of all atoms by their weights (B, n'), shape (B, P), of mapped samples (n, P) and lobes (n_l, P);
-        atoms without weights are not computed.
+        """Return the sum of all atoms by their weights (B, n'), shape (B, P), of samples (n, P) and lobes (n_l, P).
+
+        Atoms without weights are not computed.
         """
         combined = weights[:, len(self.exponents) * len(samples) :] @ lobes
         for k, exponent in enumerate(self.exponents):

@@ -9,7 +9,7 @@ from manifold.pairs import RusinkiewiczGrid
 
 
 def brdf_errors(brdf: BRDF, predicted: BRDF) -> Errors[float]:
-    """The errors of reports, on the direction pairs of their default grid and in all bands.
+    """Return the errors of reports, on the direction pairs of their default grid and in all bands.
 
     Where one of both is anisotropic, the pairs have all azimuths.
 

@@ -24,7 +24,7 @@ REFLECTANCE_INCIDENCE_DEG = 8.0  # incidence in integrating spheres, specular in
 
 
 def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> Picture:
-    """What an integrating sphere collects: one sum, the reflectance."""
+    """Return the measurement of an integrating sphere as a picture of one sum, the reflectance."""
     wi = from_spherical(np.deg2rad(incidence_deg), 0.0)
     wo, measure = mirrored_quadrature(wi)
     return Picture(np.broadcast_to(wi, wo.shape), wo, sums_of_runs(measure * wo[:, 2], np.zeros(1, int)))
@@ -37,8 +37,9 @@ def decoder_at(
     settings: Settings,
     names: Sequence[str] | None = None,
 ) -> Decoder:
-    """The decoder of a space, whose materials have these names (by default all), at direction pairs: of all embedding
-    bands, or of one band.
+    """Return the decoder of a space at direction pairs, for all embedding bands or for one band.
+
+    Its materials have these names, by default all.
     """
     mapping, cosines = MAPPINGS[settings.mapping], pairs.cosines
     rows = []
@@ -56,14 +57,15 @@ OF_BALL = slice(None, None, 7)
 
 @cache
 def appearance_pairs(is_isotropic: bool = True) -> Pairs:
-    """The pairs of the encoding grid, then some of those that light a ball, which are rare in the grid: of anisotropic
-    materials as many, of the same cosines and light.
+    """Return the pairs of the encoding grid, then some of those that light a ball, which are rare in the grid.
+
+    Anisotropic materials have as many pairs, with the same cosines and light.
     """
     return encoding_pairs(is_isotropic) + ball_colours.ball()[OF_BALL]
 
 
 def appearance_weight(samples: Array) -> Array:
-    """Amplitudes (P,) at the pairs, with which cube roots (n, P) have the same squared norm on ball and grid."""
+    """Return amplitudes (P,) at the pairs, with which cube roots (n, P) have equal squared norms on ball and grid."""
     grid, ball = (np.cbrt(light) for light in (encoding_pairs().cosines, ball_colours.ball().light[OF_BALL]))
     of_grid = float(np.sum((samples[:, : len(grid)] * grid) ** 2))
     of_ball = float(np.sum((samples[:, len(grid) :] * ball) ** 2))
@@ -71,5 +73,5 @@ def appearance_weight(samples: Array) -> Array:
 
 
 def roots_at(materials: Sequence[BRDF], pairs: Pairs) -> Array:
-    """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
+    """Return cube roots of values at direction pairs, a row per band and material, shape (N B, P)."""
     return np.concatenate([np.cbrt(np.maximum(values_at(m, pairs), 0.0)).T for m in materials])

@@ -80,7 +80,7 @@ class DiagnosedPrediction:
     seconds: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; of a file that was written, also the program's version."""
+        """Return plain values; a file that was written has the program's version."""
         dropped = {"brdf"} | ({"attributes"} if self.attributes is None else set())
         if self.path is None:
             dropped |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
@@ -114,7 +114,7 @@ class DiagnosedPrediction:
 def predict_and_diagnose(
     model: Manifold, x: PlaceLike, choice: ColourChoice = NEAREST
 ) -> DiagnosedPrediction:
-    """The prediction at a place in a chosen colour, with its diagnostics."""
+    """Return the prediction at a place in a chosen colour, with its diagnostics."""
     place = model.place(x)
     chosen = choose_colour(model, place, choice)
     return diagnose(model, place, model.predict(place, chosen.colours), chosen)
@@ -128,8 +128,10 @@ def diagnose(
     found: Plausibility | None = None,
     negative_share: float | None = None,
 ) -> DiagnosedPrediction:
-    """Diagnostics and expected error of a prediction at a place, measured on the file that was written of it, with the
-    share of negative values before they were cut to 0, or else on the prediction itself.
+    """Return diagnostics and expected error of a prediction at a place.
+
+    They are measured on the written file, with the share of negative values before they were cut to 0, or
+    else on the prediction itself.
     """
     colours, latent = chosen.colours, place.latent
     found = plausibility(brdf) if found is None else found
@@ -163,7 +165,7 @@ def diagnose(
 
 
 def _reason(model: Manifold, place: Place) -> str:
-    """Why the data do not support a place."""
+    """Return the reason why the data do not support a place."""
     away = f"the nearest material is {model.nearest(place)[0][1]:.1f} length scales away"
     if model.left_out is None:
         return away
@@ -174,8 +176,9 @@ def _reason(model: Manifold, place: Place) -> str:
 def in_words(
     expected: Errors[Array] | None, materials: int, in_chosen_colour: Errors[Array] | None = None
 ) -> list[str]:
-    """An expected error for a terminal, of a model of `materials` materials; with that in a chosen colour if it is of a
-    blended one.
+    """Describe an expected error for a terminal, of a model of `materials` materials.
+
+    A prediction in blended colours adds the error in a chosen colour.
     """
     if expected is None:
         return [f"unknown: {NOT_CALIBRATED[0]}", NOT_CALIBRATED[1]]
@@ -197,8 +200,10 @@ def of_prediction(
     why: str = "far from all materials",
     measured: BRDF | None = None,
 ) -> tuple[str, ...]:
-    """Of a prediction: whether, and why, the data do not support it, measurements on it, the largest difference over
-    bands between the requested reflectance and the one reached, and the material that it is meant to be.
+    """Return diagnostics of a prediction: lack of support, faults measured on it, and the residual of its colour.
+
+    The residual is the largest difference over bands between requested and reached reflectance; `measured` is
+    the material that the prediction should reproduce.
     """
     diagnostics = []
     if is_extrapolation:
@@ -231,7 +236,7 @@ def of_prediction(
 
 
 def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str, ...]:
-    """Of a measured material at its own place, by measurements on it, or on the file that it was written to."""
+    """Return diagnostics of a measured material at its own place, by measurements on it or on its file."""
     sound = replace(found, negative_share=0.0, highlight_valley=0.0)
     diagnostics = list(of_prediction(False, sound, measured=measured))
     negative, valley = 100.0 * found.negative_share, 100.0 * found.highlight_valley
@@ -247,7 +252,7 @@ def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str,
 
 
 def of_projection(before: Plausibility, found: Plausibility, change: Errors[float]) -> tuple[str, ...]:
-    """Of a file that was projected to be physical, by measurements without and with the projection."""
+    """Return diagnostics of a file that was projected to be physical, by measurements before and after."""
     changed = (
         f"made physical: largest albedo {before.max_albedo:.2f} to {found.max_albedo:.2f}, reciprocity error "
         f"{100.0 * before.reciprocity_error:.0f} to {100.0 * found.reciprocity_error:.0f} %; changed by "
@@ -263,7 +268,7 @@ def of_projection(before: Plausibility, found: Plausibility, change: Errors[floa
 
 
 def of_unmeasured(share: float) -> tuple[str, ...]:
-    """Of cells that were not measured, as a share of those that should hold something."""
+    """Return diagnostics of cells that were not measured, as a share of those that should hold a value."""
     if share <= MOST_UNMEASURED:
         return ()
     return (
@@ -272,7 +277,7 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
 
 
 def of_embedding(errors: Errors[float]) -> tuple[str, ...]:
-    """Of an embedded material, by the errors of its reconstruction."""
+    """Return diagnostics of an embedded material, by the errors of its reconstruction."""
     if errors.linear <= MOST_EMBEDDING_ERROR and errors.ball <= MOST_EMBEDDING_BALL:
         return ()
     return (

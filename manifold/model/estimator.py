@@ -40,7 +40,7 @@ class Observation:
 
     @classmethod
     def joined(cls, parts: Sequence[Observation]) -> Observation:
-        """Rows of several sources together."""
+        """Join the rows of several sources."""
         seen, weights, bounds = (
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("seen", "weights", "is_bound")
@@ -48,7 +48,7 @@ class Observation:
         return cls(np.concatenate([part.atoms for part in parts], axis=1), seen, weights, bounds)
 
     def beside(self, other: Observation) -> Observation:
-        """The same pixels, and rows of another source: these are never clipped, and do not choose the prior."""
+        """Return these pixels with rows of another source, which are never clipped and do not choose the prior."""
         n_beside = self.n_beside + len(other.seen)
         return replace(Observation.joined([self, other]), n_beside=n_beside)
 
@@ -59,17 +59,17 @@ class Observation:
         return Observation(self.atoms[:, :n], self.seen[:n], self.weights[:n], self.is_bound[:n])
 
     def scaled(self, exposure: float) -> Observation:
-        """The same for what was seen under an exposure."""
+        """Return the observation divided by an exposure."""
         return replace(self, seen=self.seen / exposure)
 
     @property
     def relative(self) -> Observation:
-        """The same with weights by which squared errors of cube roots are relative to what was seen."""
+        """Return the observation with weights that make squared errors of cube roots relative to its values."""
         norm = float(self.weights @ np.maximum(self.seen, 0.0) ** (2.0 / 3.0))
         return replace(self, weights=self.weights / max(norm, LEAST * float(self.weights.sum())))
 
     def slopes(self, fitted: Array) -> Array:
-        """By what to multiply errors of rows, fitted so far (R,), so that they are those of cube roots: (R,).
+        """Return the factors (R,) that turn errors of rows, fitted so far (R,), into errors of cube roots.
 
         Cube roots are linear below 0.9 % of display white, as in CIELAB. Bounds that hold do not count.
         """
@@ -80,7 +80,7 @@ class Observation:
         return np.asarray(counts / np.maximum(a * a + a * b + b * b, 3.0 * LEAST ** (2.0 / 3.0)))
 
     def error(self, weights: Array) -> float:
-        """Root of the weighted squared error of cube roots that weights (n,) of atoms leave."""
+        """Return the root of the weighted squared error of cube roots for weights (n,) of atoms."""
         fitted = weights @ self.atoms
         return float(np.linalg.norm((fitted - self.seen) * self.slopes(fitted)))
 
@@ -96,7 +96,7 @@ def explain(
     prior: Array | None = None,
     usable: Mask | None = None,
 ) -> Array:
-    """Weights v >= 0 of n atoms that explain what was seen in every band, shape (B, n), mostly zeros.
+    """Return weights v >= 0 of n atoms that explain the observations in every band, shape (B, n), mostly zeros.
 
     They minimise `sum_r w_r (T(v g_r) - T(seen_r))^2 + (v - s) K (v - s)`, with T the cube root, or the identity where
     rows are of cube roots, s a prior (B, n), and K (n, n) in every band what changes from it cost. Only usable atoms
@@ -123,7 +123,7 @@ def explain(
 
 
 def _runs_of_atoms(bands: Sequence[Observation]) -> Iterator[tuple[Array, slice]]:
-    """The bands that follow each other and have the same atoms."""
+    """Yield runs of consecutive bands with the same atoms."""
     start = 0
     for stop in range(1, len(bands) + 1):
         if stop == len(bands) or bands[stop].atoms is not bands[start].atoms:
@@ -139,7 +139,7 @@ def _fit(
     prior: Sequence[tuple[Array, Array]] | None,
     usable: Mask | None,
 ) -> Array:
-    """Weights v >= 0 (B, n) that minimise `w_b (v_b A - y_b)^2`, and what `explain` adds, of bands that share atoms.
+    """Return weights v >= 0 (B, n) that minimise `w_b (v_b A - y_b)^2` plus the terms of `explain`, for shared atoms.
 
     Atoms enter a few at a time, by slopes, which are matrix products for all bands together.
     """

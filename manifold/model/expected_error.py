@@ -98,13 +98,13 @@ class ExpectedError:
         return cls(X, logs, length_scale, factor)
 
     def at(self, x: Array, residual: float | None = None) -> Array:
-        """Expected errors at places x (M, Q), of materials of a residual if that is known, shape (M,)."""
+        """Return expected errors at places x (M, Q), shape (M,); `residual` is that of the materials, if known."""
         nearest = nearest_distance(x, self.X)
         expected = np.exp(self._log_at(x, nearest, residual))
         return expected if residual is not None else np.maximum(expected, self._floor(nearest))
 
     def _floor(self, nearest: Array) -> Array:
-        """What is expected at least at places as far from all materials (M,), shape (M,)."""
+        """Return the least expected error at places so far from all materials (M,), shape (M,)."""
         mean, most = np.exp(self.log_errors.mean()), np.exp(self.log_errors.max())
         return np.asarray(np.minimum(mean * (nearest / widest_gap(self.X)) ** 2, max(most, mean)))
 
@@ -143,7 +143,7 @@ class Reliability:
 
     @classmethod
     def of(cls, true: Array, expected: Array) -> Reliability:
-        """Of true errors (N,) and those that were expected without the material."""
+        """Compare true errors (N,) with those that were expected without the material."""
         from scipy.stats import spearmanr  # takes half a second to import, and predictions do without
 
         n = len(true)
@@ -199,7 +199,7 @@ class LeftOut:
 
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
-        """Those of a file's arrays; None where the model was not calibrated, or by an earlier version."""
+        """Restore the errors from a file's arrays; None if the model was not calibrated, or by an earlier version."""
         names = _ARRAYS + tuple(_BLENDED + name for name in _LEAST if space.takes_colours)
         if not {_PREFIX + name for name in names} <= set(stored):
             return None
@@ -221,7 +221,7 @@ class LeftOut:
     def expected(
         self, x: Array, residual: float | None = None, *, is_colour_known: bool = True
     ) -> Errors[Array]:
-        """Expected errors at latents x (M, Q) or (Q,), (M,) or ().
+        """Return expected errors at latents x (M, Q) or (Q,), (M,) or ().
 
         The errors of nine in ten left-out materials are less than twice as large.
 
@@ -238,7 +238,7 @@ class LeftOut:
         return Errors(ball, cube_root)
 
     def is_unsupported(self, x: Array) -> Mask:
-        """Whether predictions at latents x (M, Q) are not supported by the data, shape (M,).
+        """Return whether predictions at latents x (M, Q) are not supported by the data, shape (M,).
 
         They are not where the ball's expected error is above 10 CIEDE2000 and above the 90th percentile of the left-out
         materials, or where the nearest material is farther than any material is from its nearest other one.
@@ -249,7 +249,7 @@ class LeftOut:
         return is_far | (self.expected(x).ball > most)
 
     def reliability(self) -> dict[str, Reliability]:
-        """Expected errors of each material, by the others alone, against its true ones.
+        """Return the reliability of each material's expected error, predicted from the others, against its true one.
 
         Keys are `ball` and `cube_root`, and, where colours may be blended, `blended_ball` and `blended_cube_root`.
         """
@@ -301,8 +301,10 @@ def leave_out(
     settings: Settings,
     samples: BlendSamples | None = None,
 ) -> LeftOut:
-    """Leave out materials of a space once, find their places from their data, and measure their predictions there, in
-    their own colours, and, where colours can be chosen, in those blended from the surrounding materials.
+    """Leave out materials of a space once, locate them from their data, and measure the errors of their predictions.
+
+    Predictions have the materials' own colours, and, if colours can be chosen, those blended from the
+    surrounding materials.
 
     The places of the other materials are kept. Every material is left out, or, on a map by landmarks, 200; `samples`
     are those that such a map was fitted to.
@@ -337,7 +339,7 @@ def _of_several(errors: list[Errors[float]]) -> Errors[Array]:
 def _blended(
     space: BlendSpace, i: int, x: Array, bands: Indices, samples: BlendSamples | None
 ) -> Combination:
-    """The prediction at x (Q,) without material i, in colours blended from the others.
+    """Return the prediction at x (Q,) without material i, in colours blended from the others.
 
     On a map by landmarks only samples are at hand: others are taken where their colour paths have their own colours.
     """
@@ -351,8 +353,10 @@ def _blended(
 def _landmark_left_out(
     space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
 ) -> tuple[LeftOutSearch, Callable[[int, Combination], Errors[float]]]:
-    """A search for a material among the others, and what tells the errors of its prediction in some bands (B',), those
-    of `MaterialTable.errors`; only materials that are left out are read.
+    """Return a search for a material among the others, and a function that returns the errors of its prediction.
+
+    The errors in some bands (B',) are those of `MaterialTable.errors`; only materials that are left out are
+    read.
     """
     at, lights = np.searchsorted(bands, space.bands), panel.judged()
     search = LandmarkSearch(space, samples.roots, bands)

@@ -43,8 +43,9 @@ class Gram:
 def value_blocks(
     materials: Sequence[BRDF], grid: RusinkiewiczGrid, block: int = BLOCK_PAIRS
 ) -> Iterator[tuple[Array, Array, Array]]:
-    """Walk a grid: wi (P, 3), wo (P, 3) above the horizon, and the values f of all materials, (N, P, B); where one is
-    anisotropic, the grid is turned.
+    """Yield wi (P, 3), wo (P, 3) above the horizon, and the values f of all materials, (N, P, B), over a grid.
+
+    If a material is anisotropic, the grid is turned.
     """
     for wi, wo, above in grid.suited_to(all_isotropic(materials)).blocks(block):
         if np.any(above):
@@ -57,8 +58,9 @@ def gram_matrix(
     mapping: ValueMapping,
     grid: RusinkiewiczGrid,
 ) -> Gram:
-    """The Gram matrix of N materials of the same bands over a grid, each pair weighted by cos(theta_i) cos(theta_o), as
-    in an image.
+    """Return the Gram matrix of N materials of the same bands over a grid.
+
+    Each pair is weighted by cos(theta_i) cos(theta_o), as in an image.
     """
     S = np.zeros((len(materials), len(materials)))
     n_outputs = 0
@@ -157,7 +159,7 @@ _FITS = {"blend": _fit_blends, "material": _fit_materials}
 
 
 def _gram(materials: MaterialCache, s: Settings) -> Gram:
-    """The Gram matrix of the materials, from the library's cache."""
+    """Return the Gram matrix of the materials, from the library's cache."""
     library, mapping = materials.library, MAPPINGS[s.mapping]
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
     made_of = f"gram-3 {library.content_hash} {list(materials.names)} {mapping!r} {grid!r}"

@@ -53,8 +53,9 @@ class Comparison:
 
 
 def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indices:
-    """At most `count` samples that cover all, by the distances (N,) of all from one: each is the farthest from those
-    before it; fewer where the others are copies of these.
+    """Return at most `count` samples that cover all, each the farthest from those before it.
+
+    Distances (N,) of all samples from one are given; the result is shorter if the other samples are copies.
     Source: Gonzalez 1985.
     """
     chosen = [0]
@@ -72,7 +73,7 @@ def landmark_layout(
     compare: Callable[[Indices], Comparison],
     cost: LocalCost,
 ) -> Layout:
-    """Places of N samples, in length scales of `blend_weights`, centred: what `blend_layout` finds, approximately.
+    """Return places of N samples, in length scales of `blend_weights`, centred; an approximation of `blend_layout`.
 
     Every sample is located by its distances from the landmarks (M,), whose layout is given. Then all are refined: the
     stress over pairs with landmarks, which stand for all pairs, and with neighbours; least distances of the same pairs;
@@ -112,7 +113,8 @@ def _objective(landmarks: Indices, to_landmarks: Comparison, near: Comparison) -
 
 
 def _located(anchors: Array, distance: Array, rng: np.random.Generator) -> Array:
-    """Places (N, Q) whose distances from anchors (M, Q) are nearest to (N, M), relative: best of several searches.
+    """Return places (N, Q) whose distances from anchors (M, Q) are relatively nearest to (N, M), the best of several.
+
     Source: de Leeuw 1977 (majorisation).
     """
     (N, M), Q = distance.shape, anchors.shape[1]
@@ -144,7 +146,10 @@ def _located(anchors: Array, distance: Array, rng: np.random.Generator) -> Array
 def _local_blends(
     shares: Array, landmarks: Indices, nearest: Indices, radius: float, cost: LocalCost, weight: float
 ) -> Term:
-    """Mean cost, times a weight, of the blends of the nearest samples (K, n) at the places `shares @ X[landmarks]`."""
+    """Return the mean cost, times a weight, of blends of the nearest samples (K, n).
+
+    Blends lie at the places `shares @ X[landmarks]`.
+    """
 
     def term(X: Array) -> tuple[float, Array]:
         D = np.ascontiguousarray(
@@ -171,8 +176,9 @@ _RIDGE = 1e-6  # relative to the mean squared norm: landmarks may be alike
 
 
 def signatures(gram: Array, products: Array) -> Array:
-    """Coordinates (N, r) of materials in an orthonormal basis of the span of r landmarks, from inner products of these,
-    (r, r), and of materials with them, (N, r).
+    """Return coordinates (N, r) of materials in an orthonormal basis of the span of r landmarks.
+
+    `gram` holds inner products of the landmarks, (r, r), `products` those of materials with them, (N, r).
 
     Distances of coordinates are those of the materials, in cube roots, as far as they lie in the span.
     """
@@ -214,7 +220,7 @@ class LandmarkSearch:
         return x, colours, residual
 
     def embed(self, f: Array) -> Embedded:
-        """The latent of a material with values f (B, P) in all bands at the embedding pairs."""
+        """Return the latent of a material with values f (B, P) in all bands at the embedding pairs."""
         space, cosines = self._space, encoding_pairs().cosines
         x, colours, residual = self.find(np.cbrt(np.maximum(f, 0.0)), space.bands)
         predicted = combined(space.weights(x, colours), self._samples)[:, : len(cosines)] ** 3
@@ -222,14 +228,14 @@ class LandmarkSearch:
         return Embedded(x, colours, error, residual)
 
     def _alike(self, row: Array) -> Indices:
-        """Materials whose own values are nearest to those of a row (1, B_s P)."""
+        """Return the materials whose own values are nearest to those of a row (1, B_s P)."""
         signature = signatures(self._some_gram, row @ self._some.T)
         apart = np.sum((self._signatures - signature) ** 2, axis=1)
         return np.argsort(apart, kind="stable")[:_ALIKE]
 
 
 def combined(weights: Array, samples: Rows) -> Array:
-    """Sums (B, P) of samples, of which only those that have a weight (B, n) in any band are asked for."""
+    """Return sums (B, P) of samples; only samples with a weight (B, n) in any band are read."""
     used = np.flatnonzero(np.any(weights, axis=0))
     return np.asarray(weights[:, used].astype(np.float32) @ samples[used].astype(np.float32))
 
@@ -244,7 +250,7 @@ class SamplesOnDemand:
         self._values = np.empty((len(space.X) * len(space.bands), len(pairs)), dtype=np.float32)
 
     def __getitem__(self, rows: Indices) -> Array:
-        """Rows (m, P) by their indices (m,)."""
+        """Return rows (m, P) by their indices (m,)."""
         asked = np.unique(rows // len(self._bands))
         new = asked[~self._is_known[asked]]
         if len(new):

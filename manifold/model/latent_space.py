@@ -83,7 +83,7 @@ class LatentSpace(ABC):
 
     @property
     def materials_in_words(self) -> str:
-        """How many materials there are, and how many of them are landmarks."""
+        """Return the number of materials, and of landmarks among them, in words."""
         return f"{len(self.X)}" + (
             "" if self.landmarks is None else f", {len(self.landmarks)} of them landmarks"
         )
@@ -96,30 +96,33 @@ class LatentSpace(ABC):
     @classmethod
     @abstractmethod
     def from_arrays(cls, stored: Mapping[str, Array], kernel: Kernel, n_bands: int) -> LatentSpace:
-        """The space of a file's arrays."""
+        """Restore the space from a file's arrays."""
 
     def printed(self, x: Array) -> tuple[str, ...]:
-        """Coordinates of a latent (Q,) with the digits that reproduce its prediction."""
+        """Return the coordinates of a latent (Q,) with the digits that reproduce its prediction."""
         return tuple(repr(float(v)) for v in x)
 
     def numbers(self, n_bands: int) -> int:
-        """How many numbers describe a material of `n_bands` bands: its latent, and colours and gains."""
+        """Return how many numbers describe a material of `n_bands` bands: its latent, and colours and gains."""
         return self.X.shape[1] + 2 * n_bands * self.takes_colours
 
     def around(self, x: Array) -> tuple[Indices, LatentSpace] | None:
-        """The materials that predictions at x (Q,) depend on, (n,), and the space of these; None where all may."""
+        """Return the materials that predictions at x (Q,) depend on, (n,), and their space; None if all may matter."""
         return None
 
     @abstractmethod
     def weights(self, x: Array, colours: Array | None) -> Array:
-        """Weights of a prediction at x (Q,): of materials (N,), or of samples in every band (B, n)."""
+        """Return the weights of a prediction at x (Q,): of materials (N,), or of samples in every band (B, n)."""
 
     @abstractmethod
     def material_weights(self, X: Array, colours: Array | None) -> Array:
-        """Weights at latents X (M, Q) summed over the samples of a material, averaged over bands, shape (M, N)."""
+        """Return the materials' weights at latents X (M, Q), shape (M, N).
+
+        They are summed over a material's samples and averaged over bands.
+        """
 
     def require_colours(self, colours: Array | None) -> Array | None:
-        """Colours as float64: (B,), or with gains (2, B)."""
+        """Return colours as float64: (B,), or with gains (2, B)."""
         if colours is None:
             return None
         if not self.takes_colours:
@@ -134,44 +137,46 @@ class LatentSpace(ABC):
 
     @abstractmethod
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Bands whose values are compared to find a latent."""
+        """Return the bands whose values are compared to find a latent."""
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Training samples (n, P') from mapped values (N, B_e, P) in the embedding bands, by default a row for one band
-        of a material, and cosines (P,) as (P',).
+        """Return training samples (n, P') from mapped values (N, B_e, P), and cosines (P,) as (P',).
+
+        By default a row holds one embedding band of a material.
         """
         return mapped.reshape(-1, mapped.shape[2]), cosines
 
     def embedding_pairs(self, is_isotropic: bool = True) -> Pairs:
-        """Direction pairs at which a new material is compared with what the space predicts, where both are isotropic or
-        not.
-        """
+        """Return the direction pairs at which new isotropic or anisotropic materials are compared with predictions."""
         return encoding_pairs(is_isotropic)
 
     @abstractmethod
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
-        """The latent of a material with values f (B, P) in all bands, by a decoder of all embedding bands."""
+        """Return the latent of a material with values f (B, P) in all bands.
+
+        The decoder holds all embedding bands.
+        """
 
     @abstractmethod
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """A search for the place of each material among the others, whose places are kept."""
+        """Return a search for the place of each material among the others, which keep their places."""
 
     def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
-        """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
+        """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])
         return Combination(mapping, self.weights(x, colours))
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
-        """The material whose latent x (Q,) and colours (B,) these are."""
+        """Return the material whose latent x (Q,) and colours (B,) these are."""
         k = int(first_equal_row(x[None], self.X)[0])
         return k if k >= 0 else None
 
     def training_indices(self, X: Array, colours: Array | None) -> Indices:
-        """The material that each of the latents X (M, Q) with these colours (B,) is, or -1, shape (M,)."""
+        """Return the material at each of the latents X (M, Q) with these colours (B,), or -1, shape (M,)."""
         found = first_equal_row(X, self.X)
         for m in np.flatnonzero(found >= 0):
             index = self.training_index(X[m], colours)
@@ -179,17 +184,17 @@ class LatentSpace(ABC):
         return found
 
     def variance_fraction(self, X: Array, colours: Array | None) -> Array:
-        """Posterior over prior variance at X (M, Q), shape (M,); 0 at a material."""
+        """Return posterior over prior variance at X (M, Q), shape (M,); 0 at a material."""
         return np.where(self.training_indices(X, colours) < 0, self.gp.variance_fraction(X), 0.0)
 
 
 def fixed_colours(kind: str) -> str:
-    """Why no colour can be chosen, and what to do."""
+    """Return the reason why no colour can be chosen, and the remedy."""
     return f"colours cannot be chosen on a manifold of kind {kind}; leave the colour out, or embed with kind blend"
 
 
 def require_shapes(stored: Mapping[str, Array], shapes: Mapping[str, tuple[int, ...]]) -> list[Array]:
-    """The arrays of a file that have these names. Raises ValueError unless they have these shapes."""
+    """Return the arrays of a file with these names. Raises ValueError unless they have these shapes."""
     for name, shape in shapes.items():
         if stored[name].shape != shape:
             raise ValueError(f"dataset '{name}' has shape {stored[name].shape}, expected {shape}")
@@ -197,7 +202,7 @@ def require_shapes(stored: Mapping[str, Array], shapes: Mapping[str, tuple[int, 
 
 
 def require_bands(stored: Mapping[str, Array], n_bands: int) -> Indices:
-    """Band indices of a file, as integers. Raises ValueError unless they increase and there are such bands."""
+    """Return band indices of a file as integers. Raises ValueError unless they increase and these bands exist."""
     bands = stored["bands"].astype(np.int64)
     if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
         raise ValueError(f"dataset 'bands' holds {bands.tolist()}, expected increasing bands")

@@ -65,7 +65,7 @@ class Reconstruction:
         return self.brdf.parts[:_SHOWN_PARTS]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         known = {
             "materials": self.materials, "parts": self.largest_parts, "errors": self.errors,
             "plausibility": self.plausibility, "diagnostics": self.diagnostics, "refusal": self.refusal,
@@ -93,7 +93,7 @@ class Located(Reconstruction):
     nearest: list[tuple[str, float]]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         names = ("latent", "coordinates", "colours", "expected", "nearest")
         return super().to_json() | plain({name: getattr(self, name) for name in names})
 
@@ -110,8 +110,9 @@ def locate(model: Manifold, file: BsdfFile) -> Located:
 def locate_brdf(
     model: Manifold, brdf: BRDF, notes: tuple[str, ...] = (), rotations_rad: Sequence[float] = (0.0,)
 ) -> Located:
-    """Embed any BRDF in a fitted manifold, with notes on it that become diagnostics; a measured file may lie turned by
-    one of several azimuths.
+    """Embed any BRDF in a fitted manifold; notes on it become diagnostics.
+
+    A measured file may lie turned by one of several azimuths.
     """
     trials = [0.0] if model.materials.is_isotropic else rotations_rad
     rotation, found = min(
@@ -145,8 +146,9 @@ def reconstruct_file(
     *,
     numbers: int | None = None,
 ) -> Reconstruction:
-    """Describe a measured file by non-negative least squares over the other materials of a library, in at most so many
-    numbers, see `reconstruct`.
+    """Describe a measured file by non-negative least squares over the other materials of a library.
+
+    `numbers` limits the numbers of the description, see `reconstruct`.
     """
     names = names_without(library, without)
     if not names:
@@ -177,14 +179,14 @@ def reconstruct_file(
 
 
 def _filled(file: BsdfFile) -> tuple[MeasuredBRDF, tuple[str, ...]]:
-    """A measured file with its unmeasured cells filled, and diagnostics of these."""
+    """Return a measured file with its unmeasured cells filled, and diagnostics of these."""
     cells = unmeasured_cells(file)
     brdf, share = MeasuredBRDF(fill_unmeasured(file, cells)), unmeasured_share(file, cells)
     return brdf, diagnostics.of_unmeasured(share)
 
 
 def trial_rotations(file: BsdfFile) -> list[float]:
-    """Azimuths by which a sample may lie turned: as it is, or with its normals spread along x or along y."""
+    """Return azimuths by which a sample may lie turned: 0, or such that its normals spread along x or along y."""
     if file.is_isotropic:
         return [0.0]
     rotation = rotation_of(file) or 0.0
@@ -197,7 +199,7 @@ def _turned(brdf: BRDF, angle_rad: float) -> BRDF:
 
 
 def _of_anisotropy(brdf: BRDF, found: BRDF) -> tuple[str, ...]:
-    """Diagnostics of an anisotropic material whose description is isotropic."""
+    """Return diagnostics of an anisotropic material whose description is isotropic."""
     if brdf.is_isotropic or not found.is_isotropic:
         return ()
     return ("anisotropic, but reconstructed from isotropic materials: the same at all azimuths",)

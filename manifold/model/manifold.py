@@ -127,7 +127,9 @@ class Manifold(LatentMap):
         return MAPPINGS[self.settings.mapping]
 
     def material(self, name: str) -> MeasuredBRDF:
-        """A measured material as predictions use it: with its unmeasured cells filled, see docs/explanation/gplvm.md.
+        """Return a measured material as predictions use it, with its unmeasured cells filled.
+
+        See docs/explanation/gplvm.md.
 
         The file itself is `library.read(name)`.
 
@@ -159,7 +161,9 @@ class Manifold(LatentMap):
         self, x: Sequence[Array] | Sequence[Sequence[float]], colours: Array | None = None,
     ) -> list[PredictedBRDF]: ...  # fmt: skip
     def predict(self, x: Any, colours: Array | None = None) -> PredictedBRDF | list[PredictedBRDF]:
-        """The BRDF at a latent x (Q,); at a training latent `material`, bit for bit. A list at latents (M, Q).
+        """Return the BRDF at a latent x (Q,), or a list at latents (M, Q).
+
+        At a training latent it is `material`, bit for bit.
 
         Args:
             x: latent, the name of a material, or `FROM:TO:T` on the walk between two, which `interpolate` makes
@@ -191,11 +195,11 @@ class Manifold(LatentMap):
         return PredictedBRDF(self.materials.in_bands(bands, names), combination, self.bands)
 
     def combination(self, x: Array, colours: Array | None) -> Combination:
-        """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
+        """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
         return self.space.combination(x, self.space.require_colours(colours), self.mapping)
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """The step of a walk from material a (t = 0) to b (t = 1), which the two alone make; see `model.walks`.
+        """Return the step of a walk from material a (t = 0) to b (t = 1), made of these two; see `model.walks`.
 
         Steps of equal size in t look equally large, and roughness goes from one to the other. The map has no part in
         it: `predict(between(a, b, t))` is what lies between the two on the map.
@@ -210,7 +214,7 @@ class Manifold(LatentMap):
         return Walk((start, end), (self.walked(a), self.walked(b))).at(t)
 
     def walked(self, name: str) -> Walked:
-        """A material as an end of walks; kept once it is made."""
+        """Return a material as an end of walks, cached."""
         if name not in self._walked:
             self._walked[name] = Walked.of(self.materials.filled([name])[0])
         return self._walked[name]
@@ -238,7 +242,7 @@ class Manifold(LatentMap):
         )
 
     def reconstruct(self, brdf: BRDF, numbers: int | None = None) -> PredictedBRDF:
-        """Non-negative least squares of a material over all samples and analytic lobes, in every band.
+        """Reconstruct a material by non-negative least squares over all samples and analytic lobes, in every band.
 
         It has no latent; see docs/explanation/reconstruction.md.
 
@@ -302,14 +306,14 @@ class Manifold(LatentMap):
 
 @lru_cache(maxsize=4)
 def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold, str]:
-    """A model, kept open since scenes are loaded often, and the hash of its library's content when it was opened."""
+    """Open a model, cached because scenes are loaded often; return it and its library's content hash."""
     with warnings.catch_warnings(action="ignore", category=LibraryChangedWarning):  # see `load_model`
         loaded = Manifold.load(path, library)
     return loaded, loaded.library.content_hash
 
 
 def load_model(model: Manifold | Path | str, library: Path | str | None) -> Manifold:
-    """A model, read again only where its file or its library has changed; one that is given stays itself."""
+    """Load a model, again only if its file or its library has changed; a `Manifold` is returned itself."""
     if isinstance(model, Manifold):
         return model
     path = Path(model).absolute()

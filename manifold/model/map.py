@@ -33,7 +33,7 @@ _SIZE, _MARGIN = np.array([560.0, 400.0]), np.array([90.0, 24.0])
 
 
 def map_svg(X: Array, names: Sequence[str]) -> str:
-    """An SVG picture of latents X (N, Q) and names; one dimension is drawn along a line."""
+    """Return an SVG picture of latents X (N, Q) and names; one dimension is drawn along a line."""
     X = np.column_stack([X, np.zeros(len(X))])[:, :2]
     low, span = X.min(axis=0), np.maximum(np.ptp(X, axis=0), 1e-9)
     places = (X - low) / span * (_SIZE - 2.0 * _MARGIN) + _MARGIN
@@ -67,7 +67,7 @@ class LatentMap:
     def __init__(
         self, materials: MaterialCache, space: LatentSpace, settings: Settings, left_out: LeftOut | None
     ) -> None:
-        """Latents of the materials of a cache."""
+        """Take the latents of a cache's materials."""
         self.materials = materials
         self.names = materials.names
         self.space = space
@@ -96,15 +96,17 @@ class LatentMap:
         return self.space.gp
 
     def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Weights of the materials at a place (Q,) or latents x (M, Q), shape (M, N) or (N,); they sum to 1."""
+        """Return the weights of materials at a place (Q,) or latents x (M, Q), shape (N,) or (M, N); they sum to 1."""
         return self._at(x, colours, self.space.material_weights)
 
     def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
-        """Posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1]."""
+        """Return the posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1]."""
         return np.sqrt(self._at(x, colours, self.space.variance_fraction))
 
     def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
-        """Whether the data do not support predictions at a place (Q,) or latents x (M, Q): `LeftOut.is_unsupported`.
+        """Return whether the data do not support predictions at a place (Q,) or latents x (M, Q).
+
+        See `LeftOut.is_unsupported`.
 
         For a model that is not calibrated: whether the posterior variance exceeds half of the prior's. Not of a step of
         a walk.
@@ -120,8 +122,10 @@ class LatentMap:
     def expected_error(
         self, x: ArrayLike | PlaceLike, colours: Array | None = None, residual: float | None = None
     ) -> Errors[Array] | None:
-        """Expected errors of predictions at a place (Q,) or latents x (M, Q), if a material that lies there has these
-        colours, or, without colours, if its colours are blended from the surrounding materials.
+        """Return expected errors of predictions at a place (Q,) or latents x (M, Q).
+
+        They hold for a material with these colours, or, without colours, with those blended from the
+        surrounding materials.
 
         0 at a material's own latent, where the prediction is its file; None if the model is not calibrated, and of a
         step of a walk, in which the map has no part. `residual` is that of an `Embedded` material, which tells more of
@@ -136,21 +140,22 @@ class LatentMap:
         return Errors(found.ball * is_predicted, found.cube_root * is_predicted)
 
     def nearest(self, x: PlaceLike, count: int = 1) -> list[tuple[str, float]]:
-        """The materials nearest to a latent x (Q,) with their distances, nearest first."""
+        """Return the materials nearest to a latent x (Q,) with their distances, nearest first."""
         distance = np.linalg.norm(self.space.X - self.place(x).latent, axis=1)
         return [(self.names[k], float(distance[k])) for k in np.argsort(distance, kind="stable")[:count]]
 
     def largest_weights(
         self, x: PlaceLike, count: int, colours: Array | None = None
     ) -> list[tuple[str, float]]:
-        """The materials with the largest weights at a latent x (Q,), by magnitude; none that is zero."""
+        """Return the materials with the largest nonzero weights at a latent x (Q,), by magnitude."""
         weights = self.weights(x, colours)
         order = np.argsort(-np.abs(weights), kind="stable")[:count]
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 
     def unmeasured_share(self, x: PlaceLike, colours: Array | None = None) -> float:
-        """Share of unmeasured cells at a latent x (Q,): the materials' shares, averaged by magnitude of weight; of a
-        step of a walk, which may begin and end at other materials than those of the model, by t.
+        """Return the share of unmeasured cells at a latent x (Q,), averaged over materials by magnitude of weight.
+
+        A step of a walk, whose ends need not be materials of the model, averages over the ends by t.
         """
         place = self.place(x)
         if place.walk is not None and place.is_step(colours):
@@ -164,16 +169,16 @@ class LatentMap:
         return float(weights[weights > 0] @ shares / weights.sum())
 
     def latent(self, name: str) -> Array:
-        """The latent of a material, shape (Q,)."""
+        """Return the latent of a material, shape (Q,)."""
         return self.X[self.materials.index(name)].copy()
 
     def between(self, a: str, b: str, t: float) -> Array:
-        """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
+        """Return the latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
         require_between(t)
         return on_line(self.latent(a), self.latent(b), t)
 
     def place(self, x: PlaceLike) -> Place:
-        """The place that a latent or a text means."""
+        """Return the place that a latent or a text denotes."""
         if isinstance(x, Place):
             return x
         if not isinstance(x, str):
@@ -207,6 +212,6 @@ class LatentMap:
         colours: Array | None,
         function: Callable[[Array, Array | None], NDArray[S]],
     ) -> NDArray[S]:
-        """A function of latents (M, Q) and colours at one latent or several."""
+        """Apply a function of latents (M, Q) and colours to one latent or several."""
         X, colours = self._latents(x), self.space.require_colours(colours)
         return function(X[None], colours)[0] if X.ndim == 1 else function(X, colours)

@@ -38,7 +38,7 @@ class MaterialSpace(LatentSpace):
     kind: ClassVar[str] = "material"
 
     def without(self, material: int) -> MaterialSpace:
-        """The same latents less that of one material."""
+        """Return the latents without that of one material."""
         others = np.delete(np.arange(len(self.X)), material)
         return replace(self, X=self.X[others], S=self.S[np.ix_(others, others)])
 
@@ -49,7 +49,7 @@ class MaterialSpace(LatentSpace):
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> MaterialSpace:
-        """The space of a file's arrays. Raises ValueError where they do not fit each other."""
+        """Restore the space from a file's arrays. Raises ValueError if they do not fit each other."""
         X = stored["X"]
         S, n_outputs = require_shapes(stored, {"S": (len(X), len(X)), "n_outputs": ()})
         if not n_outputs >= 1:
@@ -57,23 +57,23 @@ class MaterialSpace(LatentSpace):
         return cls(X, S, int(n_outputs), kernel)
 
     def weights(self, x: Array, colours: Array | None) -> Array:
-        """Weights of the materials at x (Q,), shape (N,)."""
+        """Return the weights of the materials at x (Q,), shape (N,)."""
         return self.gp.weights(x[None])[0]
 
     def material_weights(self, X: Array, colours: Array | None) -> Array:
-        """Weights of the materials at latents X (M, Q), shape (M, N)."""
+        """Return the weights of the materials at latents X (M, Q), shape (M, N)."""
         return self.gp.weights(X)
 
     def embedding_bands(self, n_bands: int) -> Indices:
-        """Bands whose values are compared to find a latent: a few, evenly spaced."""
+        """Return the bands whose values are compared to find a latent: a few, evenly spaced."""
         return evenly_spaced(n_bands, _EMBEDDING_BANDS)
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Training samples from mapped values (N, B_e, P): a row holds all bands of a material."""
+        """Return training samples from mapped values (N, B_e, P): a row holds all bands of a material."""
         return mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1])
 
     def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
-        """The latent of a material with values f (B, P) in all bands.
+        """Return the latent of a material with values f (B, P) in all bands.
 
         A material of the library has its own latent, where the delta of the kernel makes the prediction its data; a
         search along the smooth posterior cannot end there.
@@ -90,7 +90,7 @@ class MaterialSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """A search that encodes each material in the process on the others."""
+        """Return a search that encodes each material in the process on the others."""
         pairs = self.embedding_pairs(materials.is_isotropic)
         whole = decoder_at(pairs, self, materials, settings)
         brdfs = materials.filled()

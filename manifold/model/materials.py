@@ -38,8 +38,9 @@ class _Latest(dict[str, MeasuredBRDF]):
 
 
 class MaterialCache:
-    """Materials of a library by name, in the order of the latents: as measured, with unmeasured cells filled, and in a
-    few bands only.
+    """Materials of a library by name, in the order of the latents.
+
+    They are available as measured, with unmeasured cells filled, and in a few bands only.
 
     Attributes:
         is_nonnegative: whether negative values are taken for 0 where materials are combined; RGB files have some,
@@ -60,22 +61,22 @@ class MaterialCache:
 
     @cached_property
     def is_isotropic(self) -> bool:
-        """Whether all materials are; others need direction pairs of all azimuths."""
+        """Return whether all materials are isotropic; others need direction pairs of all azimuths."""
         return all(self.library.attributes(name).is_isotropic for name in self.names)
 
     @cached_property
     def is_synthetic(self) -> bool:
-        """Whether any material is."""
+        """Return whether any material is synthetic."""
         return any(self.library.attributes(name).is_synthetic for name in self.names)
 
     def index(self, name: str) -> int:
-        """The index of a material."""
+        """Return the index of a material."""
         if name not in self.names:
             raise UnknownNameError(f"no material '{name}' in this model; {names_like(self.names, name)}")
         return self.names.index(name)
 
     def measured(self, name: str) -> MeasuredBRDF:
-        """A material with its unmeasured cells filled; negative values are kept."""
+        """Return a material with its unmeasured cells filled and its negative values."""
         self.index(name)
         if name not in self._measured:
             is_same = name in self._filled and name not in self._cut
@@ -83,11 +84,14 @@ class MaterialCache:
         return self._measured[name]
 
     def filled(self, names: Iterable[str] | None = None) -> list[MeasuredBRDF]:
-        """Materials with their unmeasured cells filled, as predictions combine them; all by default."""
+        """Return materials with their unmeasured cells filled, as predictions combine them; all by default."""
         return self._read(self._fill, self.names if names is None else tuple(names))
 
     def with_negative_values(self, names: Sequence[str] | None = None) -> list[MeasuredBRDF]:
-        """Materials, by default all, unmeasured cells filled, negative values kept: references for errors."""
+        """Return materials, by default all, as references for errors.
+
+        Unmeasured cells are filled, negative values kept.
+        """
         names = self.names if names is None else names
         filled = self.filled(names)
         return [
@@ -96,7 +100,7 @@ class MaterialCache:
         ]
 
     def in_bands(self, bands: Sequence[int], names: Iterable[str] | None = None) -> list[MeasuredBRDF]:
-        """Materials, by default all, unmeasured cells filled, in some of their bands; the others are not kept."""
+        """Return materials, by default all, unmeasured cells filled, in some of their bands; only these are cached."""
         key = tuple(int(b) for b in bands)
         if self._in_bands[0] != key:
             self._in_bands = key, _Latest()
@@ -113,7 +117,7 @@ class MaterialCache:
         return self._read(read, self.names if names is None else tuple(names))
 
     def stream(self) -> Iterator[MeasuredBRDF]:
-        """All materials as `filled` has them, one after another; none are kept."""
+        """Yield all materials as `filled` has them, one after another, without caching."""
         for first in range(0, len(self.names), _AT_ONCE):
             some = self.names[first : first + _AT_ONCE]
             with progress.listen(None):
@@ -122,7 +126,7 @@ class MaterialCache:
             progress.report(first + len(some), len(self.names), some[-1])
 
     def measured_file(self, name: str) -> BsdfFile:
-        """A material's file with its unmeasured cells filled."""
+        """Return a material's file with its unmeasured cells filled."""
         file = self.library.read(name)
         cells = unmeasured_cells(file)
         self._unmeasured_shares[name] = unmeasured_share(file, cells)
@@ -131,7 +135,7 @@ class MaterialCache:
         return fill_unmeasured(file, cells, copy=False)
 
     def filled_file(self, name: str) -> BsdfFile:
-        """A material's file as predictions combine it: `measured_file`, of blends without negative values."""
+        """Return a material's file as predictions combine it: `measured_file`, for blends without negative values."""
         file = self.measured_file(name)
         if self.is_nonnegative and file.spectra.min() < 0:
             self._cut.add(name)
@@ -139,15 +143,16 @@ class MaterialCache:
         return file
 
     def unmeasured_share(self, name: str) -> float:
-        """Share of the cells above the horizon that a file has no measurement for."""
+        """Return the share of the cells above the horizon that a file has no measurement for."""
         if name not in self._unmeasured_shares:
             self.measured_file(name)
         return self._unmeasured_shares[name]
 
     @property
     def farthest_turned(self) -> tuple[str, str, float]:
-        """Of the materials read, two that lie turned most against each other, and by what angle in radians, at most a
-        quarter of a turn; 0 where the normals of fewer than two have a direction.
+        """Return the two materials read that lie turned most against each other, and the angle in radians.
+
+        The angle is at most a quarter of a turn; it is 0 if the normals of fewer than two have a direction.
         """
         apart = [
             (a, b, abs((self._turned[a] - self._turned[b] + 0.5 * np.pi) % np.pi - 0.5 * np.pi))
@@ -175,7 +180,7 @@ class MaterialCache:
 
 
 def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
-    """Some materials of a library, in its order. Raises UsageError where it lacks one."""
+    """Return some materials of a library, in its order. Raises UsageError if it lacks one."""
     names = {names} if isinstance(names, str) else names
     unknown = sorted(set(names) - set(library.names))
     if unknown:
@@ -185,7 +190,7 @@ def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
 
 
 def names_without(library: Library, names: Collection[str]) -> tuple[str, ...]:
-    """The other materials of a library, in its order. Raises UsageError where it lacks one that is named."""
+    """Return the other materials of a library, in its order. Raises UsageError if it lacks a named one."""
     left_out = names_among(library, names)
     return tuple(name for name in library.names if name not in left_out)
 
@@ -204,7 +209,7 @@ class MaterialTable:
 
     @cached_property
     def on_ball(self) -> Values:
-        """At the direction pairs that light the balls."""
+        """Return the values at the direction pairs that light the balls."""
         return Values.at(self.materials, self.lights)
 
     @cached_property
@@ -216,11 +221,11 @@ class MaterialTable:
         return Values.at(self.materials, self._pairs)
 
     def look(self, i: int, f: Array) -> Errors[float]:
-        """How differently the balls of material i and of values f (P, B) in 1/sr look."""
+        """Return the differences between the balls of material i and of values f (P, B) in 1/sr."""
         return self.lights.compare(self._xyz[i], self.lights.xyz(f, self.materials[0].bands))
 
     def looks(self, combinations: Sequence[Combination]) -> Errors[Array]:
-        """How differently the balls of all materials and of a prediction of each look."""
+        """Return the differences between the balls of all materials and of a prediction of each."""
         here = [c.in_bands(self.bands) for c in combinations]
         found: list[Errors[float]] = []
         for first in range(0, len(here), _PREDICTED_AT_ONCE):
@@ -229,7 +234,7 @@ class MaterialTable:
         return Errors.of_several(found)
 
     def errors(self, i: int, combination: Combination) -> Errors[float]:
-        """Errors of a prediction of material i."""
+        """Return the errors of a prediction of material i."""
         here = combination.in_bands(self.bands)
         on_ball, in_grid = (evaluate([here], values)[0] for values in (self.on_ball, self._in_grid))
         return self.look(i, on_ball) | Errors.of_values(self._in_grid.f[i], in_grid, self._pairs.cosines)

@@ -122,7 +122,7 @@ def read_model(path: Path) -> ModelRecord:
 
 
 def damaged(path: Path, error: Exception) -> ModelError:
-    """What to raise where a model's content cannot be used."""
+    """Return the error for a model whose content cannot be used."""
     reason = str(error).partition("\n")[0]
     return ModelError(f"{path}: not a readable model ({reason}); embed again")
 
@@ -151,7 +151,7 @@ def _record_of(content: bytes, path: Path) -> ModelRecord:
 
 
 def _digest(content: bytes | bytearray) -> bytes:
-    """SHA-256 of all bytes but those that it stands in."""
+    """Return the SHA-256 of all bytes except those that hold it."""
     view = memoryview(content)
     digest = hashlib.sha256(view[: _DIGEST.start])
     digest.update(view[_DIGEST.stop :])
@@ -159,7 +159,7 @@ def _digest(content: bytes | bytearray) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """A NumPy scalar as a Python value."""
+    """Return a NumPy scalar as a Python value."""
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"a model cannot hold {type(value).__name__}")
@@ -176,7 +176,7 @@ SPACES: dict[str, type[LatentSpace]] = {space.kind: space for space in (BlendSpa
 
 
 def open_library(path: Path, stored: ModelRecord, library: Library | Path | str | None) -> Library:
-    """The library of a model file, or the one given, if it was moved."""
+    """Open the library of a model file, or the given one, if it was moved."""
     if library is None:
         library = stored.library
         if not library.exists():
@@ -199,7 +199,7 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
 
 
 def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, LeftOut | None]:
-    """Settings, latent space, and errors of left-out materials of a model file."""
+    """Restore settings, latent space, and errors of left-out materials from a model file."""
     try:
         settings = Settings(**{f.name: stored.settings[f.name] for f in fields(Settings)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), stored.n_bands or 0)

@@ -28,7 +28,7 @@ EXPECTED_ERROR = "expected_cube_root_error"
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """How a BRDF becomes an RGL file.
+    """Options of the RGL file that is written from a BRDF.
 
     Attributes:
         physical: project the file to non-negative values, reciprocity within 5 %, and albedo at most 1.
@@ -104,7 +104,7 @@ def output_file(
 def _measured(
     measure: Callable[..., BsdfFile], options: OutputOptions
 ) -> tuple[BsdfFile, Plausibility, float | None]:
-    """The better one of the files, its plausibility, and the bend of its normal distribution."""
+    """Return the better one of the files, its plausibility, and the bend of its normal distribution."""
     measure = partial(measure, resolution=options.resolution)
     file = measure(n_theta_i=options.incidences)
     found = plausibility_of_file(file)
@@ -155,8 +155,9 @@ def write_output(
     keeps_hue: bool = False,
     expected_error: float | None = None,
 ) -> WrittenFile:
-    """Measure a BRDF without negative values by the virtual goniometer, and write the file, named as the material; a
-    strict one only if its albedo is at most 1.05, else a refusal ends in the remedy.
+    """Measure a BRDF without negative values by the virtual goniometer, and write the file, named as the material.
+
+    A strict file is written only if its albedo is at most 1.05; otherwise a refusal ends in the remedy.
 
     `expected_error`, of cube roots, relative, is kept as the file's field `EXPECTED_ERROR`.
     """
@@ -180,7 +181,7 @@ def write_output(
 def write_checked(
     output: Path, brdf: BRDF, options: OutputOptions = DEFAULT_OPTIONS, **how: Any
 ) -> WrittenFile:
-    """The same, with a refusal as an error."""
+    """Write a file by `write_output`; raise UsageError if it was refused."""
     written = write_output(output, brdf, options, **how)
     if written.refusal is not None:
         raise UsageError(written.refusal)

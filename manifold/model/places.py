@@ -29,14 +29,15 @@ class Place:
     rotation_rad: float = 0.0
 
     def is_step(self, colours: Array | None) -> bool:
-        """Whether the prediction here is a step of the walk, which its two materials make and no latent does: not if it
-        has colours of its own.
+        """Return whether the prediction here is a step of the walk, made of its two materials and not of a latent.
+
+        It is none in colours of its own.
         """
         return self.walk is not None and colours is None
 
     @property
     def walk_in_words(self) -> str:
-        """Where on its walk it is."""
+        """Return the position on the walk in words."""
         return "" if self.walk is None else "between {} and {}, t = {:g}".format(*self.walk)
 
 
@@ -46,8 +47,9 @@ materials, or coordinates with commas between. A material called `0,0` comes bef
 
 
 def parse_walk(text: str, names: Collection[str]) -> tuple[str, str, float] | None:
-    """The two materials and t of `FROM:TO:T`; None where the text is a name itself, or of another form. Names may hold
-    colons: of the ways to split the text, it is the one that gives two materials.
+    """Return the two materials and t of `FROM:TO:T`; None for a name or a text of another form.
+
+    Names may hold colons: the text is split in the way that gives two materials.
     """
     *parts, last = text.split(":")
     ways = [(":".join(parts[:k]), ":".join(parts[k:])) for k in range(1, len(parts))]
@@ -75,13 +77,13 @@ def require_between(t: float) -> None:
 
 
 def on_line(start: Array, end: Array, t: float) -> Array:
-    """The latent at t from 0 to 1 between two (Q,): exact at both ends, and where these agree."""
+    """Return the latent at t from 0 to 1 between two (Q,), exact at both ends and for equal ends."""
     way = end - start
     return start + t * way if t < 0.5 else end - (1.0 - t) * way
 
 
 def parse_coordinates(text: str) -> list[float] | None:
-    """The numbers of `-0.3,1.2`; None where the text is something else."""
+    """Return the numbers of `-0.3,1.2`; None for another text."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
@@ -89,12 +91,12 @@ def parse_coordinates(text: str) -> list[float] | None:
 
 
 def is_place(text: str) -> bool:
-    """Whether a text has the form of coordinates or of `FROM:TO:T`, whatever materials there are."""
+    """Return whether a text has the form of coordinates or of `FROM:TO:T`, whatever the materials."""
     return parse_coordinates(text) is not None or parse_walk(text, ()) is not None
 
 
 def require_latent(x: ArrayLike, latent_dim: int) -> Array:
-    """One latent as float64 (Q,)."""
+    """Return one latent as float64 (Q,)."""
     x = _numbers(x)
     if x.ndim > 1:
         raise LatentError(f"latents of shape {x.shape}, expected one, ({latent_dim},)")
@@ -107,7 +109,7 @@ def require_latent(x: ArrayLike, latent_dim: int) -> Array:
 
 
 def require_latents(x: ArrayLike, latent_dim: int) -> Array:
-    """One latent (Q,) or several (M, Q) as float64."""
+    """Return one latent (Q,) or several (M, Q) as float64."""
     x = _numbers(x)
     if x.ndim not in (1, 2) or x.shape[-1] != latent_dim or not np.all(np.isfinite(x)):
         raise LatentError(

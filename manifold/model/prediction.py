@@ -37,7 +37,7 @@ class LobeSampling:
         self._shares = totals / totals.sum()
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr, shape (...); 0 below the horizon."""
+        """Return the density of `sample` in 1/sr, shape (...); 0 below the horizon."""
         wi, wo = np.broadcast_arrays(wi, wo)
         up = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
         h = half_vector(wi[up], wo[up])
@@ -54,8 +54,9 @@ class LobeSampling:
         return density
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (P, 3) and their pdf (P,), 0 of invalid ones, for wi (P, 3) and variates (P, 2) in [0,
-        1).
+        """Return outgoing directions (P, 3) and their pdf (P,), 0 for invalid ones.
+
+        Arguments are wi (P, 3) and variates (P, 2) in [0, 1).
         """
         chosen, u = choose_lobe(self._shares, u)
         wo = cosine_hemisphere(u)
@@ -82,7 +83,8 @@ class PredictedBRDF(NotebookPicture):
     """
 
     def __init__(self, materials: Sequence[BRDF], combination: Combination, bands: Bands | None = None):
-        """Combine N materials of the same bands, whole, or in the sample bands alone where single bands are combined;
+        """Combine N materials of the same bands, or their sample bands if single bands are combined.
+
         `bands` are those to predict.
         """
         for material in materials[1:]:
@@ -123,7 +125,7 @@ class PredictedBRDF(NotebookPicture):
 
     @property
     def parts(self) -> list[tuple[str, float]]:
-        """What is combined, materials and analytic lobes, with shares of the sum of |weights|; the largest first."""
+        """Return the combined materials and analytic lobes with shares of the sum of |weights|, largest first."""
         order = np.argsort(-self._sampling_weights, kind="stable")
         return [
             (getattr(self._samplers[k], "name", "analytic lobes"), float(self._sampling_weights[k]))
@@ -132,7 +134,10 @@ class PredictedBRDF(NotebookPicture):
         ]
 
     def _sampled_parts(self, totals: Array) -> tuple[Array, list[LobeSampling]]:
-        """Sampling weights of materials and lobes, from those of samples or atoms; drops lobes without weight."""
+        """Return sampling weights of materials and lobes from those of samples or atoms.
+
+        Lobes without weight are dropped.
+        """
         N, dictionary = len(self._materials), self._dictionary
         if dictionary is None:
             return totals.reshape(N, -1).sum(axis=1), []
@@ -146,7 +151,7 @@ class PredictedBRDF(NotebookPicture):
         return np.append(shares, of_lobes.sum()), [LobeSampling(dictionary.lobes, of_lobes)]
 
     def turned(self, angle_rad: float) -> PredictedBRDF:
-        """The same sample turned by an azimuth: lobes are isotropic, measured materials share their tables."""
+        """Return the sample turned by an azimuth: lobes are isotropic, measured materials share their tables."""
         if angle_rad == 0.0 or self.is_isotropic:
             return self
         turned = copy.copy(self)
@@ -157,7 +162,7 @@ class PredictedBRDF(NotebookPicture):
         return turned
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
-        """BRDF f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast; negative only where weights are.
+        """Return f in 1/sr, shape (..., B), at unit vectors (..., 3) that broadcast; negative only if weights are.
 
         `out` and errors as in `MeasuredBRDF.eval`.
         """
@@ -183,19 +188,20 @@ class PredictedBRDF(NotebookPicture):
         return out
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
         if self._measured is not None:
             return self._measured.eval_cos(wi, wo)
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr, shape (...): those of materials and lobes, mixed by |v_i|."""
+        """Return the density of `sample` in 1/sr, shape (...): those of materials and lobes, mixed by |v_i|."""
         shares = zip(self._sampling_weights, self._samplers, strict=True)
         return np.sum([share * sampler.pdf(wi, wo) for share, sampler in shares if share > 0.0], axis=0)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (..., 3) and their pdf (...) in 1/sr, 0 of invalid ones, for wi (..., 3) and uniform
-        variates (..., 2).
+        """Return outgoing directions (..., 3) and their pdf (...) in 1/sr, 0 for invalid ones.
+
+        Arguments are wi (..., 3) and uniform variates (..., 2).
         """
         wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
         if u.shape[-1:] != (2,):
@@ -216,13 +222,14 @@ class PredictedBRDF(NotebookPicture):
         return wo.reshape(*shape, 3), density.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 48) -> Array:
-        """Directional albedo (..., B) at unit vectors wi (..., 3), by quadrature over half vectors, `resolution` nodes
-        an axis.
+        """Return the directional albedo (..., B) at unit vectors wi (..., 3), by quadrature over half vectors.
+
+        `resolution` is the number of nodes per axis.
         """
         return quadrature_albedo(self, wi, resolution)
 
     def _combine(self, pairs: Pairs, out: Array) -> None:
-        """Values of K direction pairs into out (K, B)."""
+        """Write the values of K direction pairs into out (K, B)."""
         cosines, dtype = pairs.cosines, self._sums[0].dtype
         mapped: Array
         if self._is_per_band:
@@ -288,12 +295,12 @@ class ClippedBRDF(WrappedBRDF):
         return self._cut / max(self._seen, 1)
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, at least 0, shape (..., B); arguments and errors as in the wrapped BRDF."""
+        """Return f in 1/sr, at least 0, shape (..., B); arguments and errors as in the wrapped BRDF."""
         f = self._brdf.eval(wi, wo)
         self._seen += f.size
         self._cut += int(np.count_nonzero(f < 0))
         return np.maximum(f, 0.0)
 
     def albedo(self, wi: Array) -> Array:
-        """Directional albedo (..., B) of the wrapped BRDF, negative values included, at wi (..., 3)."""
+        """Return the directional albedo (..., B) of the wrapped BRDF, negative values included, at wi (..., 3)."""
         return self._brdf.albedo(wi)

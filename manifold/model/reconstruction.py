@@ -35,8 +35,9 @@ _OF_VALUES = 0.25  # how much the squared error of values counts beside that of 
 
 
 class ComparedValues:
-    """What a reconstruction compares: values at direction pairs, then the K pixels of the ball in the fitted lights, so
-    weighted, (K,), that all lights count the same.
+    """The values that a reconstruction compares: at direction pairs, then at pixels of balls in the fitted lights.
+
+    The K pixels are weighted, (K,), so that all lights count equally.
     """
 
     def __init__(self, pairs: Pairs) -> None:
@@ -49,12 +50,13 @@ class ComparedValues:
     @classmethod
     @cache
     def default(cls, is_isotropic: bool) -> ComparedValues:
-        """At the encoding pairs."""
+        """Return the values at the encoding pairs."""
         return cls(encoding_pairs(is_isotropic))
 
     def weights(self, atoms: Array, brdf: BRDF, numbers: int | None = None) -> Array:
-        """Weights (B, n) of n atoms, rows of `of_atoms`, the last of which are the lobes of `DICTIONARY`, for a BRDF of
-        B bands.
+        """Return weights (B, n) of n atoms for a BRDF of B bands.
+
+        Atoms are rows of `of_atoms`, the last of which are the lobes of `DICTIONARY`.
 
         There are as many as it takes, or at most so many numbers, see `few_atoms`, of `MAX_BANDS` bands, between which
         weights are linear.
@@ -71,23 +73,26 @@ class ComparedValues:
         return weights
 
     def of(self, brdf: BRDF) -> Array:
-        """Those of a BRDF of B bands, shape (B, R)."""
+        """Return the compared values of a BRDF of B bands, shape (B, R)."""
         return self._of_values(values_at(brdf, self._pairs).T)
 
     def of_atoms(self, materials: Sequence[BRDF]) -> Array:
-        """Those of the atoms of `DICTIONARY`, of N materials in the sample bands (B_s,): shape (n', R)."""
+        """Return the compared values of the atoms of `DICTIONARY`, shape (n', R).
+
+        Samples are those of N materials in the sample bands (B_s,).
+        """
         samples = [np.maximum(values_at(brdf, self._pairs).T, 0.0) for brdf in materials]
         powers = [self._of_values(f**exponent) for exponent in DICTIONARY.exponents for f in samples]
         return np.vstack([*powers, self._lobes])
 
     def _of_values(self, f: Array) -> Array:
-        """From f in 1/sr, shape (n, P + P_ball)."""
+        """Return the compared values of f in 1/sr, shape (n, P + P_ball)."""
         P = len(self._cosines)
         return np.hstack([f[:, :P] * self._cosines, self._lights.of(f[:, P:].T).T])
 
 
 def observations(atoms: Array, material: Array, pixel_weights: Array) -> list[Observation]:
-    """What is seen of a material (B, R), never negative, by functionals, the last of them pixels, of atoms (n, R).
+    """Return the observations of a material (B, R), never negative, by atoms (n, R); the last functionals are pixels.
 
     Errors of cube roots are relative, over all bands, among values and among pixels of weights (K,). Pixels brighter
     than display white do not count.
@@ -150,7 +155,7 @@ _LEAST_GAIN = 1e-9  # least decrease of the relative squared error
 
 
 def few_atoms(bands: Sequence[Observation], numbers: int, lambertian: int) -> Array:
-    """Weights v >= 0 of few of n atoms that explain what was seen in every band by the same functionals, shape (B, n).
+    """Return weights v >= 0 of few of n atoms that explain every band's observations by equal functionals, (B, n).
 
     Minimises what `estimator.explain` minimises without a prior. An atom takes a number that says which it is, and a
     weight per band, or one weight that all bands share; a Lambertian is always meant, and takes its weights alone.
@@ -193,7 +198,10 @@ class _Search:
         self._norms = np.maximum((slopes**2) @ (atoms**2).T, np.finfo(float).tiny)  # [B, n]
 
     def extended(self, terms: list[_Term], numbers: int) -> tuple[list[_Term], float]:
-        """Terms, and those that save most, or most per number, as numbers are left; and the squared error."""
+        """Add the terms that save most error, or most per number, within the numbers left.
+
+        Return the terms and the squared error.
+        """
         return min((self._extended(terms, numbers, power) for power in (0, 1)), key=lambda found: found[1])
 
     def _extended(self, terms: list[_Term], numbers: int, power: int) -> tuple[list[_Term], float]:
@@ -212,7 +220,7 @@ class _Search:
             terms, (weights, error) = tried[best], solved[best]
 
     def weights(self, terms: list[_Term]) -> Array:
-        """The best weights of terms, shape (B, n)."""
+        """Return the best weights of terms, shape (B, n)."""
         every = np.zeros((len(self._target), len(self._atoms)))
         for term, column in zip(terms, self._solve(terms, [terms])[0][0].T, strict=True):
             every[:, term.atom] += column
@@ -222,7 +230,7 @@ class _Search:
         return (1 if term.is_shared else len(self._target)) + (term.atom != self._lambertian)
 
     def _candidates(self, terms: Sequence[_Term], weights: Array, left: int) -> list[_Term]:
-        """Terms of at most so many numbers that save most by themselves."""
+        """Return the terms of at most `left` numbers that save most error by themselves."""
         fitted = weights @ self._atoms[[term.atom for term in terms]]
         slopes = ((self._target - fitted * self._slopes) * self._slopes) @ self._atoms.T  # [B, n]
         gains = (
@@ -238,7 +246,7 @@ class _Search:
         return [term for term in best if self._cost(term) <= left and term not in terms]
 
     def _solve(self, pool: list[_Term], choices: list[list[_Term]]) -> list[tuple[Array, float]]:
-        """The best weights (B, terms) of each choice from a pool of terms, and the squared error.
+        """Return the best weights (B, terms) of each choice from a pool of terms, and the squared error.
 
         Choices differ in one atom at most.
         """

@@ -26,7 +26,7 @@ _LANDMARKS = 150
 
 @dataclass(frozen=True)
 class Settings:
-    """How a manifold was fitted.
+    """The settings with which a manifold was fitted.
 
     Attributes:
         kind: `blend`, every point a non-negative combination of materials; or `material`, the method of Hikichi &
@@ -88,11 +88,11 @@ class Settings:
             _ = covariance.numbers  # checks it
 
     def landmarks_of(self, materials: int) -> int:
-        """How many of a number of materials are laid out."""
+        """Return how many of `materials` materials are laid out as landmarks."""
         if self.landmarks is not None:
             return min(self.landmarks, materials)
         return materials if materials <= MOST_LAID_OUT else _LANDMARKS
 
     def covariance(self) -> Kernel:
-        """The kernel with its parameters."""
+        """Return the kernel with its parameters."""
         return kernel_named(self.kernel, self.mu, self.length_scale)

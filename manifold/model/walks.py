@@ -57,33 +57,36 @@ class Highlight:
     gain: Array
 
     def fresnel(self, wi: Array, wo: Array) -> Array:
-        """Fresnel reflectance at direction pairs, shape (P, B)."""
+        """Return the Fresnel reflectance at direction pairs, shape (P, B)."""
         schlick = (1.0 - cos_theta_d(wi, wo)) ** 5
         return self.normal + (self.grazing - self.normal) * schlick[:, None]
 
     def explained(self, f: Array, lobe: Array) -> Array:
-        """What values (P, B) have of the highlight, by its lobe (P, B): with it, what exceeds it, within bounds."""
+        """Return the part of values (P, B) that the highlight explains, by its lobe (P, B).
+
+        It includes the excess over the lobe, within bounds.
+        """
         return np.clip(f, 0.0, lobe) + np.clip(f - lobe - self.base, 0.0, _MOST_EXCESS * lobe)
 
     def shape_kept(self, position: float) -> float:
-        """How much of its measured shape a highlight keeps at another position; the rest is that of the lobe."""
+        """Return the share of its measured shape that a highlight keeps at another position; the rest is the lobe's."""
         return max(1.0 - abs(position - self.position) / _SHAPE_KEPT, 0.0)
 
 
 def roughness_at(position: float) -> float:
-    """Alpha at a position between `ROUGHNESSES`, in equal ratios."""
+    """Return alpha at a position between `ROUGHNESSES`, in equal ratios."""
     return float(ROUGHNESSES[0] * np.exp(_LOG_RATIO * position))
 
 
 def fit_highlight(brdf: BRDF) -> Highlight:
-    """The lobe, over a Lambertian base, of least cube-root error at the pairs of grid and ball."""
+    """Fit the lobe, over a Lambertian base, of least cube-root error at the pairs of grid and ball."""
     pairs = appearance_pairs(brdf.is_isotropic)
     f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
     weight = np.cbrt(pairs.cosines)
     schlick = (1.0 - cos_theta_d(pairs.wi, pairs.wo)) ** 5
 
     def solved(position: int, bands: Sequence[int]) -> tuple[Array, float]:
-        """Albedo of the base, normal and grazing reflectance, shape (3, bands), and the squared error."""
+        """Return albedo of the base, normal and grazing reflectance, shape (3, bands), and the squared error."""
         lobe = microfacet_lobe(pairs.wi, pairs.wo, roughness_at(position))
         columns = np.stack([np.full_like(lobe, 1.0 / np.pi), lobe * (1.0 - schlick), lobe * schlick], axis=1)
         found, error = [], 0.0
@@ -115,7 +118,9 @@ def fit_highlight(brdf: BRDF) -> Highlight:
 
 
 def positions_between(start: Highlight, end: Highlight, share: Array) -> Array:
-    """Positions at shares (n,) of the end: the peak of the average lobe, F / alpha^2, goes in equal ratios.
+    """Return positions at shares (n,) of the end.
+
+    The average lobe's peak, F / alpha^2, changes in equal ratios.
 
     A roughness in equal ratios would let the highlight between a strong, rough one and a weak, sharp one outshine both.
     """
@@ -141,7 +146,7 @@ class RoughenedBRDF(WrappedBRDF):
         self.name: str = getattr(brdf, "name", type(brdf).__name__)
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., B); arguments and errors as in the wrapped BRDF."""
+        """Return f in 1/sr, shape (..., B); arguments and errors as in the wrapped BRDF."""
         f = self._brdf.eval(wi, wo)
         wi, wo = (np.broadcast_to(w, (*f.shape[:-1], 3)).reshape(-1, 3) for w in (wi, wo))
         flat, fresnel = f.reshape(-1, f.shape[-1]), self._highlight.fresnel(wi, wo)
@@ -154,7 +159,7 @@ class RoughenedBRDF(WrappedBRDF):
 
 
 def lobe_at(wi: Array, wo: Array, position: float) -> Array:
-    """The lobe of a perfect reflector in 1/sr, shape (P, 1), 0 below the horizon, elsewhere positive."""
+    """Return the lobe of a perfect reflector in 1/sr, shape (P, 1), 0 below the horizon, elsewhere positive."""
     lobe = microfacet_lobe(wi, wo, roughness_at(position))
     is_above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
     return np.where(is_above, lobe, np.finfo(float).tiny)[:, None]
@@ -188,14 +193,14 @@ class Walked:
         return cls(highlight, np.stack(balls))
 
     def ball_at(self, positions: Array) -> Array:
-        """Linear sRGB of the ball at positions (n,) between `ROUGHNESSES`, shape (n, K, 3)."""
+        """Return the linear sRGB of the ball at positions (n,) between `ROUGHNESSES`, shape (n, K, 3)."""
         below = np.minimum(positions.astype(int), len(ROUGHNESSES) - 2)
         part = (positions - below)[:, None, None]
         return np.asarray((1.0 - part) * self.balls[below] + part * self.balls[below + 1])
 
 
 def walk_shares(start: Walked, end: Walked) -> Array:
-    """Share of the end at `WALK_NODES` even values of t, at which steps of the ball have equal CIEDE2000."""
+    """Return the share of the end at `WALK_NODES` even values of t, at which steps of the ball have equal CIEDE2000."""
     u = np.linspace(0.0, 1.0, _STEPS)
     positions = positions_between(start.highlight, end.highlight, u)
     share = u[:, None, None]
@@ -207,7 +212,7 @@ def walk_shares(start: Walked, end: Walked) -> Array:
 
 
 def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> PredictedBRDF:
-    """The material at a share of the second of two ends."""
+    """Return the material at a share of the second of two ends."""
     start, end = (w.highlight for w in walked)
     position = float(positions_between(start, end, np.array([share]))[0])
     parts = [RoughenedBRDF(brdf, w.highlight, position) for brdf, w in zip(ends, walked, strict=True)]
@@ -232,7 +237,7 @@ class Walk:
         return walk_shares(*self.walked)
 
     def at(self, t: float) -> PredictedBRDF:
-        """The step at t from 0 to 1; at both ends, the material itself."""
+        """Return the step at t from 0 to 1; at both ends, the material itself."""
         if t in (0.0, 1.0):
             return PredictedBRDF([self.ends[int(t)]], Combination(Identity(), np.ones(1)))
         share = float(np.interp(t, np.linspace(0.0, 1.0, WALK_NODES), self.shares))

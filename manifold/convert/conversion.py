@@ -44,7 +44,7 @@ _FEW = 20  # readings per incidence, of spectrophotometers rather than of goniom
 
 @dataclass(frozen=True)
 class Conversion:
-    """What was written.
+    """The result of a conversion.
 
     Attributes:
         files: that were read; or the place.
@@ -66,7 +66,7 @@ class Conversion:
 
     @property
     def rows(self) -> dict[str, object]:
-        """What a table says of it, by label."""
+        """Return the rows of its table, by label."""
         return {
             "material": self.name,
             "file": list(self.files),
@@ -88,7 +88,7 @@ class Conversion:
         html_page.write(path, self.name, f"{output.name}: {self.target}.", sections)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return plain(vars(self) | {"bands": str(self.bands)})
 
 
@@ -168,7 +168,7 @@ def convert(
 
 @contextmanager
 def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Path] | PlaceSource]:
-    """What `convert` takes of what a user names; files written for it are there during the block."""
+    """Yield the input of `convert` that a user names; files written for it exist during the block."""
     if len(sources) == 1 and isinstance(sources[0], PlaceSource):
         yield sources[0]
         return
@@ -177,7 +177,7 @@ def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Pat
 
 
 def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:
-    """The prediction at a place, and its file."""
+    """Return the prediction at a place, and its file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{place.name}.bsdf"
         made = predict(place.model, place.place, path, library=place.library, colour=place.colour)
@@ -185,7 +185,7 @@ def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:
 
 
 def _gaps(source: Source) -> list[str]:
-    """Notes on readings that are sparser than a goniometer's."""
+    """Return notes on readings that are sparser than a goniometer's."""
     theta = np.rad2deg(source.theta_i_rad)
     if theta.size == 1:
         return [
@@ -199,7 +199,7 @@ def _gaps(source: Source) -> list[str]:
 
 
 def _compared(source: Source, back: Source) -> tuple[Readings, Array]:
-    """Nodes of a source, and the values (P, B) of the result there, 1/sr.
+    """Return nodes of a source, and the values (P, B) of the result there, 1/sr.
 
     Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes.
     """

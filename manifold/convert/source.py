@@ -54,7 +54,7 @@ class Source:
 
     @property
     def expected_error(self) -> float | None:
-        """Of cube roots, relative, of a completed or predicted material; None of a measured one."""
+        """Return the relative expected error of cube roots of an estimated material; None for a measured one."""
         kept = None if self.file is None else self.file.extra.get(EXPECTED_ERROR)
         return (
             float(kept[0]) if kept is not None and kept.shape == (1,) and kept.dtype == np.float32 else None
@@ -77,7 +77,7 @@ class SrgbBRDF(WrappedBRDF):
         self.bands = Bands(None)
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., 3)."""
+        """Return f in 1/sr, shape (..., 3)."""
         return to_srgb(self._brdf.eval(wi, wo), self._brdf.bands)
 
 
@@ -90,7 +90,7 @@ class LuminanceBRDF(WrappedBRDF):
         self.bands = _LUMINANCE
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., 1)."""
+        """Return f in 1/sr, shape (..., 1)."""
         return luminance(self._brdf.eval(wi, wo), self._brdf.bands)[..., None]
 
 
@@ -103,7 +103,7 @@ class EstimatedSpectraBRDF(WrappedBRDF):
         self.bands = SPECTRUM
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, at least 0, shape (..., 31)."""
+        """Return f in 1/sr, at least 0, shape (..., 31)."""
         return estimate_spectra(self._brdf.eval(wi, wo), self._brdf.bands)
 
 
@@ -158,7 +158,7 @@ def _in_daylight(record: registry.Record) -> registry.Record:
 
 
 def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> Source:
-    """What a model predicts, to be converted itself; at the nodes of a file that was measured from it."""
+    """Return a model's prediction as a source, at the nodes of a file that was measured from it."""
     of_file = _of_rgl(file)
     clipped = ClippedBRDF(brdf)
     nodes = replace(of_file.nodes, values=clipped.eval(of_file.nodes.wi, of_file.nodes.wo))
@@ -167,7 +167,7 @@ def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> So
 
 
 def in_luminance(source: Source) -> Source:
-    """The luminance of a source in linear sRGB, as one band."""
+    """Return the luminance of a source in linear sRGB, as one band."""
     nodes, brdf = source.nodes, source.interpolated
     values = luminance(nodes.values, nodes.bands)[:, None]
     nodes = replace(nodes, wavelengths_nm=np.array(_LUMINANCE.wavelengths_nm), values=values)
@@ -177,7 +177,7 @@ def in_luminance(source: Source) -> Source:
 
 
 def with_estimated_spectra(source: Source) -> Source:
-    """A source in three narrow bands as one of spectra, with a note; others as they are."""
+    """Return a source in three narrow bands as one of spectra, with a note; others unchanged."""
     if not is_narrow(source.nodes.bands):
         return source
     brdf = source.interpolated

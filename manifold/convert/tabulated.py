@@ -71,7 +71,7 @@ class DenseBRDF(TabulatedBRDF):
         return self._blend([(theta_i, None), (phi_i, 2 * np.pi), (theta_o, None), (phi_o, 2 * np.pi)])
 
     def _blend(self, angles: list[tuple[Array, float | None]]) -> Array:
-        """Linear interpolation in all angles (n,), those with a period wrapped round."""
+        """Interpolate linearly in all angles (n,); periodic angles wrap round."""
         corners = [(np.zeros(angles[0][0].shape, dtype=int), np.ones(angles[0][0].shape))]
         for axis, (angle, period) in zip(self._axes, angles, strict=True):
             low, high, t = _bracket(axis, angle, period)
@@ -86,7 +86,7 @@ class DenseBRDF(TabulatedBRDF):
 
 
 def _bracket(axis: Array, angle: Array, period: float | None) -> tuple[Array, Array, Array]:
-    """Indices of the nodes on both sides of each angle (n,), and how far between them it lies."""
+    """Return the indices of the nodes on both sides of each angle (n,), and its fraction between them."""
     if period is None or axis.size == 1:
         place = np.interp(angle, axis, np.arange(axis.size))
         low = np.minimum(place.astype(int), max(axis.size - 2, 0))
@@ -147,7 +147,7 @@ class ReadingsBRDF(TabulatedBRDF):
         return f
 
     def _ring(self, ring: int, phi: Array, h: Array, cosines: Array) -> Array:
-        """Values (n, B) for azimuths (n,), half vectors (n, 3) and the product (n,) of `_unmasked` of both cosines.
+        """Return values (n, B) for azimuths (n,), half vectors (n, 3) and products (n,) of `_unmasked` of both cosines.
 
         They are read at an elevation of incidence that was measured.
         """
@@ -188,7 +188,7 @@ class _Slice:
         self._diffuse = np.percentile(values, _DIFFUSE_PERCENTILE, axis=0)
 
     def __call__(self, place: Array, ratio: Array) -> Array:
-        """Values (n, B) at places (n, 2).
+        """Return values (n, B) at places (n, 2).
 
         What exceeds the diffuse level is taken as D F G / (4 cos cos) of microfacets and multiplied by the ratio (n,)
         of the cosines of the slice to those of the requested directions.
@@ -204,25 +204,25 @@ class _Slice:
 
 
 def _unmasked(cosine: Array | float) -> Array:
-    """cos / G1 of Smith's masking of a smooth GGX surface, up to a factor: the cosine, but at the horizon not 0."""
+    """Return cos / G1 of Smith's masking of a smooth GGX surface, up to a factor; positive at the horizon."""
     return np.asarray(cosine + np.sqrt(_LEAST_ALPHA**2 + (1.0 - _LEAST_ALPHA**2) * np.square(cosine)))
 
 
 def _disk(w: Array, turn: Array | float) -> Array:
-    """Directions (n, 3), turned about the normal, as points of a disk whose radius is the elevation."""
+    """Return directions (n, 3), turned about the normal, as points of a disk whose radius is the elevation."""
     theta, phi = to_spherical(w)
     return np.stack([theta * np.cos(phi + turn), theta * np.sin(phi + turn)], axis=-1)
 
 
 def _mirrored(wi: Array, h: Array) -> Array:
-    """wi mirrored at the half vectors (n, 3), kept at the horizon where it falls below."""
+    """Mirror wi at the half vectors (n, 3); directions below the horizon are moved to it."""
     wo = 2.0 * np.einsum("ni,ni->n", wi, h)[:, None] * h - wi
     wo[:, 2] = np.maximum(wo[:, 2], _HORIZON_COSINE)
     return normalize(wo)
 
 
 def _both_sides(place: Array, values: Array) -> tuple[Array, Array]:
-    """Both halves of the disk of an isotropic sample of which one was measured."""
+    """Return both halves of the disk of an isotropic sample of which one was measured."""
     side = place[:, 1]
     if np.all(side > -_SAME_ANGLE) or np.all(side < _SAME_ANGLE):
         off = np.abs(side) > _SAME_ANGLE

@@ -48,7 +48,7 @@ class Target(NamedTuple):
     keeps: tuple[str, ...] = ()
 
     def left_out(self, readings: Readings) -> list[str]:
-        """A note on what readings say beside their values that the format has no place for."""
+        """Return a note on data beside the values that the format cannot hold."""
         said = {
             "weights": np.ptp(readings.weights) > 0.0,
             "uncertainties": np.any(readings.scatter > 0.0),
@@ -60,7 +60,7 @@ class Target(NamedTuple):
 
 
 class Options(NamedTuple):
-    """How an RGL file is sampled; without any, it stays as it is, byte for byte.
+    """The sampling of an RGL file; without options, the file is copied byte for byte.
 
     Attributes:
         resolution: nodes per axis of its outgoing grid, by default 64.
@@ -121,7 +121,10 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
 
 
 def _share(a: Array, b: Array, source: Source) -> Array:
-    """Weight (n,) of f(a, b) beside f(b, a) for pairs (n, 3): half, but for readings by how near an incidence is."""
+    """Return the weight (n,) of f(a, b) beside f(b, a) for pairs (n, 3).
+
+    It is half, but for readings it depends on how near an incidence is.
+    """
     if not source.is_readings:
         return np.full(len(a), 0.5)
     to_a, to_b = (
@@ -178,7 +181,7 @@ def _one_turn(source: Source) -> list[str]:
 
 
 def _about_the_normal(source: Source, steps: tuple[float, float], *, one_turn: bool = False) -> DenseTable:
-    """The BRDF at its incidences and at elevations and azimuths about the normal, by steps in degrees."""
+    """Sample the BRDF at its incidences, and at elevations and azimuths about the normal, by steps in degrees."""
     radial = np.deg2rad(np.append(np.arange(0.0, 89.0, steps[0]), 89.0))
     azimuth = np.deg2rad(np.arange(0.0, 360.0, steps[1]))
     is_one = one_turn or source.brdf.is_isotropic
@@ -235,7 +238,7 @@ def _write_bird(path: Path, source: Source, options: Options) -> list[str]:
 
 
 def _rows(source: Source) -> Readings:
-    """The readings themselves, or the BRDF at the directions of a goniometer."""
+    """Return the readings themselves, or the BRDF at the directions of a goniometer."""
     if source.is_readings:
         return source.nodes
     brdf = source.brdf
@@ -254,7 +257,7 @@ def _rows(source: Source) -> Readings:
 
 
 def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTable:
-    """The BRDF at the product of incident and outgoing angles."""
+    """Sample the BRDF at the product of incident and outgoing angles."""
     brdf = source.brdf
     theta_i, phi_i, theta_o, phi_o = axes
     wo = from_spherical(theta_o[:, None], phi_o[None, :])
@@ -266,20 +269,23 @@ def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTa
 
 
 def _incidences(source: Source) -> Array:
-    """The file's own elevations of incidence, or usual ones where it has none or very many."""
+    """Return the file's own elevations of incidence, or usual ones if it has none or very many."""
     own = source.theta_i_rad[source.theta_i_rad <= _STEEPEST]
     return own if 2 <= own.size <= _MOST_INCIDENCES else _USUAL_INCIDENCES
 
 
 def _eval(source: Source, wi: Array, wo: Array) -> Array:
-    """f in 1/sr, shape (..., B). Nearer to the horizon than RGL files say it, what they hold two degrees above it."""
+    """Return f in 1/sr, shape (..., B).
+
+    Directions nearer to the horizon than RGL files hold get the values two degrees above it.
+    """
     if source.file is not None:
         wi, wo = _off_horizon(wi), _off_horizon(wo)
     return source.brdf.eval(wi, wo)
 
 
 def _off_horizon(w: Array) -> Array:
-    """Directions (..., 3), those between the horizon, within rounding, and `LEAST_COSINE` lifted to it."""
+    """Lift directions (..., 3) between the horizon, within rounding, and `LEAST_COSINE` to the latter."""
     low = (w[..., 2] > -LEVEL) & (w[..., 2] < LEAST_COSINE)
     lifted = w.copy()
     lifted[low, :2] *= np.sqrt(1.0 - LEAST_COSINE**2) / np.hypot(w[low, 0], w[low, 1])[:, None]
@@ -312,7 +318,7 @@ SUFFIXES = ", ".join(f"{suffix} ({name})" for name, target in TARGETS.items() fo
 
 
 def target_of(output: Path, to: str | None) -> Target:
-    """The format to write: `to`, one of `TARGETS`, or what the suffix of the output stands for."""
+    """Return the format to write: `to`, one of `TARGETS`, or the one that the suffix of the output denotes."""
     if to is not None:
         return TARGETS[to]
     by_suffix = {suffix: target for target in TARGETS.values() for suffix in target.suffixes}

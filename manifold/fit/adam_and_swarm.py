@@ -60,8 +60,10 @@ class SwarmOptions:
 
 
 def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: AdamOptions) -> Minimum:
-    """Luminance of RGB samples alone for what the bands share, the colour white; then everything, in the squared linear
-    error. The cost of the result is that of the residuals, which Adam does not see.
+    """Fit by Adam in two stages: luminance of RGB samples for the shared values, then everything.
+
+    The second stage minimises the squared linear error. The cost of the result is that of the residuals,
+    which Adam does not use.
 
     Parameters are clamped to their ranges, colours, which come last, to [0, 1], after every step.
     """
@@ -100,7 +102,7 @@ def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options:
 def _stage(
     mi: Any, dr: Any, scene: Any, keys: dict[str, str], free: list[FreeParameter], loss: Any, options: AdamOptions
 ) -> bool:  # fmt: skip
-    """Adam until the loss stays, or the epochs are over; whether it stayed."""
+    """Run Adam until the loss is constant or the epochs are over; return whether it became constant."""
     optimizer = mi.ad.Adam(lr=options.learning_rate)
     for o in free:
         optimizer[keys[o.name]] = scene[keys[o.name]]
@@ -127,8 +129,9 @@ def _stage(
 
 
 def swarm(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: SwarmOptions) -> Minimum:
-    """Particles look for the least colour difference of RGB samples on a virtual hemisphere of looked-up measurements.
-    The cost of the result is that of the residuals.
+    """Fit by particles that minimise the colour difference of RGB samples on a virtual hemisphere.
+
+    The hemisphere's values are looked-up measurements. The cost of the result is that of the residuals.
 
     Every virtual direction pair takes the value of the sample nearest in Rusinkiewicz's angles; differences are
     CIELAB's of 1976.
@@ -169,7 +172,7 @@ def _cost(residuals: Residuals, p: Array) -> float:
 
 
 def _angles(wi: Array, wo: Array) -> Array:
-    """Half and difference angles as points whose distances can be compared, shape (M, 4)."""
+    """Return half and difference angles as points whose distances can be compared, shape (M, 4)."""
     theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
     # Reciprocity makes phi_d and phi_d + pi the same: double angles; it means nothing where theta_d is 0.
     return np.stack(
@@ -178,5 +181,5 @@ def _angles(wi: Array, wo: Array) -> Array:
 
 
 def _lab(reflectance: Array, samples: FitSamples) -> Array:
-    """CIELAB (..., 3) of linear sRGB reflectance; white is the perfect diffuser."""
+    """Return CIELAB (..., 3) of linear sRGB reflectance; white is the perfect diffuser."""
     return to_lab(to_xyz(reflectance, samples.bands), to_xyz(np.ones(3), samples.bands))

@@ -27,8 +27,10 @@ _PIXELS = 96  # pixels across a ball by quadrature
 def picture_of_fit(
     fit: Path, material: Path, output: Path, settings: RenderSettings | None = None
 ) -> tuple[float, float]:
-    """Render a file and the BSDF that was fitted to it, and draw both with their slices; CIEDE2000 and FLIP, means over
-    the ball. By default, renders have 256 x 256 pixels under D65, the one light for what has no spectrum.
+    """Render a file and the BSDF that was fitted to it, and draw both with their slices.
+
+    Return CIEDE2000 and FLIP, means over the ball. By default, renders have 256 x 256 pixels under D65, the
+    one light for materials without a spectrum.
     """
     figures.require_writable(output)
     settings = RenderSettings() if settings is None else settings

@@ -75,22 +75,22 @@ class Subject:
 
     @property
     def truth(self) -> EvaluableBRDF:
-        """What targets are fitted to: the material, or the fit where there is none."""
+        """Return the BRDF to which targets are fitted: the material, or the fit if there is none."""
         return self.fitted if self.material is None else self.material
 
     @cached_property
     def samples(self) -> FitSamples:
-        """Of what targets are fitted to."""
+        """Return samples of the BRDF to which targets are fitted."""
         return fit_samples.from_brdf(self.truth)
 
     @cached_property
     def principled_errors(self) -> Errors[float] | None:
-        """Of the fit; None where there is no material."""
+        """Return the errors of the fit; None without a material."""
         return None if self.material is None else ball_errors(self.fitted, self.material)
 
 
 def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
-    """The material that a user names; `against` as of `subject_of`."""
+    """Return the material that a user names; `against` is the argument of `subject_of`."""
     if isinstance(source, FileSource):
         return subject_of(source.path, against)
     if against is not None:
@@ -101,8 +101,9 @@ def subject_of_source(source: MaterialSource, against: Path | None) -> Subject:
 
 
 def subject_of(path: Path, against: Path | None = None) -> Subject:
-    """The material of a fit's JSON, to be compared with a measured file or with the fit itself, or of a `.bsdf` file,
-    which is fitted.
+    """Return the material of a fit's JSON, or of a `.bsdf` file, which is fitted.
+
+    A fit is compared with a measured file or with the fit itself.
     """
     if path.suffix.lower() == ".bsdf":
         if against is not None:
@@ -124,7 +125,7 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
 def subject_of_prediction(
     model: Path, latent: PlaceLike, *, library: Path | None, colour: ColourChoice
 ) -> Subject:
-    """The material that a model predicts at a latent, fitted."""
+    """Fit the material that a model predicts at a latent."""
     stages = Stages({"reading materials": 3, "fitting": 7})
     loaded = load_model(model, library)
     place = loaded.place(latent)
@@ -145,13 +146,13 @@ def subject_of_prediction(
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
-    """The material of a file, fitted, with plain values that say where it comes from."""
+    """Fit the material of a file; plain values name its origin."""
     fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
     return Subject(file.name, source, fit, MeasuredBRDF(fill_unmeasured(file)), f"{file.origin} file")
 
 
 def subject_in_library(library: Library, name: str) -> Subject:
-    """A material of a library, fitted."""
+    """Fit a material of a library."""
     info = library.attributes(name)
     described = {"library": library.path.name, "file": info.source_file, "sha256": info.sha256}
     return subject_of_file(library.read(name), described)
@@ -162,8 +163,9 @@ def export(
     is_mapped: bool = False, picture: Path | None = None, balls: Path | None = None,
     textures: Callable[[Mapping[str, Any]], TextureFiles] | None = None,
 ) -> Outcome[Subject]:  # fmt: skip
-    """Write a material for a target, or for that of the file's suffix; of a source, and `against`, see
-    `subject_of_source`.
+    """Write a material for a target, or for that of the file's suffix.
+
+    `against` applies to sources, see `subject_of_source`.
 
     With `is_mapped`, the target's parameters are computed from those of `principled`, instead of fitting its own model
     to the material from there on. The material beside the target's model is drawn to `picture`, balls of both in two
@@ -230,15 +232,16 @@ class ExportSource(NamedTuple):
         return self.name
 
     def made_of(self) -> dict[str, Any]:
-        """What its content depends on, plain values."""
+        """Return all that the content depends on, as plain values."""
         return {"material": self.identity}
 
 
 def exports(
     target: Target, *, is_mapped: bool = False, with_pictures: bool = False, is_pack: bool = False
 ) -> Command[ExportSource]:
-    """Write the materials that `export_sources` finds for a target; what is done is left. Each is drawn beside the
-    target's model into NAME.png, and a pack has a page of balls, too, see `pack`.
+    """Return the command that writes the materials of `export_sources` for a target; existing files are kept.
+
+    Each is drawn beside the target's model into NAME.png; a pack also has a page of balls, see `pack`.
     """
     columns: dict[str, Callable[[Content], Any]] = {
         BALL_COLUMN: lambda content: content["errors"]["ball"],
@@ -295,7 +298,7 @@ def _export(
 
 
 def export_sources(source: Path) -> list[ExportSource]:
-    """Every material of a library, or every `.bsdf` file and fit of a folder, at every depth; none is read yet."""
+    """Return every material of a library, or every `.bsdf` file and fit of a folder, at every depth, unread."""
     if (source / "zarr.json").is_file():
         library = Library(source)
         return [

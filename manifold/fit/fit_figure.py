@@ -24,8 +24,10 @@ def fit_picture(
     sources: Sequence[Source],
     light: str,
 ) -> Figure:
-    """Draw the check of a fit: display pictures (H, W, 3), in a light by its name, and slices of the material and of
-    the fit, and CIEDE2000 and FLIP maps (H, W). The means in the titles are over the pixels `inside` the ball, (H, W).
+    """Draw the check of a fit: display pictures (H, W, 3), slices of material and fit, and maps of their difference.
+
+    `light` is the light's name, CIEDE2000 and FLIP are (H, W). The means in the titles are over the pixels
+    `inside` the ball, (H, W).
     """
     figure = new_figure(11, 9.6)
     figure.suptitle(in_lines(title, 100), fontsize=12)

@@ -42,14 +42,14 @@ class Metric:
 
     @classmethod
     def of(cls, name: str, samples: FitSamples) -> Metric:
-        """The measure for some samples."""
+        """Return the measure for some samples."""
         if name not in METRICS:
             raise UsageError(f"no residual is called {name!r}, expected one of {', '.join(METRICS)}")
         mean = np.average(samples.f_cos, axis=0, weights=samples.weight).mean()
         return cls(name, _KNEE * float(mean))
 
     def __call__(self, x: Array) -> Array:
-        """T(x), same shape."""
+        """Return T(x), same shape."""
         if self.name == "linear":
             return np.asarray(x, float)
         if self.name == "log":
@@ -57,7 +57,7 @@ class Metric:
         return x / np.cbrt(x * x + self.knee**2)
 
     def slope(self, x: Array) -> Array:
-        """Derivative of T, same shape."""
+        """Return the derivative of T, same shape."""
         if self.name == "linear":
             return np.ones_like(x, dtype=float)
         if self.name == "log":
@@ -67,8 +67,9 @@ class Metric:
 
 
 def ball_errors(fitted: EvaluableBRDF, material: EvaluableBRDF) -> Errors[float]:
-    """How differently the balls of a fit and its material, each in its own bands, look, in the judged lights and in
-    those of fits.
+    """Return the differences between the balls of a fit and its material, each in its own bands.
+
+    Both are compared in the judged lights and in those of fits.
     """
 
     def errors(lights: Panel) -> Errors[float]:
@@ -86,8 +87,10 @@ _MISSED, _MISSED_SHARE = 5.0, 2.0
 
 
 def missed_highlight(fitted: EvaluableBRDF, material: EvaluableBRDF) -> str | None:
-    """A sentence where a model misses the highlight's colour or strength much more than the rest; None where not. Such
-    are the rainbows of flakes and films in models without them: other parameters cannot make up for it.
+    """Return a sentence if a model misses the highlight's colour or strength much more than the rest, else None.
+
+    Examples are the rainbows of flakes and films in models without them, which no other parameter can
+    replace.
     """
     ball = panel.sun(_HIGHLIGHT_SUN_DEG)
     xyz, xyz_star = (ball.xyz(values_at(brdf, ball), brdf.bands) for brdf in (fitted, material))
@@ -130,7 +133,7 @@ class Criterion:
             self.norm = float(np.hypot(self.norm, np.linalg.norm(self._shown)))
 
     def residual(self, f_cos: Array) -> Array:
-        """Rows (..., R, B) of values (..., P, B); more pairs than are needed may follow."""
+        """Return rows (..., R, B) of values (..., P, B); more pairs than are needed may follow."""
         m = len(self.samples)
         rows = self._root * self.metric(f_cos[..., :m, :]) - self._target
         if self._pixels is None:
@@ -139,7 +142,7 @@ class Criterion:
         return np.concatenate([rows, self._scale * shown - self._shown], axis=-2)
 
     def slope(self, f_cos: Array, slope: Array) -> Array:
-        """Derivatives of the rows (R, B, n) by those of the values (P, B), which are (P, B, n)."""
+        """Return derivatives of the rows (R, B, n) from those of the values (P, B), which are (P, B, n)."""
         m = len(self.samples)
         rows = (self._root * self.metric.slope(f_cos[:m]))[..., None] * slope[:m]
         if self._pixels is None:
@@ -149,11 +152,11 @@ class Criterion:
         return np.concatenate([rows, (self._scale * _DISPLAY.slope(shown) * shoulder)[..., None] * of_pixels])
 
     def relative(self, f_cos: Array) -> float:
-        """`||rows|| / norm` of values (P, B)."""
+        """Return `||rows|| / norm` of values (P, B)."""
         return float(np.linalg.norm(self.residual(f_cos))) / self.norm
 
     def ball_difference(self, f_cos: Array) -> float:
-        """CIEDE2000 between the pixels of values (P, 3) in linear sRGB and of the material, mean over the lights."""
+        """Return CIEDE2000 between pixels of values (P, 3) in linear sRGB and of the material, mean over the lights."""
         assert self._pixels is not None
         both = self._pixels.of(f_cos[len(self.samples) :]), self._pixels.values
         xyz, xyz_star = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in both)
@@ -164,20 +167,21 @@ _DISPLAY = Metric("appearance", _KNEE)
 
 
 def _shown(pixels: Array) -> tuple[Array, Array]:
-    """Linear values as a display shows them, with a soft end at white, and the derivatives."""
+    """Return linear values as a display shows them, with a soft end at white, and the derivatives."""
     above = np.maximum(pixels, 1.0)
     shown = np.where(pixels > 1.0, 1.0 + _SHOULDER * np.log(above), np.maximum(pixels, 0.0))
     return shown, np.where(pixels > 1.0, _SHOULDER / above, (pixels > 0.0).astype(float))
 
 
 def relative_residuals(samples: FitSamples, f_cos: Array) -> dict[str, float]:
-    """Relative residuals in every measure, by its name, of values at the direction pairs of `appearance`."""
+    """Return relative residuals in every measure, by its name, of values at the direction pairs of `appearance`."""
     return {name: Criterion(samples, name).relative(f_cos) for name in METRICS}
 
 
 def best_diffuse(criterion: Criterion) -> tuple[Array, float]:
-    """The constant-albedo diffuse that fits best, by Gauss-Newton, band by band: its albedo per band (B,), and its sum
-    of squared residuals, which a fit has to stay below.
+    """Fit a diffuse BRDF of constant albedo by Gauss-Newton, band by band.
+
+    Return its albedo per band (B,), and its sum of squared residuals, which a fit has to stay below.
     """
     samples = criterion.samples
     white = np.repeat(criterion.wo[:, 2:] / np.pi, samples.bands.count, axis=1)  # f_cos of a white diffuser

@@ -26,8 +26,9 @@ _BALL, _SUN_PIXELS = (6, 18, 8), 16  # pixels, rings and spokes; pixels under su
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Small pictures of a ball in the lights that fits see, linear radiance (K, B) in 1 over that of a white surface:
-    errors are reported in others.
+    """Small pictures of a ball in the lights of fits, linear radiance (K, B) over that of a white surface.
+
+    Errors are reported in other lights.
     """
 
     lights: Panel
@@ -35,18 +36,18 @@ class Pixels:
 
     @classmethod
     def of_values(cls, f: Callable[[Array, Array], Array]) -> Pixels:
-        """The ball of a material by its BRDF at direction pairs; negative values of a prediction count as 0."""
+        """Return the ball of a material from its BRDF at direction pairs; negative values count as 0."""
         lights = panel.fitted(*_BALL, sun_pixels=_SUN_PIXELS)
         empty = cls(lights, np.zeros(0))
         return replace(empty, values=empty.of(np.maximum(f(lights.wi, lights.wo), 0.0) * lights.wo[:, 2:]))
 
     def every(self, step: int) -> Pixels:
-        """Every `step`-th pixel in each light."""
+        """Return every `step`-th pixel in each light."""
         lights, rows = self.lights.every(step)
         return Pixels(lights, self.values[rows])
 
     def of(self, f_cos: Array) -> Array:
-        """Pixels (..., K, B) of values f cos(theta_o) (..., P, B) at the direction pairs of the panel."""
+        """Return pixels (..., K, B) of values f cos(theta_o) (..., P, B) at the direction pairs of the panel."""
         f = np.moveaxis(f_cos / self.lights.wo[:, 2:], -2, 0)
         return np.moveaxis(self.lights.of(f), 0, -2)
 
@@ -75,8 +76,9 @@ class FitSamples:
     def from_arrays(
         cls, wi: Array, wo: Array, f: Array, *, bands: Bands | None = None, weight: Array | None = None
     ) -> FitSamples:
-        """Samples of a table of f (M, B), not times the cosine, in 1/sr, at unit vectors (M, 3), above the horizon;
-        linear sRGB by default.
+        """Make samples from a table of f (M, B) in 1/sr, without the cosine, at unit vectors (M, 3) above the horizon.
+
+        Bands are linear sRGB by default.
 
         Weights (M,) are not negative; by default they are `cos(theta_i)`, which with values times `cos(theta_o)` weighs
         errors by both cosines.
@@ -123,7 +125,7 @@ class FitSamples:
         return self.f * self.wo[:, 2:]
 
     def subsample(self, n: int) -> FitSamples:
-        """At most n of the samples, the same ones each time, spread over the table's order."""
+        """Return at most n of the samples, the same ones each time, spread over the table's order."""
         if len(self) <= n:
             return self
         # Irrational strides visit every part of a gridded table without beating against its rows.
@@ -131,13 +133,13 @@ class FitSamples:
         return self.subset(np.sort(order[:n]))
 
     def subset(self, rows: Indices) -> FitSamples:
-        """The samples of the given rows."""
+        """Return the samples of the given rows."""
         weight = self.weight[rows]
         wi, wo, f = self.wi[rows], self.wo[rows], self.f[rows]
         return replace(self, wi=wi, wo=wo, f=f, weight=weight / weight.mean())
 
     def as_rgb(self) -> FitSamples:
-        """The same samples in linear sRGB under D65; colours outside Rec. 709 keep their negative values."""
+        """Return the samples in linear sRGB under D65; colours outside Rec. 709 keep their negative values."""
         if self.bands.is_rgb:
             return self
         pixels = self.pixels
@@ -147,8 +149,9 @@ class FitSamples:
 
 
 def from_readings(readings: Readings) -> FitSamples:
-    """Samples of an instrument's readings: those measured in all bands, 87 degrees from the normal at most; three
-    narrow bands become spectra, see `colour.narrow_bands`.
+    """Return samples of an instrument's readings: those measured in all bands, at most 87 degrees from the normal.
+
+    Three narrow bands become spectra, see `colour.narrow_bands`.
     """
     readings = with_spectra(readings)
     far = np.minimum(readings.wi[:, 2], readings.wo[:, 2]) >= _GRAZING_COS
@@ -164,8 +167,9 @@ def from_readings(readings: Readings) -> FitSamples:
 
 
 def from_brdf(brdf: EvaluableBRDF, rotation_rad: float = 0.0) -> FitSamples:
-    """Samples of a BRDF, dense around the mirror direction, and its ball, with the azimuth undone by which it lies
-    turned; negative values count as 0.
+    """Return samples of a BRDF, dense around the mirror direction, and its ball; negative values count as 0.
+
+    `rotation_rad` is the azimuth by which the sample lies turned, which is undone.
     """
 
     def of(wi: Array, wo: Array) -> Array:

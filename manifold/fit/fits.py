@@ -63,7 +63,7 @@ class FitSettings:
     sample: str | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, on which a fit depends beside its material."""
+        """Return the settings on which a fit depends, as plain values."""
         return plain(vars(self))
 
     def fit(
@@ -72,7 +72,7 @@ class FitSettings:
         source: Source,
         notes: Sequence[str] = (),
     ) -> dict[str, Any]:
-        """The content of the JSON of a fit; its notes begin with those given."""
+        """Fit a target, and return the content of the fit's JSON; its notes begin with those given."""
         found = fit_bsdf(
             target, self.family, method=self.method, metric=self.metric, noise=self.noise,
             wide_colours=self.wide_colours,
@@ -80,7 +80,7 @@ class FitSettings:
         return fit_json.document(replace(found, notes=(*notes, *found.notes)), source)
 
     def matches(self, content: dict[str, Any]) -> bool:
-        """Whether a written fit has these settings, and was made by this version of the program."""
+        """Return whether a written fit has these settings, and was made by this version of the program."""
         families = [self.family]
         if self.family is None:
             families = [default_principled(known, wide_colours=self.wide_colours) for known in (True, False)]
@@ -94,13 +94,14 @@ class FitSettings:
 
 
 def read_family(path: Path) -> BsdfFamily:
-    """A BSDF family from a JSON file of `type`, `parameters` and `fixed`; see `BsdfFamily.to_json`."""
+    """Read a BSDF family from a JSON file of `type`, `parameters` and `fixed`; see `BsdfFamily.to_json`."""
     return fit_json.family_of(disk.read_json(path, "a JSON description of a BSDF"), str(path))
 
 
 def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | None = None) -> Outcome[Any]:
-    """Fit a file or another material and write the JSON; a fit of the same file by an earlier run is kept. Where there
-    is no fit of what was measured, the outcome says why; its source is the prediction where this is a place.
+    """Fit a file or another material and write the JSON; an earlier run's fit of the same file is kept.
+
+    Without a fit of measured data, the outcome says why; for a place, its source is the prediction.
     """
     backend.imported()
     disk.require_writable(target)
@@ -121,8 +122,9 @@ def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | Non
 
 
 def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input]:
-    """Fit many materials, one JSON each; up-to-date fits are kept. With pictures, each fit is drawn beside its
-    material, where that is a whole BRDF, into NAME.fit.png.
+    """Fit many materials, one JSON each; up-to-date fits are kept.
+
+    With pictures, the fit of a whole BRDF is drawn beside its material, into NAME.fit.png.
     """
     backend.imported()
     columns: dict[str, Callable[[Content], Any]] = {
@@ -175,7 +177,7 @@ def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictu
 
 
 def _fitted(name: str, source: Measured, target: Path, settings: FitSettings) -> tuple[dict[str, Any], bool]:
-    """The content of the JSON of a fit, which is written, and whether an earlier run had."""
+    """Return the content of a fit's JSON, which is written, and whether an earlier run had written it."""
     if isinstance(source, LibrarySource):
         info = Library(source.library).attributes(source.name)
         origin = Source(name=name, file=info.source_file, sha256=info.sha256)
@@ -190,7 +192,7 @@ def _fitted(name: str, source: Measured, target: Path, settings: FitSettings) ->
 
 
 def _fit(measured: Measured, source: Source, settings: FitSettings) -> dict[str, Any]:
-    """The content of the fit of a material, or of an instrument's file with what was ambiguous or left out as notes."""
+    """Fit a material or an instrument's file, and return the content; notes report ambiguous and omitted data."""
     if isinstance(measured, LibrarySource):
         return settings.fit(read_source(measured), source)
     path = measured.path
@@ -207,7 +209,7 @@ def _fit(measured: Measured, source: Source, settings: FitSettings) -> dict[str,
 
 
 def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, Any] | None:
-    """The fit that an earlier run wrote for the same file and settings, or None."""
+    """Return the fit that an earlier run wrote for the same file and settings, or None."""
     if not target.is_file():
         return None
     try:

@@ -91,15 +91,15 @@ class Residuals:
         return self._last[1], self._last[2]
 
     def value(self, t: Array) -> Array:
-        """Residuals (R * B,) at t (K,)."""
+        """Return residuals (R * B,) at t (K,)."""
         return self._both(t)[0]
 
     def jacobian(self, t: Array) -> Array:
-        """Their derivatives by t, shape (R * B, K)."""
+        """Return the residuals' derivatives by t, shape (R * B, K)."""
         return self._both(t)[1]
 
     def by_parameter(self, p: Array) -> tuple[Array, Array]:
-        """Residuals (R * B,) and their derivatives by the parameters themselves, (R * B, K)."""
+        """Return residuals (R * B,) and their derivatives by the parameters themselves, (R * B, K)."""
         value, slope = self.evaluator.jacobian(p)
         slope[~np.isfinite(slope)] = 0.0  # a derivative that is infinite at the end of a range moves nothing
         J = self.criterion.slope(value, slope)
@@ -110,9 +110,7 @@ def minimize(
     residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None,
     kept: Mask | None = None,
 ) -> Minimum:  # fmt: skip
-    """Refine values (K,) within their ranges, or within lower and upper ends (K,) of a part of them, but those kept,
-    (K,).
-    """
+    """Refine values (K,) within their ranges, or within the ends (K,) of a part of them; kept values (K,) are fixed."""
     layout = residuals.layout
     free = np.ones(layout.size, bool) if kept is None else ~kept
     at = layout.inward(start)
@@ -140,8 +138,9 @@ def minimize(
 
 
 def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
-    """Parameter vectors (n, K) spread over the ranges, and their costs (n,) on a few of the samples, best first; those
-    where the BSDF is not finite are left out.
+    """Return parameter vectors (n, K) spread over the ranges, and their costs (n,) on a few samples, best first.
+
+    Vectors whose BSDF is not finite are left out.
 
     Bands share their values in a vector, except those of an affine parameter: two evaluations give its best value in
     every band, to first order in the residual's measure.
@@ -183,7 +182,10 @@ def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
 
 
 def distinct(scale: Array, minima: list[Minimum], distance: float) -> list[Minimum]:
-    """Minima, best first, without those within a distance (largest difference over the range) of a better one."""
+    """Return minima, best first, without those within a distance of a better one.
+
+    The distance is the largest difference over the range.
+    """
     kept: list[Minimum] = []
     for one in sorted(minima, key=_cost):
         if all(np.max(np.abs(one.p - other.p) / scale) > distance for other in kept):
@@ -196,8 +198,9 @@ def _cost(minimum: Minimum) -> float:
 
 
 def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
-    """Minima, as `find_minima` has them, best first, and of the rivals those whose difference of cost noise may hide,
-    below the limit, and in whose part no such minimum lies.
+    """Return minima, best first, with the rivals whose difference of cost, below the limit, may be noise.
+
+    `minima` come from `find_minima`. A rival counts only if no such minimum lies in its part.
     """
     best = minima[0].cost
     kept = [one for one in minima if one.part is None]
@@ -213,7 +216,7 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
 
 
 def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
-    """All distinct minima found, best first; of few samples followed by rivals, see `select_minima`."""
+    """Return all distinct minima found, best first; for few samples followed by rivals, see `select_minima`."""
     stages = Stages({"coarse search": 4, "refinement": 3, "valleys": 3})
     stages.begin("coarse search")
     layout = residuals.layout
@@ -259,8 +262,9 @@ def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
 def refine_bands(
     family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
 ) -> tuple[dict[str, float | list[float]], float]:
-    """All values by name, those of the parameters per band fitted to samples in B bands, each band by itself, from the
-    mean of RGB, what bands share kept; and the relative residual.
+    """Fit the parameters per band to samples in B bands, each band by itself, from the mean of RGB.
+
+    Shared values are kept. Return all values by name, and the relative residual.
 
     Levenberg-Marquardt in all bands at once, at some of the samples. Values stay above 0: Mitsuba takes no negative
     spectra.
@@ -299,14 +303,14 @@ def refine_bands(
 
 
 def _spread(n: int, count: int) -> Indices:
-    """At most `count` of n rows, in no step with any regular order of the table, sorted."""
+    """Return at most `count` of n rows, sorted, in no step with any regular order of the table."""
     if n <= count:
         return np.arange(n)
     return np.sort(np.random.default_rng(0).permutation(n)[:count])
 
 
 def _diverse(inward: Array, points: Array, is_per_band: Mask, n: int) -> list[Array]:
-    """The first n points, best first, that differ from each other in what is shared by the bands."""
+    """Return the first n points, best first, that differ from each other in the shared parameters."""
     shared = inward[:, ~is_per_band]
     if not shared.shape[1]:
         return list(points[:n])
@@ -323,7 +327,7 @@ def _diverse(inward: Array, points: Array, is_per_band: Mask, n: int) -> list[Ar
 
 
 def _along_the_valley(full: Residuals, best: Minimum, options: GaussNewton) -> list[Array]:
-    """Starts in the dips of the cost along its flattest direction through a minimum, lowest first.
+    """Return starts in the dips of the cost along its flattest direction through a minimum, lowest first.
 
     Few samples see a sharp lobe: along the valley in which a stronger and blunter lobe is nearly as good, the cost has
     a dip wherever the lobe meets one of them.
@@ -346,7 +350,7 @@ def _along_the_valley(full: Residuals, best: Minimum, options: GaussNewton) -> l
 
 
 def _outer_quarters(points: Array, layout: Layout) -> list[tuple[Array, tuple[Array, Array]]]:
-    """The lowest and the highest quarter of each shared parameter's range: the best point there, and the part's ends.
+    """Return the best point in the lowest and the highest quarter of each shared parameter's range, with their ends.
 
     Where samples do not tell two kinds of material apart, the cost may fall all the way from one to the other: the
     second is then no minimum, and only found where the parameter is kept from leaving.

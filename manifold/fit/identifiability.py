@@ -57,21 +57,20 @@ class ParameterIdentifiability:
 
 
 def residual_variance(residual: Array, n_parameters: int, floor: float) -> float:
-    """Variance of one residual: what the fit of n parameters leaves over, but no less than what the assumed noise
-    causes.
-    """
+    """Return the variance of one residual of a fit of n parameters, at least that of the assumed noise."""
     freedom = max(residual.size - n_parameters, 1)
     return max(float(residual @ residual) / freedom, floor)
 
 
 def as_good_limit(variance: float, n_parameters: int) -> float:
-    """The difference of two costs that noise of this variance may hide: a chi-square test at 99 %."""
+    """Return the difference of two costs that noise of this variance may hide: a chi-square test at 99 %."""
     return variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
 
 
 def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
-    """The step (K,) of one Gauss-Newton iteration, no longer than a tenth of any range, and the cost it promises, by
-    residuals (n,) and their derivatives (n, K).
+    """Return the step (K,) of one Gauss-Newton iteration, at most a tenth of any range, and the cost it promises.
+
+    It uses residuals (n,) and their derivatives (n, K).
     """
     span = layout.maximum - layout.minimum
     room = np.array([layout.minimum - p, layout.maximum - p]) / span
@@ -85,7 +84,10 @@ def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tu
 def is_different(
     layout: Layout, p: Array, other: Array, statements: Sequence[ParameterIdentifiability]
 ) -> bool:
-    """Whether other values (K,) differ from p in one that the samples determine at all, beyond error and tolerance."""
+    """Return whether other values (K,) differ from p in a parameter that the samples determine.
+
+    The difference must exceed error and tolerance.
+    """
     error = np.array([s.standard_error for s in statements])
     is_seen = np.array([s.state != UNSEEN for s in statements])
     apart = np.abs(other - p) > 2.0 * np.maximum(error, layout.tolerance)
@@ -100,8 +102,9 @@ def identify_parameters(
     alternatives: list[Array],
     kept: Mask,
 ) -> tuple[ParameterIdentifiability, ...]:
-    """The identifiability of all K fitted values, by derivatives (n, K) of the residuals and the variance of one of
-    these. `alternatives` (K,) fit as well within the noise; `kept` (K,) were left at their defaults.
+    """Return the identifiability of all K fitted values, by derivatives (n, K) of the residuals and their variance.
+
+    `alternatives` (K,) fit as well within the noise; `kept` (K,) were left at their defaults.
 
     The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range: it keeps
     directions that the samples do not see finite.
@@ -147,7 +150,7 @@ def identify_parameters(
 
 @dataclass(frozen=True, eq=False)
 class TriedDefaults:
-    """Which of K values were set to their defaults.
+    """A record of which of K values were set to their defaults.
 
     Attributes:
         kept: left there, since the fit is as good; bool (K,).
@@ -159,7 +162,7 @@ class TriedDefaults:
 
     @classmethod
     def none(cls, size: int) -> TriedDefaults:
-        """Nothing was tried."""
+        """Return the record of no trial."""
         return cls(np.zeros(size, bool), np.zeros(size, bool))
 
 
@@ -170,8 +173,9 @@ def keep_undetermined(
     limit: float,
     options: GaussNewton,
 ) -> tuple[Minimum, TriedDefaults]:
-    """The best minimum with undetermined values at their defaults, where that costs nothing, the others refined again;
-    and what became of the values that were set to defaults.
+    """Set undetermined values to their defaults if that costs nothing, and refine the others again.
+
+    Return the best minimum, and the outcome of the values that were set to defaults.
 
     Undetermined is what the samples do not see, and what is uncertain and ended at an end of its range that is not its
     default. One after the other, the least certain first, is set to its default; it stays there where the fit is as
@@ -201,5 +205,5 @@ def keep_undetermined(
 
 
 def _is_moved(statement: ParameterIdentifiability, parameter: FreeParameter) -> bool:
-    """Whether a value is not its default anyway."""
+    """Return whether a value differs from its default."""
     return abs(statement.value - (parameter.undetermined or 0.0)) > parameter.tolerance

@@ -178,7 +178,7 @@ def _fit_or_diffuse(
     samples: FitSamples, family: BsdfFamily | None, method: str, metric: str, noise: float, options: Any,
     wide_colours: bool,
 ) -> FitResult:  # fmt: skip
-    """A fit of the family, or of what is fitted by default."""
+    """Fit the family, or the default one."""
     if family is not None:
         return _fit(samples, family, method, metric, noise, options)
     default = default_principled(samples.is_isotropic, wide_colours=wide_colours)
@@ -233,7 +233,7 @@ def _options(method: str, options: Any) -> Any:
 
 
 def _require_independent_bands(family: BsdfFamily) -> None:
-    """Tints depend on a luminance of three channels, which three bands of a spectrum do not have."""
+    """Refuse tints of spectral samples: they depend on a luminance of three channels, which three bands do not have."""
     mixing = [
         name
         for name in _MIXES_CHANNELS
@@ -246,7 +246,7 @@ def _require_independent_bands(family: BsdfFamily) -> None:
 
 
 def _noise_variance(criterion: Criterion, noise: float) -> float:
-    """Variance of a residual that relative noise of the samples causes, averaged over them."""
+    """Return the variance of a residual that relative noise of the samples causes, averaged over them."""
     y = criterion.samples.f_cos
     weight = criterion.samples.weight[:, None]
     return float(np.mean(weight * (criterion.metric.slope(y) * noise * y) ** 2))
@@ -255,7 +255,7 @@ def _noise_variance(criterion: Criterion, noise: float) -> float:
 def _fit_spectra(
     family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
 ) -> tuple[dict[str, list[float]], float | None]:
-    """Values per band of the parameters per band, the shared ones fixed, and the relative residual."""
+    """Fit the parameters per band, the shared ones fixed; return their values, and the relative residual."""
     own = [o.name for o in family.parameters if o.per_band]
     if samples.bands.is_rgb or not own:
         return {}, None
@@ -342,7 +342,7 @@ def _result(
 
 
 def _notes(result: FitResult, n_others: int, is_isotropic: bool) -> list[str]:
-    """What a user should know of a fit."""
+    """Return the notes on a fit that a user should know."""
     notes, statements = [], result.statements
     for o in result.family.parameters:
         value = result.values[o.name]

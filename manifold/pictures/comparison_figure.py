@@ -20,8 +20,10 @@ def comparison(
     light: str,
     within: Mask | None = None,
 ) -> Figure:
-    """Draw two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W), in a light by its name; means are
-    over the pixels `within`, those of a ball: the difference of the materials, whatever surrounds them.
+    """Draw two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W), in a light by its name.
+
+    Means are over the pixels `within`, those of a ball: the difference of the materials, whatever surrounds
+    them.
     """
     height, width = delta_e.shape
     figure = new_figure(8.6, 0.6 + 8.0 * height / width)

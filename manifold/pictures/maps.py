@@ -42,8 +42,9 @@ def latent_map(
     marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
 ) -> tuple[DiagnosedPrediction | None, tuple[str, ...]]:
-    """Draw the map of latents with a ball per material, or points where Mitsuba is missing, and with that of a
-    prediction. It returns the prediction that is marked, and what was left out.
+    """Draw the map of latents with a ball per material, or points without Mitsuba, and the ball of a prediction.
+
+    Return the prediction that is marked, and notes on omitted balls.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
@@ -74,8 +75,9 @@ def walk(
     steps: int = 7,
     library: Path | None = None,
 ) -> dict[float, DiagnosedPrediction]:
-    """Draw the walk between two materials, and below it what lies between them on the map; the steps of the walk by t,
-    marked in the picture where they have diagnostics.
+    """Draw the walk between two materials, and below it the latents between them on the map.
+
+    Return the steps of the walk by t, marked in the picture if they have diagnostics.
     """
     figures.require_writable(output)
     backend.imported()
@@ -109,7 +111,7 @@ def walk(
 
 
 def _end(model: Manifold, source: MaterialSource) -> BRDF:
-    """The BRDF at an end of a walk, its unmeasured cells filled."""
+    """Return the BRDF at an end of a walk, its unmeasured cells filled."""
     if isinstance(source, PlaceSource):
         return diagnostics.predict_and_diagnose(model, source.place, source.colour).brdf
     if isinstance(source, LibrarySource) and source.name in model.names:
@@ -123,8 +125,9 @@ SliceKind = Literal["angles", "image", "spectra"]
 
 
 def sources(materials: Sequence[MaterialSource]) -> list[Source]:
-    """BRDFs of what a user names, NaN where one was measured and has no measurement; those of one label are labelled as
-    they were given. Each model is opened once.
+    """Return the BRDFs that a user names, NaN in unmeasured cells of measured ones.
+
+    Materials of one label are labelled as they were given. Each model is opened once.
     """
     found: list[tuple[str, Source]] = []
     models: dict[tuple[Path, Path | None], Manifold] = {}

@@ -52,7 +52,7 @@ class Rendered:
     prediction: DiagnosedPrediction | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, with the program's version."""
+        """Return plain values, with the program's version."""
         settings = self.settings
         known = {
             "program": f"manifold {__version__}", "path": self.path, "material": self.material.name,
@@ -64,7 +64,7 @@ class Rendered:
 
 
 def settings_key(settings: RenderSettings) -> dict[str, Any]:
-    """What a picture depends on beside its material, plain values."""
+    """Return the settings that a picture depends on, as plain values."""
     light = settings.illuminant
     arrays = {"wavelengths_nm": np.array(light.wavelengths_nm), "power": np.array(light.power)}
     if settings.environment is not None:
@@ -109,7 +109,7 @@ def ball_material(
     *,
     direct: bool = False,
 ) -> Iterator[tuple[BallMaterial, DiagnosedPrediction | None]]:
-    """A material to be rendered, and the prediction that it is; files written for it are there during the block."""
+    """Yield a material to be rendered, and its prediction; files written for it exist during the block."""
     if isinstance(source, PlaceSource):
         predicted = latent_material(
             source.model, source.place, library=source.library, colour=source.colour, direct=direct,
@@ -127,7 +127,7 @@ def ball_material(
 def latent_material(
     model: Path, latent: PlaceLike, *, library: Path | None, colour: ColourChoice, direct: bool
 ) -> Iterator[tuple[BallMaterial, DiagnosedPrediction]]:
-    """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials."""
+    """Yield the prediction at a latent, as a `.bsdf` file during the block, or for `direct` evaluation."""
     from manifold.estimate import predictions
     from manifold.model import diagnostics
     from manifold.model.manifold import load_model
@@ -183,7 +183,7 @@ class Comparison:
     ball: dict[str, Summary]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; those of the ball are None where pictures were compared."""
+        """Return plain values; those of the ball are None if pictures were compared."""
         balls = {f"{key}_ball": self.ball[key] if self.ball else None for key in self.pixels}
         names = ("path", "a", "b", "light", "diagnostics")
         return plain({name: getattr(self, name) for name in names} | self.pixels | balls)

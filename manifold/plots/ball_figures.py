@@ -33,8 +33,10 @@ _GAP = 1.06  # distance of boxes, in their sizes
 def ball_map(
     model: Manifold, images: Sequence[Array], marked: Array | None = None, marked_image: Array | None = None
 ) -> Figure:
-    """The first two latent dimensions: `model.pictured` as balls, RGBA (H, W, 4), cropped to the ball, over the
-    expected error, and a latent (Q,) with the ball that is predicted there.
+    """Draw the first two latent dimensions: `model.pictured` as balls, over the expected error.
+
+    Balls are RGBA (H, W, 4), cropped to the ball. A latent (Q,) is marked with the ball that is predicted
+    there.
 
     Balls that would cover each other are moved apart, with a line to where they belong. All other materials are points
     in their colours.
@@ -96,8 +98,9 @@ def _draw_leader(axes: Axes, place: Array, true: Array, radius: float) -> None:
 
 
 def spread(points: Array, room: Array, frame: Array) -> Array:
-    """Points (N, 2) moved apart until boxes of size `room` (N, 2) around them hardly overlap, near where they were, and
-    within a frame (left, bottom, right, top), a box's half away from its edge.
+    """Move points (N, 2) apart until boxes of size `room` (N, 2) around them hardly overlap.
+
+    Points stay near their places and half a box away from the edges of a frame (left, bottom, right, top).
     """
     rng = np.random.default_rng(0)
     room = np.broadcast_to(room, points.shape)
@@ -121,8 +124,9 @@ def walk_strip(
     rows: Sequence[tuple[str, Sequence[Array]]],
     doubtful: Sequence[bool] = (),
 ) -> Figure:
-    """Balls, RGBA (H, W, 4), side by side, a row per method, from one material (t = 0) to another (t = 1). Steps of the
-    first row that the data do not support are marked, and explained below.
+    """Draw balls, RGBA (H, W, 4), side by side, a row per method, from one material (t = 0) to another (t = 1).
+
+    Steps of the first row that the data do not support are marked, and explained below.
     """
     figure = new_figure(1.25 * len(steps) + 1.1, 1.35 * len(rows) + 0.9)
     figure.suptitle(title, fontsize=12)

@@ -35,7 +35,7 @@ rcParams["font.family"] += [name for name in _FALLBACK_FONTS if name in fontMana
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of that many inches, drawn without a window."""
+    """Return an empty figure of that many inches, drawn without a window."""
     figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -50,9 +50,10 @@ def fix_layout(figure: Figure) -> None:
 def place_names(
     figure: Figure, axes: Axes, names: Sequence[Annotation], dot: float, points: Array, zorder: float
 ) -> None:
-    """Move names to where they cover least of points (K, 2) and of names before them, nearest to their own point. Names
-    are centred, with offsets in pixels, as all lengths are; a line leads to a point whose name is far. Half of a
-    point's width is `dot`.
+    """Move names to where they cover least of points (K, 2) and of names before them, nearest to their own point.
+
+    Names are centred, with offsets in pixels, as all lengths are; a line leads to a point whose name is far.
+    Half of a point's width is `dot`.
     """
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents
@@ -83,7 +84,7 @@ def place_names(
 
 
 def shortened(name: str, most: int = 40) -> str:
-    """A name as a label: without its end where it is longer than `most`, and never read as a formula."""
+    """Return a name as a label: cut if it is longer than `most`, and never read as a formula."""
     text = without_controls(name if len(name) <= most else name[: most - 1] + "…")
     return text.replace("$", r"\$")
 
@@ -92,7 +93,7 @@ _MOST_LINES = 3  # lines of a title
 
 
 def in_lines(name: str, width: int = 40) -> str:
-    """A name as a title: broken after blanks, `_`, `-`, `/` or `.`, or anywhere, and cut only after three lines."""
+    """Break a name as a title after blanks, `_`, `-`, `/` or `.`, or anywhere, and cut it after three lines."""
     lines = [""]
     for part in re.findall(r"[^\s_/.-]*[\s_/.-]*", name):
         while len(lines[-1]) + len(part.rstrip()) > width:
@@ -128,8 +129,9 @@ _LETTERS = 15  # letters in a line of a name
 
 
 def contact_sheet(cells: Sequence[tuple[str, str, Sequence[Path]]], under: str | None) -> Figure:
-    """Draw pictures from left to right and top to bottom, each with a name and a text below it, or a grey circle where
-    there is none; `under` says what that text is. Two pictures of a cell are of the measured and of the predicted.
+    """Draw pictures in rows, each with a name and a text below it, or a grey circle if there is none.
+
+    `under` describes that text.
     """
     beside = max((len(pictures) for *_, pictures in cells), default=1)
     columns = min(int(np.ceil(np.sqrt(1.5 * len(cells) / beside))), _MOST_COLUMNS // beside)

@@ -64,7 +64,7 @@ class Section:
     notes: Sequence[str] = ()
 
     def html(self) -> str:
-        """The part as HTML."""
+        """Return the part as HTML."""
         is_long = len(self.table) > _LONG
         parts = [f"<section{' class=long' * is_long}><h2>{_text(self.title)}</h2>\n"]
         parts += [
@@ -97,7 +97,7 @@ def write(path: Path, title: str, intro: str, body: str | Sequence[Section]) -> 
 
 
 def card(picture: str, alt: str, link: str, name: str, text: str) -> str:
-    """A figure of an index: a picture of a file beside the page, a linked name, and a line."""
+    """Return a figure of an index: a picture of a file beside the page, a linked name, and a line."""
     return (
         f'<figure><img src="{quote(picture)}" alt="{_text(alt)}" loading="lazy"><figcaption><b>'
         f'<a href="{quote(link)}">{_text(name)}</a></b><br>{_text(text)}</figcaption></figure>\n'
@@ -105,7 +105,7 @@ def card(picture: str, alt: str, link: str, name: str, text: str) -> str:
 
 
 def picture(display: Array, alt: str, width: int) -> str:
-    """An element of display values in [0, 1] (H, W, 3), so many pixels wide on the page."""
+    """Return an element of display values in [0, 1] (H, W, 3), so many pixels wide on the page."""
     from PIL import Image
 
     memory = io.BytesIO()
@@ -115,7 +115,7 @@ def picture(display: Array, alt: str, width: int) -> str:
 
 
 def drawing(figure: Figure) -> str:
-    """An element of a figure, as SVG."""
+    """Return an element of a figure, as SVG."""
     memory = io.StringIO()
     figure.savefig(memory, format="svg")
     svg = memory.getvalue()

@@ -27,8 +27,9 @@ _MARGIN = 0.18  # margin around the latents, as a share of their range
 
 
 def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
-    """The first two latent dimensions: materials in their own colours over the expected error, see `pictured`, and a
-    latent (Q,) marked as predicted; one dimension is drawn along a line.
+    """Draw the first two latent dimensions: materials in their own colours over the expected error, see `pictured`.
+
+    A latent (Q,) is marked as predicted; one dimension is drawn along a line.
     """
     figure = new_figure(10, 7.2)
     axes = figure.add_subplot()
@@ -49,7 +50,7 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
 
 
 def material_labels(model: Manifold) -> list[str]:
-    """Names of the pictured materials of a map; of those that were not measured also what they are."""
+    """Return the names of the pictured materials of a map, with the origin of those that were not measured."""
     labels = []
     for name in (model.names[k] for k in model.pictured):
         origin = model.library.attributes(name).origin
@@ -59,7 +60,7 @@ def material_labels(model: Manifold) -> list[str]:
 
 
 def latent_axes(axes: Axes, model: Manifold) -> None:
-    """Title and labels of a map of latents; with the number of dimensions that are not drawn."""
+    """Set title and labels of a map of latents, with the number of dimensions that are not drawn."""
     dims = model.settings.latent_dim
     materials = [model.library.attributes(name) for name in model.names]
     origins = {material.origin for material in materials}
@@ -75,13 +76,15 @@ def latent_axes(axes: Axes, model: Manifold) -> None:
 
 
 def two_dimensions(X: Array) -> Array:
-    """The first two columns, with zeros for a missing second one."""
+    """Return the first two columns, with zeros for a missing second one."""
     return X[:, :2] if X.shape[1] > 1 else np.column_stack([X[:, 0], np.zeros(len(X))])
 
 
 def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
-    """The expected error as the background of a two-dimensional map, with its colour bar, or of a model that is not
-    calibrated the posterior over the prior standard deviation; hatched where the data do not support predictions.
+    """Draw the expected error as the background of a two-dimensional map, with its colour bar.
+
+    Without calibration it is the posterior over the prior standard deviation; hatched regions are not
+    supported by the data.
     """
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     margin = _MARGIN * (high - low)
@@ -119,7 +122,7 @@ def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
 
 
 def draw_points(axes: Axes, model: Manifold) -> None:
-    """The materials that are not pictured, as small points in their colours."""
+    """Draw the materials that are not pictured, as small points in their colours."""
     others = np.delete(np.arange(len(model.names)), model.pictured)
     if others.size:
         X, area = two_dimensions(model.X[others]), _POINTS_AREA / len(others)
@@ -138,7 +141,7 @@ def material_colours(model: Manifold, materials: Indices) -> Array:
 
 
 def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:
-    """Names near their points, set from the rim of the map inwards."""
+    """Place names near their points, from the rim of the map inwards."""
     fix_layout(figure)
     axes.autoscale(enable=False)
     pixels = axes.transData.transform(X)

@@ -42,7 +42,7 @@ class Source:
 
 
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
-    """f over the outgoing angle in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
+    """Draw f over the outgoing angle in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
 
     Angles are positive on the mirror side of the normal. A row per channel of linear sRGB under D65, or per wavelength
     where some are given.
@@ -82,7 +82,7 @@ def draw_slices(
 
 
 def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
-    """Colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
+    """Draw colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
 
     All images share one exposure: white is what one in two hundred values below theta_d = 75 degrees exceeds, or thrice
     their median, so that colours beside highlights are visible. What was not measured (NaN) is white.
@@ -124,7 +124,7 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
 
 
 def spectra_at(sources: Sequence[Source]) -> Figure:
-    """f over wavelength at four geometries in the plane of incidence; of RGB sources, over the channels."""
+    """Draw f over wavelength at four geometries in the plane of incidence; for RGB sources, over the channels."""
     _require_sources(sources)
     bands = sources[0].brdf.bands
     for source in sources[1:]:
@@ -157,12 +157,12 @@ def _require_sources(sources: Sequence[Source]) -> None:
 
 
 def _outgoing(theta_deg: Array) -> Array:
-    """Directions in the plane of incidence, positive angles on the mirror side of the normal, shape (..., 3)."""
+    """Return directions in the plane of incidence, positive angles on the mirror side of the normal, shape (..., 3)."""
     return from_spherical(np.deg2rad(theta_deg), np.pi)
 
 
 def _channels(brdf: EvaluableBRDF, f: Array, wavelengths_nm: Sequence[float]) -> Array:
-    """Values to draw, shape (P, rows)."""
+    """Return values to draw, shape (P, rows)."""
     if not wavelengths_nm:
         return to_srgb(f, brdf.bands)
     if brdf.bands.wavelengths_nm is None:
@@ -175,7 +175,7 @@ def _channels(brdf: EvaluableBRDF, f: Array, wavelengths_nm: Sequence[float]) ->
 
 
 def _logarithmic(row: Sequence[Axes]) -> None:
-    """A logarithmic axis that shows all values of a row, five decades at most."""
+    """Set a logarithmic axis that shows all values of a row, five decades at most."""
     values = np.concatenate([line.get_ydata() for axes in row for line in axes.lines])
     positive = values[values > 0]
     if positive.size == 0:

@@ -47,7 +47,7 @@ class RendererWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Backend:
-    """How Mitsuba runs here.
+    """The way Mitsuba runs in this process.
 
     Attributes:
         kind: `llvm` (vectorised, compiled) or `scalar`.
@@ -61,11 +61,11 @@ class Backend:
 
     @property
     def is_llvm(self) -> bool:
-        """Whether renders are vectorised."""
+        """Return whether renders are vectorised."""
         return self.kind == "llvm"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {
             "kind": self.kind,
             "library": None if self.library is None else str(self.library),
@@ -75,12 +75,12 @@ class Backend:
 
 
 def mitsuba_version() -> str:
-    """The version of Mitsuba that is installed, without importing it."""
+    """Return the version of the installed Mitsuba, without importing it."""
     return metadata.version("mitsuba")
 
 
 def find_library() -> Path | None:
-    """The newest libLLVM of version 17 or later, by file names; the one that `DRJIT_LIBLLVM_PATH` names where set."""
+    """Return the newest libLLVM of version 17 or later, by file names, or the one that `DRJIT_LIBLLVM_PATH` names."""
     if named := os.environ.get(LIBRARY_VARIABLE):
         return Path(named)
     found = {path: _version(path) for folder in _FOLDERS for path in Path("/").glob(f"{folder[1:]}/libLLVM*")}
@@ -90,7 +90,7 @@ def find_library() -> Path | None:
 
 
 def _version(path: Path) -> int:
-    """Main version in the name of a library or the place its links lead to; 0 for parts of LLVM and other files."""
+    """Return the main version in the name of a library or its link target; 0 for other files and parts of LLVM."""
     if not re.fullmatch(r"libLLVM(-\d[\d.]*)?(\.so[\d.]*|\.dylib)", path.name) or not path.is_file():
         return 0
     texts = (path.name, str(path.resolve()))
@@ -99,7 +99,7 @@ def _version(path: Path) -> int:
 
 @cache
 def choose() -> Backend:
-    """The backend of this process: the newest libLLVM, or the scalar variants."""
+    """Choose the backend of this process: the newest libLLVM, or the scalar variants."""
     wanted = os.environ.get(RENDERER_VARIABLE, "auto")
     if wanted not in ("auto", "llvm", "scalar"):
         raise UsageError(f"{RENDERER_VARIABLE} is '{wanted}', expected auto, llvm or scalar")
@@ -115,7 +115,7 @@ def choose() -> Backend:
 
 
 def is_available() -> bool:
-    """Whether Mitsuba can be imported; rendering and fitting need it, and nothing else does."""
+    """Return whether Mitsuba can be imported; only rendering and fitting need it."""
     try:
         imported()
     except RendererError:
@@ -125,7 +125,7 @@ def is_available() -> bool:
 
 @cache
 def imported() -> Any:
-    """Mitsuba, in whatever variant is set."""
+    """Import Mitsuba, in the variant that is set."""
     choose()
     try:
         import mitsuba
@@ -142,13 +142,13 @@ def imported() -> Any:
 
 @cache
 def own_plugins() -> frozenset[str]:
-    """The names of Mitsuba's own plugins."""
+    """Return the names of Mitsuba's own plugins."""
     folder = Path(imported().__file__).parent / "plugins"
     return frozenset(path.name.partition(".")[0] for path in folder.iterdir())
 
 
 def is_registered(name: str) -> bool:
-    """Whether this process has registered a plugin of that name from Python; no library is loaded to find out."""
+    """Return whether this process registered a plugin of that name from Python, without loading a library."""
     mi = sys.modules.get("mitsuba")
     if mi is None or mi.variant() is None:
         return False
@@ -165,7 +165,7 @@ def is_registered(name: str) -> bool:
 
 
 def search_folders() -> list[Path]:
-    """The folders in which Mitsuba looks for files: its own, and the current one of its import."""
+    """Return the folders in which Mitsuba looks for files: its own, and the folder current at its import."""
     return [Path(str(folder)) for folder in imported().file_resolver()]
 
 
@@ -174,8 +174,9 @@ _is_advised = False
 
 
 def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
-    """Mitsuba with the variant for a kind of colour set, `spectral`, `rgb` or `mono`; the first call warns once where
-    it is slow.
+    """Set Mitsuba's variant for a kind of colour, `spectral`, `rgb` or `mono`, and return Mitsuba.
+
+    The first call warns once if it is slow.
     """
     global _is_advised
     if colour not in _COLOURS:
@@ -226,7 +227,7 @@ def variant_kept() -> Iterator[None]:
 
 
 def mitsuba_of_any_variant() -> Any:
-    """Mitsuba for what is alike in all variants, such as image files: with the variant that is set, or `scalar_rgb`."""
+    """Return Mitsuba for variant-independent work, such as image files, in the current variant or `scalar_rgb`."""
     mi = imported()
     if mi.variant() is None:
         mi.set_variant("scalar_rgb")
@@ -235,7 +236,7 @@ def mitsuba_of_any_variant() -> Any:
 
 @contextmanager
 def only_errors() -> Iterator[None]:
-    """Mitsuba without its warnings, such as that of a rounded number of samples, which it prints on stdout."""
+    """Silence Mitsuba's warnings, such as that of a rounded number of samples, which it prints on stdout."""
     mi = mitsuba_of_any_variant()
     before = mi.log_level()
     mi.set_log_level(mi.LogLevel.Error)
@@ -257,7 +258,7 @@ def on_variant(callback: Callable[[str], None]) -> None:
 
 
 def drjit() -> Any:
-    """Dr.Jit, for arrays of the variant that `mitsuba` has set."""
+    """Return Dr.Jit, for arrays of the variant that `mitsuba` has set."""
     imported()
     import drjit as dr
 
@@ -266,7 +267,7 @@ def drjit() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Dr.Jit without worker threads, which use a core while they wait for small launches."""
+    """Run Dr.Jit without worker threads, which use a core while they wait for small launches."""
     dr = drjit()
     before = dr.thread_count()
     dr.set_thread_count(0)
@@ -278,7 +279,7 @@ def one_thread() -> Iterator[None]:
 
 @contextmanager
 def two_threads() -> Iterator[None]:
-    """Dr.Jit with a worker thread at least: without one, Mitsuba 3.9 waits for ever while it writes OpenEXR."""
+    """Run Dr.Jit with at least one worker thread, without which Mitsuba 3.9 hangs while it writes OpenEXR."""
     dr = drjit()
     before = dr.thread_count()
     if before < 2:

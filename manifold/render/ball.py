@@ -37,12 +37,12 @@ class BallMaterial:
     route: str
 
     def render(self, settings: RenderSettings) -> Array:
-        """The ball in linear sRGB; see `render_bsdf`."""
+        """Render the ball in linear sRGB; see `render_bsdf`."""
         return render_bsdf(self.bsdf, self.is_rgb, settings)
 
 
 def read_material(path: Path) -> BallMaterial:
-    """An RGL file, or the JSON of a fit."""
+    """Read an RGL file, or the JSON of a fit."""
     if path.suffix == ".json":
         from manifold.render import fit_json
 
@@ -65,7 +65,7 @@ def read_material(path: Path) -> BallMaterial:
 def make_settings(
     *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
 ) -> RenderSettings:
-    """Settings with an illuminant by name or file, and an environment from a file."""
+    """Make settings with an illuminant by name or file, and an environment from a file."""
     image = None
     if environment is not None:
         try:
@@ -96,7 +96,7 @@ def render_ball(
     illuminant: str = "D65",
     environment: Path | None = None,
 ) -> Array:
-    """The ball of a material under an environment light: linear sRGB, float64, shape (size, size, 3).
+    """Render the ball of a material under an environment light: linear sRGB, float64, shape (size, size, 3).
 
     Args:
         material: the path of a `.bsdf` or of a fit, a file that was read, or any BRDF, such as a prediction, which is
@@ -120,7 +120,7 @@ def render_ball(
 
 
 def render_material(material: BRDF | BsdfFile, settings: RenderSettings) -> Array:
-    """The ball of a file that was read, or of a BRDF, which is measured first, negative values as 0.
+    """Render the ball of a file that was read, or of a BRDF, which is measured first, negative values as 0.
 
     Returns and raises: as `render_bsdf`.
     """

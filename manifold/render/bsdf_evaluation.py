@@ -27,20 +27,22 @@ class Evaluator(Protocol):
     layout: Layout
 
     def values(self, p: Array, rows: Indices | None = None) -> Array:
-        """f_cos of parameter vectors (P, K) at all pairs or some rows of them, shape (P, M, B)."""
+        """Return f_cos of parameter vectors (P, K) at all pairs or some rows of them, shape (P, M, B)."""
 
     def jacobian(self, p: Array) -> tuple[Array, Array]:
-        """f_cos (M, B) of one vector (K,), and its derivatives (M, B, K)."""
+        """Return f_cos (M, B) of one vector (K,), and its derivatives (M, B, K)."""
 
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
-        """f_cos (M, B) of one vector (K,), and its derivatives (M, B, n) by each band's own n values; bands are taken
-        to be independent of each other's.
+        """Return f_cos (M, B) of one vector (K,), and derivatives (M, B, n) by each band's own n values.
+
+        Bands are taken to be independent of each other.
         """
 
 
 def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluator:
-    """The evaluator for the backend at hand, at unit vectors (M, 3); bands are evaluated in threes, as the channels of
-    Mitsuba's RGB variants.
+    """Return the evaluator for this backend, at unit vectors (M, 3).
+
+    Bands are evaluated in threes, as the channels of Mitsuba's RGB variants.
     """
     mi = backend.mitsuba(colour="rgb")
     kind = LaneEvaluator if mi.variant().startswith("llvm") else ScalarEvaluator
@@ -48,15 +50,17 @@ def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluat
 
 
 def load_bsdf(family: BsdfFamily, values: dict[str, Any]) -> Any:
-    """Mitsuba's BSDF with the given values, by name, one number, or three for a colour, in the RGB variant of the
-    backend.
+    """Load Mitsuba's BSDF with values by name, in the RGB variant of the backend.
+
+    A value is one number, or three for a colour.
     """
     return _load(backend.mitsuba(colour="rgb"), bsdf_dict(family, values))
 
 
 def bsdf_dict(family: BsdfFamily, values: dict[str, Any], wavelengths_nm: Any = None) -> dict[str, Any]:
-    """Mitsuba's dictionary of a BSDF, for its RGB variants, or with wavelengths (B,) for its spectral ones; values by
-    name are one number, three for a colour, or one per wavelength.
+    """Return Mitsuba's dictionary of a BSDF, for its RGB variants, or with wavelengths (B,) for its spectral ones.
+
+    Values by name are one number, three for a colour, or one per wavelength.
     """
     content: dict[str, Any] = {"type": family.type, **family.fixed}
     for parameter in family.parameters:
@@ -100,7 +104,7 @@ def _refusal(kind: str, error: RuntimeError) -> UsageError:
 
 
 def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
-    """Mitsuba's key of every free parameter: `name` for a plain number, `name.value` for a texture."""
+    """Return Mitsuba's key of every free parameter: `name` for a plain number, `name.value` for a texture."""
     bsdf = _load_at_defaults(mi, family)
     if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
         raise UsageError(
@@ -148,7 +152,7 @@ class LaneEvaluator:
         return wi, wo
 
     def values(self, p: Array, rows: Indices | None = None) -> Array:
-        """See `Evaluator`."""
+        """Return f_cos of parameter vectors; see `Evaluator`."""
         p = np.atleast_2d(p)
         directions, m = (self._all, len(self._wi)) if rows is None else (self._upload(rows), len(rows))
         block = max(1, _LANES // (m * self._n_groups))
@@ -161,7 +165,10 @@ class LaneEvaluator:
         return self._bands(out, len(p), m)
 
     def jacobian(self, p: Array) -> tuple[Array, Array]:
-        """See `Evaluator`. One tangent per scalar, and one per parameter and channel for those per band."""
+        """Return f_cos and its derivatives; see `Evaluator`.
+
+        One tangent serves each scalar, and one each channel of the parameters per band.
+        """
         layout = self.layout
         columns = [
             (j, c)
@@ -181,13 +188,16 @@ class LaneEvaluator:
         return value, jacobian
 
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
-        """See `Evaluator`. One tangent per parameter: the three channels at once."""
+        """Return f_cos and its derivatives per band; see `Evaluator`.
+
+        One tangent serves each parameter, for the three channels at once.
+        """
         columns = [(j, None) for j, o in enumerate(self.layout.family.parameters) if o.per_band]
         value, slope = self._differentiate(p, columns)
         return value, np.stack(slope, axis=-1)
 
     def _differentiate(self, p: Array, columns: list[Any]) -> tuple[Array, list[Array]]:
-        """f_cos (M, B) and, per column (parameter, channel or None for all), its derivative (M, B)."""
+        """Return f_cos (M, B) and its derivative (M, B) by each column (parameter, channel or None for all)."""
         n, m, groups = len(columns), len(self._wi), self._n_groups
         table = np.repeat(self._triples(p[None]), n, axis=0)  # (groups * columns, parameters, 3)
         tangent = np.zeros_like(table)
@@ -202,7 +212,7 @@ class LaneEvaluator:
         return bands(value[:, :, 0]), [bands(slope[:, :, k]) for k in range(n)]
 
     def _triples(self, p: Array) -> NDArray[np.float32]:
-        """Values (P, K) as Mitsuba sees them, shape (P * groups, parameters, 3)."""
+        """Return values (P, K) in Mitsuba's layout, shape (P * groups, parameters, 3)."""
         out = np.empty((len(p), self._n_groups, len(self._names), 3), np.float32)
         for j, name in enumerate(self._names):
             value = p[:, self.layout.slices[name]]
@@ -214,12 +224,12 @@ class LaneEvaluator:
         return out.reshape(-1, len(self._names), 3)
 
     def _bands(self, out: Any, n: int, m: int) -> Array:
-        """Channels (3, n * groups * m) as bands (n, m, B)."""
+        """Return channels (3, n * groups * m) as bands (n, m, B)."""
         moved = out.reshape(3, n, self._n_groups, m).transpose(1, 3, 2, 0)
         return np.asarray(moved.reshape(n, m, -1)[..., : self.layout.n_bands], dtype=np.float64)
 
     def _run(self, table: NDArray[np.float32], directions: tuple[Any, Any], m: int, tangent: Any) -> Any:
-        """f_cos (3, R * m) of a table (R, parameters, 3), rows slowest; with tangents also the derivatives."""
+        """Return f_cos (3, R * m) of a table (R, parameters, 3), rows slowest; with tangents also the derivatives."""
         mi, dr = self._mi, self._dr
         n, width = table.shape[0], table.shape[1] * 3
         size = dr.opaque(mi.UInt32, m)
@@ -301,7 +311,7 @@ class ScalarEvaluator:
         self._wo = [mi.Vector3f(*map(float, w)) for w in wo]
 
     def values(self, p: Array, rows: Indices | None = None) -> Array:
-        """See `Evaluator`."""
+        """Return f_cos of parameter vectors; see `Evaluator`."""
         p = np.atleast_2d(p)
         pairs = range(len(self._wi)) if rows is None else [int(r) for r in rows]
         out = np.empty((len(p), len(pairs), self.layout.n_bands))
@@ -329,17 +339,17 @@ class ScalarEvaluator:
         self._parameters.update()
 
     def jacobian(self, p: Array) -> tuple[Array, Array]:
-        """See `Evaluator`; central differences, one-sided at the ends of the ranges."""
+        """Return f_cos and its derivatives by central differences, one-sided at the ends of the ranges."""
         return self._differentiate(p, [slice(k, k + 1) for k in range(self.layout.size)])
 
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
-        """See `Evaluator`; differences as in `jacobian`, all bands moved at once."""
+        """Return f_cos and its derivatives per band by the differences of `jacobian`, all bands moved at once."""
         return self._differentiate(
             p, [self.layout.slices[o.name] for o in self.layout.family.parameters if o.per_band]
         )
 
     def _differentiate(self, p: Array, places: list[slice]) -> tuple[Array, Array]:
-        """f_cos (M, B), and its derivatives (M, B, n) by the values of n places, those of a place moved together."""
+        """Return f_cos (M, B), and derivatives (M, B, n) by the values of n places, those of a place moved together."""
         layout = self.layout
         step = 1e-3 * (layout.maximum - layout.minimum)
         high, low = np.tile(p, (len(places), 1)), np.tile(p, (len(places), 1))

@@ -67,7 +67,7 @@ class FreeParameter:
         return self.maximum - self.minimum
 
     def inward(self, p: Array | float) -> Array:
-        """Values p in the coordinates of the optimiser."""
+        """Return values p in the coordinates of the optimiser."""
         p = np.asarray(p, float)
         if self.transform == "log":
             return np.log(np.maximum(p, _LOG_FLOOR))
@@ -78,7 +78,7 @@ class FreeParameter:
         return p
 
     def outward(self, t: Array | float) -> Array:
-        """Values of what the optimiser sees; the inverse of `inward`."""
+        """Return the values of the optimiser's coordinates; the inverse of `inward`."""
         t = np.asarray(t, float)
         if self.transform == "log":
             return np.clip(np.exp(t), self.minimum, self.maximum)
@@ -89,7 +89,7 @@ class FreeParameter:
         return t
 
     def slope(self, t: Array | float) -> Array:
-        """Derivative of `outward`."""
+        """Return the derivative of `outward`."""
         t = np.asarray(t, float)
         if self.transform == "log":
             return np.exp(t)
@@ -123,7 +123,7 @@ class BsdfFamily:
             )
 
     def named(self, name: str) -> FreeParameter:
-        """The free parameter of that name.
+        """Return the free parameter of that name.
 
         Raises:
             UsageError: there is none.
@@ -135,12 +135,12 @@ class BsdfFamily:
         raise UsageError(f"BSDF {self.type} has no free parameter {name!r}; found {known}")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, which `from_json` reads."""
+        """Return plain values, which `from_json` reads."""
         return plain({"type": self.type, "parameters": self.parameters, "fixed": self.fixed})
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> BsdfFamily:
-        """The family of what `to_json` gives; files are validated by `fit_check.family_of`."""
+        """Restore the family from the content of `to_json`; files are validated by `fit_check.family_of`."""
         parameters = tuple(FreeParameter(**entry) for entry in content["parameters"])
         return cls(content["type"], parameters, dict(content.get("fixed", {})))
 
@@ -176,26 +176,26 @@ class Layout:
         self.is_per_band = np.array([o.per_band for o in owner])
 
     def inward(self, p: Array) -> Array:
-        """Values (..., K) as the optimiser sees them."""
+        """Return values (..., K) in the optimiser's coordinates."""
         return np.stack([o.inward(p[..., k]) for k, o in enumerate(self.owner)], axis=-1)
 
     def outward(self, t: Array) -> Array:
-        """The inverse of `inward`."""
+        """Return values (..., K) from the optimiser's coordinates; the inverse of `inward`."""
         return np.stack([o.outward(t[..., k]) for k, o in enumerate(self.owner)], axis=-1)
 
     def slope(self, t: Array) -> Array:
-        """Derivative of `outward`, place by place, shape of t."""
+        """Return the derivative of `outward`, element by element, in the shape of t."""
         return np.stack([o.slope(t[..., k]) for k, o in enumerate(self.owner)], axis=-1)
 
     def join(self, values: Mapping[str, Any]) -> Array:
-        """The vector (K,) of values by name; defaults where a name is missing."""
+        """Return the vector (K,) of values by name, with defaults for missing names."""
         out: Array = self.default.copy()
         for name, value in values.items():
             out[self.slices[name]] = value
         return out
 
     def split(self, p: Array) -> dict[str, float | list[float]]:
-        """Values by name: a number, or B of them."""
+        """Return values by name: a number, or B of them."""
         return {
             name: [float(v) for v in p[place]] if self.family.named(name).per_band else float(p[place.start])
             for name, place in self.slices.items()
@@ -229,8 +229,9 @@ PRINCIPLED_DEFAULT = (
 
 
 def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool = False) -> BsdfFamily:
-    """Mitsuba's `principled` with the named parameters free and the others at Mitsuba's defaults; wide base colours
-    range from -0.25 to 1.25, not from 0 to 1.
+    """Return Mitsuba's `principled` with the named parameters free and the others at Mitsuba's defaults.
+
+    Wide base colours range from -0.25 to 1.25, not from 0 to 1.
 
     Roughness is the artist's: Mitsuba squares it to get the GGX alpha.
     """
@@ -240,11 +241,11 @@ def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool 
 
 
 def default_principled(is_isotropic: bool, *, wide_colours: bool) -> BsdfFamily:
-    """`principled` as it is fitted by default: with `anisotropic` free for anisotropic materials."""
+    """Return `principled` as it is fitted by default: with `anisotropic` free for anisotropic materials."""
     names = PRINCIPLED_DEFAULT if is_isotropic else (*PRINCIPLED_DEFAULT, "anisotropic")
     return principled(names, wide_colours=wide_colours)
 
 
 def diffuse(*, wide_colours: bool = False) -> BsdfFamily:
-    """Mitsuba's `diffuse`, its reflectance free; `wide_colours` as in `principled`."""
+    """Return Mitsuba's `diffuse` with a free reflectance; `wide_colours` widens its range as for `principled`."""
     return BsdfFamily("diffuse", (replace(_WIDE if wide_colours else _COLOUR, name="reflectance"),))

@@ -29,14 +29,17 @@ _SLACK = 1e-6  # share of a range: single precision of a value at its end
 
 @lru_cache(maxsize=1)
 def schema() -> dict[str, Any]:
-    """The JSON schema of a fit."""
+    """Return the JSON schema of a fit."""
     text = files("manifold.render").joinpath("fit.schema.json").read_text(encoding="utf-8")
     return dict(json.loads(text))
 
 
 @lru_cache(maxsize=2)
 def _validator(part: str | None) -> Any:
-    """Of the schema, or of one entry; numbers are finite and fit a float, and 1.0 is no integer."""
+    """Return a validator of the schema, or of one entry.
+
+    Numbers are finite and fit a float, and 1.0 is no integer.
+    """
     jsonschema = require("jsonschema")
     Draft = jsonschema.Draft202012Validator
     checker = Draft.TYPE_CHECKER.redefine_many(
@@ -50,12 +53,12 @@ def _validator(part: str | None) -> Any:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value of a JSON document is a finite number that a float can hold."""
+    """Return whether a value of a JSON document is a finite number that a float can hold."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def family_of(content: Any, file: str) -> BsdfFamily:
-    """The family of a JSON description of a BSDF, in a file of this name; see `BsdfFamily.to_json`."""
+    """Return the family of a JSON description of a BSDF, in a file of this name; see `BsdfFamily.to_json`."""
     _require_schema(content, file, "bsdf")
     if holds_none(content.get("fixed", {})):  # null ends Mitsuba's process
         raise FileFormatError(f"{file}: fixed contains null, expected a value; remove that entry")
@@ -67,8 +70,9 @@ def family_of(content: Any, file: str) -> BsdfFamily:
 
 
 def require_fit(content: Any, file: str) -> None:
-    """Raise FileFormatError unless plain values are a fit that can be used, naming the file and the first entry that is
-    not so.
+    """Check that plain values are a usable fit.
+
+    FileFormatError names the file and the first entry that is not valid.
 
     Values must lie in the ranges of their parameters, and the entries that Mitsuba loads must say the same as they.
     """
@@ -172,7 +176,7 @@ class Source:
 
 
 def document(result: FitResult, source: Source) -> dict[str, Any]:
-    """A fit as plain values, as the schema describes them."""
+    """Return a fit as plain values, as the schema describes them."""
     wavelengths, own = result.bands.wavelengths_nm, result.spectra
     known = asdict(result) | {"errors": result.errors and result.errors.to_json()}
     del known["bands"]
@@ -191,12 +195,12 @@ def document(result: FitResult, source: Source) -> dict[str, Any]:
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:
-    """Plain values with the hash by which later changes are found."""
+    """Add the hash by which later changes of plain values are found."""
     return content | {"sha256": _digest(content)}
 
 
 def is_untouched(content: dict[str, Any]) -> bool:
-    """Whether plain values are unchanged since `document` made them."""
+    """Return whether plain values are unchanged since `document` made them."""
     return content.get("sha256") == _digest(content)
 
 
@@ -211,13 +215,13 @@ def write_document(path: Path, content: dict[str, Any]) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The plain values of a written fit, validated."""
+    """Read and validate the plain values of a written fit."""
     content: dict[str, Any] = disk.read_json(path, "a .bsdf file or the JSON of a fit")
     require_fit(content, path.name)
     return content
 
 
 def read_bsdf(path: Path) -> Any:
-    """Mitsuba's BSDF of a written fit, in the RGB variant of the backend."""
+    """Read Mitsuba's BSDF of a written fit, in the RGB variant of the backend."""
     content = read(path)
     return load_bsdf(BsdfFamily.from_json(content["bsdf"]), content["values"])

@@ -33,7 +33,10 @@ class FittedBRDF:
         cls, family: BsdfFamily, values: Mapping[str, Any], bands: Bands, spectra: Mapping[str, Any],
         rotation_deg: float = 0.0,
     ) -> FittedBRDF:  # fmt: skip
-        """That of fitted values, with those per band in `spectra` unless it is empty, turned by an azimuth."""
+        """Return the BRDF of fitted values, turned by an azimuth.
+
+        Values per band are in `spectra` unless it is empty.
+        """
         known = {"wavelengths_nm": bands.wavelengths_nm, "values": spectra} if spectra else None
         return cls(
             {"bsdf": family.to_json(), "values": values, "spectra": known, "rotation_deg": rotation_deg}
@@ -41,7 +44,7 @@ class FittedBRDF:
 
     @classmethod
     def read(cls, path: Path) -> FittedBRDF:
-        """The fit of a JSON file."""
+        """Read the fit of a JSON file."""
         return cls(fit_json.read(path))
 
     @property
@@ -51,12 +54,12 @@ class FittedBRDF:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether f is invariant under rotation of both directions about the normal."""
+        """Return whether f is invariant under rotation of both directions about the normal."""
         known = {**self._family.fixed, **self._values}
         return not known.get("anisotropic") and known.get("alpha_u") == known.get("alpha_v")
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B), for unit vectors (..., 3) that broadcast."""
+        """Return f * cos(theta_o) in 1/sr, shape (..., B), for unit vectors (..., 3) that broadcast."""
         wi, wo = np.broadcast_arrays(require_directions(wi, "wi"), require_directions(wo, "wo"))
         flat_i, flat_o = (rotate_z(w.reshape(-1, 3), -self._rotation_rad) for w in (wi, wo))
         made = evaluator(self._family, flat_i, flat_o, self._bands.count)
@@ -65,7 +68,7 @@ class FittedBRDF:
         return f_cos.reshape(*wi.shape[:-1], self._bands.count)
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B); 0 where a direction is not above the horizon."""
+        """Return f in 1/sr, shape (..., B); 0 for a direction that is not above the horizon."""
         cos_o = np.asarray(wo)[..., 2:]
         f_cos = self.eval_cos(wi, wo)
         return np.divide(f_cos, cos_o, out=np.zeros_like(f_cos), where=cos_o > 0)

@@ -22,7 +22,7 @@ _COMPRESSION = 1  # of PNG: a third of the time of the default, for files a sixt
 
 
 def tone_map(linear: Array) -> Array:
-    """Linear sRGB (..., 3) as display values in [0, 1].
+    """Convert linear sRGB (..., 3) to display values in [0, 1].
 
     Values up to 0.7 keep their colours exactly; brighter ones approach white without reaching it, so highlights stay
     apart. Negative values (colours outside sRGB) are cut.
@@ -71,14 +71,15 @@ def write_display(path: Path, values: Array) -> None:
 
 
 def read_image(path: Path) -> Array:
-    """A picture as linear sRGB, float64, shape (H, W, 3); display pictures are decoded, see
-    `colour.pictures.read_picture`.
+    """Read a picture as linear sRGB, float64, shape (H, W, 3).
+
+    Display pictures are decoded, see `colour.pictures.read_picture`.
     """
     return _finite(read_picture(path)).astype(np.float64)
 
 
 def read_display(path: Path) -> Array:
-    """A picture as display values in [0, 1], shape (H, W, 3): as it is stored, or tone-mapped where it is linear."""
+    """Read a picture as display values in [0, 1], shape (H, W, 3); a linear one is tone-mapped."""
     picture = read_picture(path)
     linear = _finite(picture)
     return encode_srgb(linear) if picture.is_encoded else tone_map(linear)
@@ -107,7 +108,7 @@ class Summary:
 
     @classmethod
     def of(cls, values: Array) -> Summary:
-        """Of all values of an array."""
+        """Summarise all values of an array."""
         return cls(
             float(np.mean(values)),
             float(np.median(values)),
@@ -117,12 +118,12 @@ class Summary:
 
 
 def ciede2000_map(display: Array, other: Array) -> Array:
-    """CIEDE2000 between display values in [0, 1], shapes (H, W, 3), relative to the display's white; shape (H, W)."""
+    """Return CIEDE2000 between display values in [0, 1], shape (H, W), relative to the display's white."""
     return delta_e_2000(*_xyz(display, other), srgb_to_xyz(_WHITE))
 
 
 def itp_map(display: Array, other: Array) -> Array:
-    """Delta E_ITP between display values in [0, 1], shapes (H, W, 3); shape (H, W)."""
+    """Return Delta E_ITP between display values in [0, 1], shapes (H, W, 3); shape (H, W)."""
     return delta_e_itp(*_xyz(display, other))
 
 
@@ -133,7 +134,8 @@ def _xyz(display: Array, other: Array) -> tuple[Array, Array]:
 
 
 def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PER_DEGREE) -> Array:
-    """FLIP between display values in [0, 1], shapes (H, W, 3): 0 alike to 1 as different as can be, shape (H, W).
+    """Return FLIP between display values in [0, 1], from 0 (alike) to 1 (as different as possible), shape (H, W).
+
     Source: Andersson et al. 2020, DOI 10.1145/3406183; its authors' program, for a low dynamic range.
     """
     evaluate = require("flip_evaluator").evaluate  # only comparisons need it

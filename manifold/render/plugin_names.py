@@ -19,8 +19,9 @@ _KEYWORDS = frozenset({"scene", "rgb", "spectrum", "ref", "manifold"})
 
 
 def require_plugins(types: Iterable[object], origin: str) -> None:
-    """Raise FileFormatError, which names the document, unless every type, whatever it is, is that of a plugin which may
-    be loaded.
+    """Check that every type is that of a plugin which may be loaded.
+
+    FileFormatError names the document.
     """
     for name in types:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
@@ -35,17 +36,17 @@ def require_plugins(types: Iterable[object], origin: str) -> None:
 
 
 def types_of(content: Any) -> Iterator[object]:
-    """The types in a dictionary of Mitsuba, at any depth."""
+    """Yield the types in a dictionary of Mitsuba, at any depth."""
     return (node["type"] for node in nodes_of(content) if isinstance(node, dict) and "type" in node)
 
 
 def holds_none(content: Any) -> bool:
-    """Whether None is among plain values, at any depth: it ends Mitsuba's process."""
+    """Return whether None is among plain values, at any depth, because it ends Mitsuba's process."""
     return any(node is None for node in nodes_of(content))
 
 
 def nodes_of(content: Any) -> Iterator[Any]:
-    """Plain values and all that dictionaries and lists among them hold, at any depth."""
+    """Yield plain values and the contents of dictionaries and lists among them, at any depth."""
     waiting = [content]
     while waiting:
         node = waiting.pop()

@@ -98,8 +98,10 @@ def render_floating_ball(
     samples: int,
     **view: float,
 ) -> Array:
-    """A measured file, spectral or in linear sRGB, on a ball alone in an environment (H, W, 3), as `lights.studio` lays
-    it out, under D65, in linear sRGB, shape (size, size, 3); `view` as in `scenes.floating_ball`.
+    """Render a measured file on a ball alone in an environment under D65, in linear sRGB, shape (size, size, 3).
+
+    The environment (H, W, 3) is laid out as `lights.studio` does; `view` holds arguments of
+    `scenes.floating_ball`.
     """
     settings, bsdf = RenderSettings(size, samples), {"type": "measured", "filename": str(path)}
     mi = backend.mitsuba("rgb" if is_rgb else "spectral")
@@ -118,8 +120,9 @@ def require_d65(illuminant: Illuminant) -> None:
 
 
 def render_scene(mi: Any, scene: Any, settings: RenderSettings) -> Array:
-    """The channels of a scene's film, float64, shape (size, size, channels), in passes of a few seconds, each with a
-    seed of its own that follows from the settings'.
+    """Render the channels of a scene's film, float64, shape (size, size, channels).
+
+    Passes of a few seconds have seeds of their own that follow from the settings'.
     """
     most = max(1, _LANES // settings.size**2)
     n_passes = -(-settings.samples // most)
@@ -134,7 +137,7 @@ def render_scene(mi: Any, scene: Any, settings: RenderSettings) -> Array:
 
 
 def rgb_film(size: int) -> dict[str, Any]:
-    """Mitsuba's own film in linear sRGB, as a dictionary. In spectral variants its white is that of D65."""
+    """Return Mitsuba's own film in linear sRGB, as a dictionary. In spectral variants its white is that of D65."""
     return {
         "type": "hdrfilm",
         "width": size,
@@ -145,8 +148,9 @@ def rgb_film(size: int) -> dict[str, Any]:
 
 
 def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, Any]:
-    """A film with the channels X, Y, Z of the scene under an illuminant; a white diffuser has Y = 1. Environments of
-    Mitsuba have the spectrum of D65 times a reflectance; the film compensates for it.
+    """Return a film with the channels X, Y, Z of the scene under an illuminant; a white diffuser has Y = 1.
+
+    Environments of Mitsuba have the spectrum of D65 times a reflectance; the film compensates for it.
     """
     wavelengths_nm, responses = sensor_responses(illuminant)
     seen = (wavelengths_nm >= 360.0) & (wavelengths_nm <= 830.0)
@@ -172,7 +176,7 @@ def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, A
 
 
 def _environment_spectrum(mi: Any, wavelengths_nm: Array) -> Array:
-    """Radiance of a white environment of Mitsuba at wavelengths (K,)."""
+    """Return the radiance of a white environment of Mitsuba at wavelengths (K,)."""
     light = mi.load_dict({"type": "d65"})
     if mi.variant().startswith("llvm"):  # all at once: a kernel is compiled for every wavelength otherwise
         many = backend.drjit().zeros(mi.SurfaceInteraction3f, len(wavelengths_nm))

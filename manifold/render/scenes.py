@@ -27,8 +27,9 @@ _RADIUS, _HEIGHT, _ROUNDING, _BOWL_RADIUS, _BOWL_DEPTH = 1.02, 0.3, 0.07, 0.62, 
 
 
 def pedestal(n_azimuths: int = 160) -> tuple[Array, Array]:
-    """The surface of revolution that the ball lies on: vertices, float32, (V, 3), and triangles, uint32, (F, 3), their
-    normals outwards.
+    """Return the surface of revolution that the ball lies on: vertices (V, 3) and triangles (F, 3).
+
+    Vertices are float32, triangles uint32 with their normals outwards.
     """
     corner = np.linspace(0.0, np.pi / 2, 12)
     bowl = np.linspace(0.0, 1.0, 24)
@@ -79,8 +80,10 @@ def material_ball(
     film: Mapping[str, Any],
     environment: Array | None = None,
 ) -> dict[str, Any]:
-    """The scene, for `mi.load_dict` in the variant that is set, with a film of square shape; the environment is linear
-    RGB radiance, float32, shape (H, W, 3), laid out as `studio` does, and that by default.
+    """Return the scene, for `mi.load_dict` in the current variant, with a film of square shape.
+
+    The environment is linear RGB radiance, float32, shape (H, W, 3), laid out as `studio` does; the default
+    is `studio`.
     """
     transform = mi.ScalarTransform4f
     image = studio() if environment is None else np.ascontiguousarray(environment, dtype=np.float32)
@@ -121,7 +124,7 @@ def floating_ball(
     distance: float = 1e3,
     margin: float = 0.0,
 ) -> dict[str, Any]:
-    """The scene of a ball alone in an environment, as in `material_ball`, its outline in the middle of the picture.
+    """Return the scene of a ball alone in an environment, its outline in the middle of the picture.
 
     `turn_deg` is the azimuth of what lies straight ahead, from the environment's first column to the right; the camera
     is `elevation_deg` above the ball, its distance and the margin around the outline are in radii of the ball.
@@ -175,8 +178,9 @@ def mesh(mi: Any, vertices: Array, triangles: Array, **properties: Any) -> Any:
 
 
 def ball_interior(size: int, margin: float = 0.0) -> Mask:
-    """Pixels of a square picture that show the ball, bool, shape (size, size), less a share `margin` of the ball's
-    radius along its outline.
+    """Return a mask of the pixels of a square picture that show the ball, bool, shape (size, size).
+
+    A share `margin` of the ball's radius along its outline is left out.
     """
     centre = np.array(BALL_CENTRE) - np.array(_CAMERA)
     forward = np.array(_TARGET) - np.array(_CAMERA)

@@ -112,7 +112,7 @@ _NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would no
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Values of the sockets, all of `DEFAULTS`. Sheen is Zeltner's, as OpenPBR's fuzz."""
+    """Return the values of the sockets, all of `DEFAULTS`. Sheen is Zeltner's, as in OpenPBR's fuzz."""
     made = DEFAULTS | {
         "Base Color": list(material.base_color),
         "Metallic": material.metallic,
@@ -129,7 +129,7 @@ def parameters(material: Principled) -> dict[str, Any]:
 
 
 def script(export: Export) -> str:
-    """Python for Blender that makes or changes the material of this name."""
+    """Return Python for Blender that makes or changes the material of this name."""
     values = "{\n" + "".join(f"    {k!r}: {v!r},\n" for k, v in export.parameters.items()) + "}"
     sentence = export.sentence().replace("\\", "/").replace('"', "'")
     name = export.label.encode()[:_NAME_BYTES].decode(errors="ignore")
@@ -141,7 +141,7 @@ def script(export: Export) -> str:
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
-    """The material's BRDF in Cycles, f in 1/sr, shape (P, 3).
+    """Return the material's BRDF in Cycles, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`; the distribution is Multiscatter GGX.
@@ -179,7 +179,10 @@ def _interface(
     pairs: ShadingPairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
     tint: Array | float = 1.0, film: tuple[float, float] | None = None,
 ) -> Array:  # fmt: skip
-    """A rough dielectric over a BRDF `below` (P, 3), tinted along the normal; `film`: its index and thickness in nm."""
+    """Return a rough dielectric over a BRDF `below` (P, 3), tinted along the normal.
+
+    `film` is its index and thickness in nm.
+    """
     real = ior_to_f0(ior)
     f0 = np.clip(real * np.atleast_1d(tint), 0.0, 1.0)
 
@@ -209,7 +212,7 @@ def _interface(
 def _dielectric_films(
     pairs: ShadingPairs, film_ior: float, thickness_nm: float, ior: float
 ) -> tuple[Array, Array]:
-    """Of light at the half vector, and at the normal, (P, 3) each."""
+    """Return the reflectance of a film at the half vector, and at the normal, (P, 3) each."""
     at_half, at_normal = (
         film_over_index_cycles(film_ior, thickness_nm, ior, cosine) for cosine in (pairs.cos_d, pairs.cos_v)
     )
@@ -222,7 +225,7 @@ def _metal_film(pairs: ShadingPairs, film_ior: float, thickness_nm: float, f0: A
 
 
 def _scattered(pairs: ShadingPairs, mean: Array, alpha_x: float, alpha_y: float) -> tuple[Array, Array]:
-    """The factor for light scattered between facets of mean reflectance (3,); the albedo without Fresnel, (P, 1)."""
+    """Return the factor for light scattered between facets of mean reflectance (3,), and the albedo without Fresnel."""
     single, average = lobes.single_scattering(pairs, float(np.sqrt(alpha_x * alpha_y)))
     multiple = mean * average / (1.0 - mean * (1.0 - average))
     return 1.0 + multiple * (1.0 - single) / single, single

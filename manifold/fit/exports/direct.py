@@ -35,7 +35,7 @@ _PROMISING = ((4, 1.0), (8, 0.92))
 
 
 def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) -> dict[str, Any]:
-    """Parameters of a target whose model is nearest to a material, all of the target's.
+    """Fit the parameters of a target, all of them, so that its model is nearest to a material.
 
     A thin film, or where the target has none a base colour by the angle of view, is tried where the ball differs
     visibly without. A sheen keeps the hue of its start, where there is none grey; its colour is free where that is
@@ -86,7 +86,10 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
 
 
 def at_bounds(target: Target, values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Fitted parameters that ended at an end of their range which is not merely all or nothing, with the end."""
+    """Return fitted parameters that ended at a bound of their range, with that bound.
+
+    Bounds that mean all or nothing do not count.
+    """
     found = []
     for name, parameter in target.entries.items():
         if not parameter.is_free:
@@ -101,7 +104,7 @@ def at_bounds(target: Target, values: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _hue(colour: Any) -> Array:
-    """A colour over its largest channel, (3,); white for black."""
+    """Return a colour over its largest channel, (3,); white for black."""
     most = np.max(colour)
     return np.asarray(colour) / most if most > 0.0 else np.ones(3)
 
@@ -113,7 +116,7 @@ class _Problem:
         self, target: Target, start: Mapping[str, Any], free: Sequence[str], samples: FitSamples,
         hued: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        """Of `hued` colours the largest channel is free alone, in the hue of the start."""
+        """Prepare the problem; colours in `hued` keep the start's hue, and only their largest channel is free."""
         self._start, self._target, self._free = dict(start), target, free
         self._criterion = Criterion(samples, "appearance")
         self._pairs = ShadingPairs.of(self._criterion.wi, self._criterion.wo)
@@ -132,7 +135,7 @@ class _Problem:
         self._mapped = np.clip(self._numbers(start), self._lower, self._upper)
 
     def vector(self, values: Mapping[str, Any]) -> Array:
-        """The vector of parameters, a little inside the bounds."""
+        """Return the vector of parameters, a little inside the bounds."""
         margin = 1e-3 * self._span
         return np.clip(self._numbers(values), self._lower + margin, self._upper - margin)
 
@@ -141,7 +144,7 @@ class _Problem:
         return np.concatenate([np.atleast_1d(each) for each in numbers]).astype(float)
 
     def nearest(self, starts: Sequence[Array], below: float = np.inf) -> tuple[Array, float]:
-        """The best minimum from several starts, and half of its squared residual.
+        """Return the best minimum from several starts, and half of its squared residual.
 
         Args:
             starts: vectors of parameters.
@@ -172,7 +175,7 @@ class _Problem:
         return end.x, float(end.cost)
 
     def starts(self) -> list[Array]:
-        """The mapped values, and those with a rough coat."""
+        """Return the mapped values, and those with a rough coat."""
         mapped = self.vector(self._start)
         coated = mapped.copy()
         for i, name in enumerate(self._names):
@@ -183,7 +186,7 @@ class _Problem:
         return [mapped, coated]
 
     def film_starts(self, values: Mapping[str, Any]) -> list[Array]:
-        """Parameters with the thin films that lower their residual most, of all that are tried."""
+        """Return parameters with the thin films that lower their residual most, among all that are tried."""
         *weight, thickness, ior = self._target.film
         thickest = self._target.entries[thickness].high
         films = [
@@ -195,7 +198,7 @@ class _Problem:
         return sorted(starts, key=lambda x: float(np.sum(self.residuals(x) ** 2)))[:_FILM_STARTS]
 
     def _values(self, x: Array) -> dict[str, Any]:
-        """The target's parameters of a vector."""
+        """Return the target's parameters of a vector."""
         made, at = dict(self._start), 0
         for name in self._free:
             if name in self._hues:
@@ -208,15 +211,15 @@ class _Problem:
         return made
 
     def residuals(self, x: Array) -> Array:
-        """Those of the criterion, relative, and of the distance from the mapped values."""
+        """Return the relative residuals of the criterion, and those of the distance from the mapped values."""
         return np.concatenate([self._rows(x).ravel(), _RIDGE * (x - self._mapped) / self._span])
 
     def _rows(self, x: Array) -> Array:
-        """Relative residuals of the criterion, shape (R, 3)."""
+        """Return the relative residuals of the criterion, shape (R, 3)."""
         return self._criterion.residual(self._f_cos(x)) / self._criterion.norm
 
     def jacobian(self, x: Array, *, is_exact: bool = True) -> Array:
-        """Derivatives of the residuals, by forward differences.
+        """Return the derivatives of the residuals, by forward differences.
 
         Red, green and blue of a colour are varied at once unless it `is_exact`: each moves its own channel, and the
         others hardly, but for metals under MaterialX's thin films.
@@ -235,11 +238,11 @@ class _Problem:
         return np.concatenate([found.reshape(-1, len(x)), np.diag(_RIDGE / self._span)])
 
     def ball_difference(self, x: Array) -> float:
-        """Mean CIEDE2000 of the ball, in the light of the fit."""
+        """Return the mean CIEDE2000 of the ball, in the light of the fit."""
         return self._criterion.ball_difference(self._f_cos(x))
 
     def relative(self, x: Array, samples: FitSamples) -> float:
-        """The relative residual of other samples."""
+        """Return the relative residual of other samples."""
         f_cos = TargetBRDF(self._target, self._values(x)).eval(samples.wi, samples.wo) * samples.wo[:, 2:]
         return Criterion(samples, "appearance").relative(f_cos)
 
@@ -247,7 +250,10 @@ class _Problem:
         return self._target.brdf(self._values(x), self._pairs) * self._pairs.light[:, 2:]
 
     def rounded(self, x: Array) -> dict[str, Any]:
-        """The parameters, values near 0 and 1 as these; coats, sheens and films of negligible weight are removed."""
+        """Return the parameters, with values near 0 and 1 rounded.
+
+        Coats, sheens and films of negligible weight are removed.
+        """
         made, target = self._values(x), self._target
         for name in self._free:
             if target.entries[name].is_share:

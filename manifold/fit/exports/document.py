@@ -28,12 +28,12 @@ class Parameter:
 
     @property
     def is_share(self) -> bool:
-        """Whether it ranges from 0 to 1, where a fit that comes near an end means that end."""
+        """Return whether it ranges from 0 to 1; then a fit that comes near an end means that end."""
         return (self.low, self.high) == (0.0, 1.0)
 
 
 def defaults(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """The target's value of every parameter that is not set."""
+    """Return the target's value of every parameter that is not set."""
     return {name: parameter.default for name, parameter in parameters.items()}
 
 
@@ -60,7 +60,7 @@ class TextureFiles:
 
     @property
     def named(self) -> dict[str, Path]:
-        """Those that there are, by their attributes."""
+        """Return the existing files by their attributes."""
         return {name: path for name, path in vars(self).items() if path is not None}
 
 
@@ -96,7 +96,7 @@ class Export:
         return "".join(c if c.isprintable() else "?" for c in self.name)
 
     def about(self) -> dict[str, Any]:
-        """Everything but the parameters, as plain values."""
+        """Return everything but the parameters, as plain values."""
         return {
             "program": f"manifold {__version__}",
             "material": self.name,
@@ -114,12 +114,12 @@ class Export:
         }
 
     def sentence(self) -> str:
-        """One line for people."""
+        """Return one line for people."""
         return (
             f"{self.label}: Exported by manifold {__version__} for {self.target}; "
             f"CIEDE2000 of the ball against the {self.against}: {self.errors}"
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return self.about() | {"parameters": dict(self.parameters)}

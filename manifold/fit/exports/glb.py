@@ -43,7 +43,7 @@ class Mesh:
 
 
 def ball() -> Mesh:
-    """A unit sphere around the origin by longitude and latitude."""
+    """Return a unit sphere around the origin by longitude and latitude."""
     theta = np.linspace(0.0, np.pi, _ROWS + 1)[:, None]
     phi = np.linspace(0.0, 2.0 * np.pi, _COLUMNS + 1)[None]
     normals = np.stack(
@@ -61,7 +61,7 @@ def ball() -> Mesh:
 
 
 def plane() -> Mesh:
-    """A square of side 2 that faces up."""
+    """Return a square of side 2 that faces up."""
     positions = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]])
     normals = np.tile([0.0, 1.0, 0.0], (4, 1))
     tangents = np.tile([1.0, 0.0, 0.0, 1.0], (4, 1))
@@ -88,7 +88,7 @@ _FLOAT, _UINT16, _VERTICES, _INDICES, _REPEAT = 5126, 5123, 34962, 34963, 10497
 
 
 def glb(export: Export) -> bytes:
-    """The file: nodes `ball` and `plane`, one material, loss and source among its extras."""
+    """Return the file: nodes `ball` and `plane`, one material, loss and source among its extras."""
     material: dict[str, Any] = gltf.to_json(export.parameters, export.label) | {"extras": export.about()}
     is_anisotropic = "KHR_materials_anisotropy" in material.get("extensions", {})
     document: dict[str, Any] = {

@@ -58,7 +58,7 @@ _LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
+    """Return the parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
     alpha_x, alpha_y = material.alphas
     made = DEFAULTS | {
         "baseColorFactor": list(material.base_color),
@@ -80,7 +80,7 @@ def parameters(material: Principled) -> dict[str, Any]:
 
 
 def to_json(values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """A material of glTF: extensions only where they differ from their defaults."""
+    """Return a material of glTF; extensions appear only if they differ from their defaults."""
     material: dict[str, Any] = {
         "name": name,
         "pbrMetallicRoughness": {
@@ -100,7 +100,7 @@ def to_json(values: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
-    """The material's BRDF, f in 1/sr, shape (P, 3).
+    """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
@@ -132,7 +132,7 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
 
 
 def _filmed(values: Mapping[str, Any], pairs: ShadingPairs, bare: Array, f0: Array) -> Array:
-    """A Fresnel term (P, 3) with the share of the thin film."""
+    """Return a Fresnel term (P, 3) with the share of the thin film."""
     weight, thickness_nm, ior = (float(values[name]) for name in FILM)
     if not weight:
         return bare
@@ -155,7 +155,7 @@ def _sheen(values: Mapping[str, Any], pairs: ShadingPairs, base: Array) -> Array
 
 @per_pairs
 def _sheen_lobe(pairs: ShadingPairs, roughness: float) -> Array:
-    """`D V` of the sheen, (P,)."""
+    """Return `D V` of the sheen, (P,)."""
     alpha = max(roughness, 0.05) ** 2
     shadowing = 1.0 + _lambda(pairs.cos_v, alpha) + _lambda(pairs.cos_l, alpha)
     return lobes.charlie(pairs, roughness) / (4.0 * shadowing * pairs.cos_v * pairs.cos_l)
@@ -172,14 +172,14 @@ def _lambda(cosine: Array, alpha: float) -> Array:
 
 @per_pairs
 def _sheen_albedo(pairs: ShadingPairs, roughness: float) -> Array:
-    """Directional albedo of a white sheen, the greater of both directions', (P,)."""
+    """Return the directional albedo of a white sheen, the greater of both directions', (P,)."""
     nodes, albedo = _sheen_table(round(float(roughness), 6))
     return np.maximum(*(np.interp(cosine, nodes, albedo) for cosine in (pairs.cos_v, pairs.cos_l)))
 
 
 @lru_cache(maxsize=64)
 def _sheen_table(roughness: float) -> tuple[Array, Array]:
-    """Directional albedo of a white sheen, by quadrature."""
+    """Return the directional albedo of a white sheen, by quadrature."""
     nodes = np.linspace(0.02, 1.0, 24)
     cos_l, phi = (np.arange(48) + 0.5) / 48, (np.arange(48) + 0.5) / 48 * np.pi
     c, p = (a.ravel() for a in np.meshgrid(cos_l, phi))

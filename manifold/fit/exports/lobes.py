@@ -51,7 +51,7 @@ class ShadingPairs:
 
     @classmethod
     def of(cls, view: Array, light: Array) -> ShadingPairs:
-        """Directions (P, 3), at least a little above the horizon."""
+        """Make pairs of directions (P, 3), at least a little above the horizon."""
         half = normalize(view + light)
         least = 1e-6
         return cls(
@@ -60,12 +60,12 @@ class ShadingPairs:
         )  # fmt: skip
 
     def turned(self, rotation_rad: float) -> ShadingPairs:
-        """As a surface turned by an azimuth sees them."""
+        """Return the pairs as a surface turned by an azimuth sees them."""
         return _turned(self, rotation_rad) if rotation_rad else self
 
 
 def per_pairs(function: Function) -> Function:
-    """The function, whose last results the pairs keep: fits vary one number at a time. Nobody may write to results."""
+    """Cache a function's last results in the pairs, because fits vary one number at a time; results are read-only."""
 
     @wraps(function)
     def kept(pairs: ShadingPairs, *arguments: Any) -> Any:
@@ -88,43 +88,43 @@ def _turned(pairs: ShadingPairs, rotation_rad: float) -> ShadingPairs:
 
 @lru_cache(maxsize=64)
 def surface(alpha_x: float, alpha_y: float) -> GGX:
-    """The GGX surface of these roughnesses, neither of them a mirror's."""
+    """Return the GGX surface of these roughnesses, which are kept from 0."""
     return GGX.anisotropic(max(alpha_x, _LEAST_ALPHA), max(alpha_y, _LEAST_ALPHA))
 
 
 @per_pairs
 def specular_correlated(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array:
-    """`D G2 / (4 cos cos)` of GGX, (P,), G2 by the geometric mean of the alphas, as MaterialX has it."""
+    """Return `D G2 / (4 cos cos)` of GGX, (P,), G2 by the geometric mean of the alphas, as in MaterialX."""
     mean = float(np.sqrt(alpha_x * alpha_y))
     return surface(alpha_x, alpha_y).D(pairs.half) * surface(mean, mean).masking(pairs.view, pairs.light)
 
 
 @per_pairs
 def specular_joint(pairs: ShadingPairs, alpha_x: float, alpha_y: float) -> Array:
-    """`D G2 / (4 cos cos)` of GGX, (P,), G2 height-correlated with both alphas."""
+    """Return `D G2 / (4 cos cos)` of GGX, (P,), G2 height-correlated with both alphas."""
     both = surface(alpha_x, alpha_y)
     return both.D(pairs.half) * both.masking(pairs.view, pairs.light)
 
 
 def schlick(f0: Array | float, f90: Array | float, cosine: Array) -> Array:
-    """Schlick's Fresnel term, (P, 3) for colours, else (P, 1)."""
+    """Return Schlick's Fresnel term, (P, 3) for colours, else (P, 1)."""
     f0, f90, away = np.atleast_1d(f0), np.atleast_1d(f90), 1.0 - cosine[:, None]
     return f0 + (f90 - f0) * (away * (away * away) ** 2)
 
 
 def fresnel_f82(f0: Array, edge: Array, cosine: Array) -> Array:
-    """Schlick's term with a colour at 82 degrees (F82-tint), (P, 3). Source: Hoffman 2019; Kutz et al. 2021."""
+    """Return Schlick's term with a colour at 82 degrees (F82-tint), (P, 3). Source: Hoffman 2019; Kutz et al. 2021."""
     return schlick(f0, 1.0, cosine) - f82_dip(f0, edge) * (cosine * (1.0 - cosine) ** 6)[:, None]
 
 
 def f82_dip(f0: Array, edge: Array) -> Array:
-    """Factor of `cos (1 - cos)^6` that F82-tint subtracts from Schlick's term, (3,)."""
+    """Return the factor of `cos (1 - cos)^6` that F82-tint subtracts from Schlick's term, (3,)."""
     at = 1.0 / 7.0
     return (f0 + (1.0 - f0) * (1.0 - at) ** 5) * (1.0 - edge) / (at * (1.0 - at) ** 6)
 
 
 def artistic_index(reflectivity: Array, edge: Array, most: float = 0.99) -> tuple[Array, Array]:
-    """Indices n and k, (3,) each, of a metal by its colours, (3,). Source: Gulbrandsen 2014, as in MaterialX.
+    """Return indices n and k, (3,) each, of a metal by its colours, (3,). Source: Gulbrandsen 2014, as in MaterialX.
 
     Args:
         reflectivity, edge: along the normal and towards grazing.
@@ -139,7 +139,7 @@ def artistic_index(reflectivity: Array, edge: Array, most: float = 0.99) -> tupl
 
 @per_pairs
 def split_sum(pairs: ShadingPairs, alpha: float) -> tuple[Array, Array]:
-    """A and B of the viewer's albedo `f0 A + f90 B` of a correlated GGX lobe with Schlick's Fresnel, each (P,).
+    """Return A and B of the viewer's albedo `f0 A + f90 B` of a correlated GGX lobe with Schlick's Fresnel, each (P,).
 
     Source: Karis 2013; by quadrature over the distribution of visible normals (Heitz 2018).
     """
@@ -149,20 +149,23 @@ def split_sum(pairs: ShadingPairs, alpha: float) -> tuple[Array, Array]:
 
 @per_pairs
 def single_scattering(pairs: ShadingPairs, alpha: float) -> tuple[Array, float]:
-    """The viewer's albedo (P, 1) of a correlated GGX lobe without Fresnel, and its mean over the hemisphere."""
+    """Return the viewer's albedo (P, 1) of a correlated GGX lobe without Fresnel, and its mean over the hemisphere."""
     single = np.sum(_at_alpha(_split_sum_table, alpha), axis=0)
     mean = float(np.trapezoid(2.0 * _COSINES * single, _COSINES))
     return np.interp(pairs.cos_v, _COSINES, single)[:, None], mean
 
 
 def _at_alpha(table: Callable[..., Array], alpha: float, *arguments: Any) -> Array:
-    """A table of an alpha, by cubics between those of the nodes of roughness, whose number `table` takes first."""
+    """Interpolate a table in alpha by cubics between the nodes of roughness, whose number `table` takes first."""
     first, weights = cubic(np.sqrt(min(alpha, 1.0)) * _ROUGHNESSES, _ROUGHNESSES + 1)
     return np.asarray(sum(w * table(int(first) + k, *arguments) for k, w in enumerate(weights)))
 
 
 def cubic(at: Array | float, count: int) -> tuple[Indices, tuple[Array, Array, Array, Array]]:
-    """Cubic interpolation between `count` nodes 0, 1 ...: the first of four nodes, and the weights of each."""
+    """Interpolate by cubics between `count` nodes 0, 1, 2 and so on.
+
+    Return the first of four nodes, and the weights of each.
+    """
     first = np.clip(np.asarray(at).astype(int) - 1, 0, count - 4)
     a = at - first
     b, c, d = a - 1.0, a - 2.0, a - 3.0
@@ -178,13 +181,16 @@ def _split_sum_table(node: int) -> Array:
 
 @per_pairs
 def dielectric_fresnel(pairs: ShadingPairs, ior: float) -> Array:
-    """Reflectance of a dielectric at the half vector, (P, 1)."""
+    """Return the reflectance of a dielectric at the half vector, (P, 1)."""
     return fresnel_dielectric(pairs.cos_d, np.array([ior]))
 
 
 @per_pairs
 def dielectric_share(pairs: ShadingPairs, alpha: float, ior: float) -> Array:
-    """Mean of `(F - F0) / (1 - F0)` over a correlated GGX lobe seen by the viewer, F of a dielectric, (P,)."""
+    """Return the mean of `(F - F0) / (1 - F0)` over a correlated GGX lobe seen by the viewer, (P,).
+
+    F is that of a dielectric.
+    """
     return np.interp(pairs.cos_v, _COSINES, _at_alpha(_dielectric_table, alpha, round(float(ior), 6)))
 
 
@@ -198,7 +204,7 @@ def _dielectric_table(node: int, ior: float) -> Array:
 
 @lru_cache(maxsize=_ROUGHNESSES + 1)
 def _visible_reflections(node: int) -> tuple[Array, Array]:
-    """Weights (C, S) and cosines with the half vector (C, S) of a lobe's samples, at each of `_COSINES`."""
+    """Return weights (C, S) and cosines with the half vector (C, S) of a lobe's samples, at each of `_COSINES`."""
     alpha = max((node / _ROUGHNESSES) ** 2, 1e-3)
     ggx = surface(alpha, alpha)
     u = np.stack(np.meshgrid(*[(np.arange(_SAMPLES) + 0.5) / _SAMPLES] * 2), axis=-1).reshape(-1, 2)
@@ -213,7 +219,7 @@ def _visible_reflections(node: int) -> tuple[Array, Array]:
 
 
 def charlie(pairs: ShadingPairs, roughness: float) -> Array:
-    """Distribution of sheen, (P,), alpha the square of roughness. Source: Estevez & Kulla 2017, eq. 2."""
+    """Return the distribution of sheen, (P,), alpha the square of roughness. Source: Estevez & Kulla 2017, eq. 2."""
     return _sine_power(pairs.cos_h, max(roughness, 0.05) ** 2)
 
 
@@ -223,7 +229,7 @@ def _sine_power(cos_h: Array, alpha: float) -> Array:
 
 
 def imageworks_sheen(pairs: ShadingPairs, roughness: float) -> Array:
-    """Sheen of standard_surface, (P,): alpha is roughness itself. Source: MaterialX 1.39, sheen_bsdf."""
+    """Return the sheen of standard_surface, (P,): alpha is roughness itself. Source: MaterialX 1.39, sheen_bsdf."""
     d = _sine_power(pairs.cos_h, roughness)
     return d / (4.0 * (pairs.cos_l + pairs.cos_v - pairs.cos_l * pairs.cos_v))
 
@@ -235,7 +241,7 @@ def dielectric_layer(
     pairs: ShadingPairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
     tint: Array | float = 1.0, fresnel: Array | None = None,
 ) -> Array:  # fmt: skip
-    """A rough dielectric interface over a BRDF `below` (P, 3); a Fresnel term other than its own may be given."""
+    """Return a rough dielectric interface over a BRDF `below` (P, 3); its Fresnel term can be replaced."""
     if not weight:
         return below
     if fresnel is None:
@@ -247,13 +253,13 @@ def dielectric_layer(
 
 
 def metal(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: float) -> Array:
-    """A rough interface with a Fresnel term (P, 3), nothing below."""
+    """Return a rough interface with a Fresnel term (P, 3), with nothing below."""
     lobe = specular_correlated(pairs, alpha_x, alpha_y)[:, None]
     return lobe * fresnel * _compensation(pairs, fresnel, alpha_x, alpha_y)
 
 
 def _compensation(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: float) -> Array:
-    """Scattering between facets, as a factor. Source: Turquin 2019."""
+    """Return the factor of scattering between facets. Source: Turquin 2019."""
     a, b = split_sum(pairs, float(np.sqrt(alpha_x * alpha_y)))
     single = (a + b)[:, None]
     return 1.0 + fresnel * (1.0 - single) / single
@@ -262,7 +268,7 @@ def _compensation(pairs: ShadingPairs, fresnel: Array, alpha_x: float, alpha_y: 
 def imageworks_layer(
     pairs: ShadingPairs, below: Array, weight: float, colour: Array, roughness: float
 ) -> Array:
-    """standard_surface's sheen over a BRDF `below`."""
+    """Return standard_surface's sheen over a BRDF `below`."""
     if not weight:
         return below
     x, y = pairs.cos_v, roughness
@@ -273,7 +279,7 @@ def imageworks_layer(
 
 
 def zeltner_layer(pairs: ShadingPairs, below: Array, weight: float, colour: Array, roughness: float) -> Array:
-    """OpenPBR's fuzz over a BRDF `below`: a linearly transformed cosine. Source: Zeltner et al. 2022."""
+    """Return OpenPBR's fuzz over a BRDF `below`: a linearly transformed cosine. Source: Zeltner et al. 2022."""
     if not weight:
         return below
     lobe, albedo = _zeltner(pairs, roughness)
@@ -282,7 +288,7 @@ def zeltner_layer(pairs: ShadingPairs, below: Array, weight: float, colour: Arra
 
 @per_pairs
 def _zeltner(pairs: ShadingPairs, roughness: float) -> tuple[Array, Array]:
-    """The lobe of a white fuzz, and the viewer's albedo of it, (P, 1) each."""
+    """Return the lobe of a white fuzz, and the viewer's albedo of it, (P, 1) each."""
     y, x = min(max(roughness, 0.01), 1.0), pairs.cos_v
     s = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y))
     m = y * (-0.193854 + y * (-1.14885 + y * (1.7932 - 0.95943 * y * y))) / (0.046391 + y)

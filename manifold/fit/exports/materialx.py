@@ -26,13 +26,13 @@ the third are the first two."""
 
 
 def identifier(name: str) -> str:
-    """A name that MaterialX, its shaders and USD accept: GLSL ES has no two underscores in a row."""
+    """Return a name that MaterialX, its shaders and USD accept: GLSL ES has no two underscores in a row."""
     made = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
     return made if re.match(r"[A-Za-z]", made) else f"material_{made}".rstrip("_")
 
 
 def mtlx(export: Export) -> bytes:
-    """The document; inputs that have their defaults are left out. Colours are linear Rec. 709."""
+    """Return the document; inputs with default values are left out. Colours are linear Rec. 709."""
     category, defaults = NODES[export.target]
     name = identifier(export.name)
     # lin_rec709: MaterialX's name of linear colours of Rec. 709 primaries
@@ -69,7 +69,7 @@ def mtlx(export: Export) -> bytes:
 def _textured(
     root: ET.Element, name: str, textures: TextureFiles, category: str
 ) -> dict[str, tuple[str, str]]:
-    """Nodes of textures; type and node of the inputs that they feed."""
+    """Add nodes of textures; return type and node of the inputs that they feed."""
     colour = ET.SubElement(root, "image", name=f"{name}_base_colour", type="color3")
     ET.SubElement(
         colour,

@@ -49,7 +49,7 @@ FILM = ("thin_film_weight", "thin_film_thickness", "thin_film_ior")
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
+    """Return parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "base_metalness": material.metallic,
@@ -73,7 +73,7 @@ def parameters(material: Principled) -> dict[str, Any]:
 
 
 def _below_coat(values: Mapping[str, Any]) -> float:
-    """The roughness that the coat roughens to the one wanted; 0 where the coat alone is rougher."""
+    """Return the roughness that the coat roughens to the wanted one; 0 if the coat is rougher by itself."""
 
     def excess(roughness: float) -> float:
         return _roughened(roughness, values["coat_roughness"], values["coat_weight"]) - wanted
@@ -90,7 +90,7 @@ def _roughened(roughness: float, coat_roughness: float, weight: float) -> float:
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
-    """The material's BRDF, f in 1/sr, shape (P, 3).
+    """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
@@ -146,7 +146,7 @@ def _alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
 
 
 def _darkening(values: Mapping[str, Any], base: Array) -> Array:
-    """Factor by which reflections between coat and base darken the base, (3,)."""
+    """Return the factor by which reflections between coat and base darken the base, (3,)."""
     kept = 1.0 - (1.0 - ior_to_f0(values["coat_ior"])) / values["coat_ior"] ** 2
     m = values["base_metalness"]
     albedo: Array = base * ((1.0 - m) + m * values["specular_weight"])

@@ -36,7 +36,7 @@ _IOR = 1.5  # the default, which here is the coat's alone
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Parameters of a material, all of `DEFAULTS`; sheen and anisotropy have no counterpart.
+    """Return parameters of a material, all of `DEFAULTS`; sheen and anisotropy have no counterpart.
 
     The specular workflow: with the metallic one a material of metallic 0.3 would reflect 0.3 of white.
     """
@@ -56,7 +56,7 @@ def parameters(material: Principled) -> dict[str, Any]:
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
-    """The material's BRDF, f in 1/sr, shape (P, 3).
+    """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
@@ -77,7 +77,7 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
 
 @per_pairs
 def _lobe(pairs: ShadingPairs, roughness: float) -> Array:
-    """`D G / (4 cos cos)`, (P, 1)."""
+    """Return `D G / (4 cos cos)`, (P, 1)."""
     alpha = max(roughness, 0.001) ** 2
     k = 0.5 * alpha
     masking = (pairs.cos_v * (1.0 - k) + k) * (pairs.cos_l * (1.0 - k) + k)

@@ -46,7 +46,7 @@ class Principled:
     def from_fit(
         cls, bsdf: Mapping[str, Any], values: Mapping[str, Any], rotation_deg: float = 0.0
     ) -> Principled:
-        """The values of a fit, base colours clipped to 0 to 1.
+        """Return the values of a fit, base colours clipped to 0 to 1.
 
         Args:
             bsdf: description of the fitted family, as `BsdfFamily.to_json` gives it.
@@ -128,13 +128,13 @@ class Principled:
         return float(np.sqrt(min(0.5 * (x + y), 1.0))), (x - y) / (x + y)
 
     def coat(self, weight: str, roughness: str) -> dict[str, float]:
-        """Values of a target's coat by the names of its parameters; empty where there is none."""
+        """Return the values of a target's coat by the names of its parameters; empty without a coat."""
         return {weight: self.coat_weight, roughness: self.coat_roughness} if self.coat_weight > 0.0 else {}
 
     def scaled_sheen(
         self, weight: str, colour: str, roughness: str, scale: float, target_roughness: float
     ) -> dict[str, Any]:
-        """Values of a target's sheen by the names of its parameters; empty where there is none.
+        """Return the values of a target's sheen by the names of its parameters; empty without a sheen.
 
         Args:
             weight, colour, roughness: the names.
@@ -154,11 +154,11 @@ def _colour(value: Any) -> tuple[float, float, float]:
 
 
 def snapped(value: Any) -> float:
-    """A value from 0 to 1, the ends where a fit has come as near to them as it can."""
+    """Return a value from 0 to 1; values as near to an end as fits can come become that end."""
     value = min(max(float(value), 0.0), 1.0)
     return 0.0 if value < _END else 1.0 if value > 1.0 - _END else value
 
 
 def ior_to_f0(ior: float) -> float:
-    """Reflectance at normal incidence."""
+    """Return reflectance at normal incidence."""
     return ((ior - 1.0) / (ior + 1.0)) ** 2

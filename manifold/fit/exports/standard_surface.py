@@ -47,7 +47,7 @@ FILM = ("thin_film_thickness", "thin_film_IOR")
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
+    """Return the parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "metalness": material.metallic,
@@ -64,7 +64,7 @@ def parameters(material: Principled) -> dict[str, Any]:
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
-    """The material's BRDF, f in 1/sr, shape (P, 3).
+    """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.

@@ -85,7 +85,7 @@ class TargetBRDF:
     is_isotropic: bool = True
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., 3), for unit vectors that broadcast, wi to the viewer; 0 below the horizon."""
+        """Return f in 1/sr, shape (..., 3), for unit vectors that broadcast, wi to the viewer; 0 below the horizon."""
         wi, wo = np.broadcast_arrays(wi, wo)
         above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
         f = np.zeros(wi.shape)
@@ -121,7 +121,7 @@ _FLAKES = (*_RELIEF, "coat", "coat_normal")
 def _target(
     name: str, suffix: str, title: str, model: ModuleType, content: Content, textures: tuple[str, ...] = ()
 ) -> Target:
-    """A target whose parameters and shading model are those of a module."""
+    """Make a target from the parameters and shading model of a module."""
     sheen, film, curve, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "CURVE", "HUED"))
     return Target(
         name,
@@ -181,7 +181,7 @@ SUFFIXES = ", ".join(
 
 
 def target_of(name: str | None, path: Path) -> Target:
-    """The target of that name, or the one of a file's suffix.
+    """Return the target of that name, or the one of a file's suffix.
 
     Raises:
         UsageError: there is none, or the suffix is another's.

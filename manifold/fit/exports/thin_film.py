@@ -48,7 +48,7 @@ _NODES = 257  # of tables by the cosine
 
 
 def _tabulated(reflectance: Reflectance) -> Reflectance:
-    """The same function, the cosine its last argument, of many by cubics between nodes.
+    """Interpolate a function in the cosine, its last argument, by cubics between nodes.
 
     It is off by a few 1e-6 in the mean, and by 1e-3 where values are clipped. Splines of SciPy take as long as films.
     """
@@ -67,7 +67,7 @@ def _tabulated(reflectance: Reflectance) -> Reflectance:
 
 @_tabulated
 def film_over_f0(ior: float, thickness_nm: float, f0: Array, cosine: Array) -> Array:
-    """Reflectance of a film on a surface that reflects `f0` (3,) at normal incidence, shape (P, 3).
+    """Return the reflectance of a film on a surface that reflects `f0` (3,) at normal incidence, shape (P, 3).
 
     Args:
         ior: of the film, at least 1; outside it is 1.
@@ -89,7 +89,7 @@ def film_over_f0(ior: float, thickness_nm: float, f0: Array, cosine: Array) -> A
 
 @_tabulated
 def film_over_index(ior: float, thickness_nm: float, n: Array, k: Array, cosine: Array) -> Array:
-    """Reflectance of a film on a surface of indices n + i k (3,), shape (P, 3), in [0, 1].
+    """Return the reflectance of a film on a surface of indices n + i k (3,), shape (P, 3), in [0, 1].
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
@@ -103,7 +103,7 @@ def film_over_index(ior: float, thickness_nm: float, n: Array, k: Array, cosine:
 
 @_tabulated
 def film_over_f82_materialx(ior: float, thickness_nm: float, f0: Array, edge: Array, cosine: Array) -> Array:
-    """Reflectance of a film on a metal of F82-tint, shape (P, 3), in [0, 1].
+    """Return the reflectance of a film on a metal of F82-tint, shape (P, 3), in [0, 1].
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
@@ -119,7 +119,7 @@ def film_over_f82_materialx(ior: float, thickness_nm: float, f0: Array, edge: Ar
 
 @_tabulated
 def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Array) -> Array:
-    """Reflectance of a film on a dielectric of index n, shape (P, 3), in [0, 1].
+    """Return the reflectance of a film on a dielectric of index n, shape (P, 3), in [0, 1].
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
@@ -134,7 +134,7 @@ def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Ar
 
 @_tabulated
 def film_over_f82(ior: float, thickness_nm: float, f0: Array, edge: Array, cosine: Array) -> Array:
-    """Reflectance of a film on a metal of F82-tint, shape (P, 3), in [0, 1].
+    """Return the reflectance of a film on a metal of F82-tint, shape (P, 3), in [0, 1].
 
     Args:
         ior, thickness_nm, cosine: as in `film_over_f0`.
@@ -155,7 +155,7 @@ def _airy(
     ior: float, thickness_nm: float, below: tuple[Array, Array], phases: tuple[Array, Array], cosine: Array,
     sensitivity: Sensitivity, orders: int = 2,
 ) -> Array:  # fmt: skip
-    """Mean of both polarisations, (P, 3), of reflectances and phases `below` the film, parallel and perpendicular."""
+    """Return the mean of both polarisations, (P, 3), from reflectances and phases `below` the film."""
     path_nm = 2.0 * ior * thickness_nm * _refracted(cosine, ior)
     outer = (np.where(cosine < np.cos(np.arctan(ior)), 0.0, np.pi), np.full(len(cosine), np.pi))
     above = fresnel_polarised(cosine, np.array([ior]), np.zeros(1))
@@ -170,7 +170,7 @@ def _airy(
 
 
 def _refracted(cosine: Array, ior: float) -> Array:
-    """Cosine of the angle inside the film, (P,)."""
+    """Return the cosine of the angle inside the film, (P,)."""
     return np.sqrt(1.0 - (1.0 - cosine**2) / ior**2)
 
 
@@ -178,7 +178,7 @@ def _interference(
     first: Array, second: Array, product: Array, path_nm: Array, shift: Array, sensitivity: Sensitivity,
     orders: int = 2,
 ) -> Array:  # fmt: skip
-    """Reflectance (P, 3) of two interfaces.
+    """Return the reflectance (P, 3) of two interfaces.
 
     Args:
         first, second, product: reflectances (P, 1) and (P, 3), and their product.
@@ -201,7 +201,7 @@ def _gltf(path_nm: Array, shift: Array) -> Array:
 
 
 def _from_xyz(xyz: Array) -> Array:
-    """MaterialX's RGB of reflectances (P, 3)."""
+    """Return MaterialX's RGB of reflectances (P, 3)."""
     return np.clip(xyz @ _FROM_XYZ_MATERIALX.T, 0.0, 1.0)
 
 
@@ -222,7 +222,10 @@ def _cycles(path_nm: Array, shift: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _observer_table() -> tuple[Array, Array]:
-    """Mean of `exp(2 pi i path / wavelength)` over the channels of linear sRGB, (3, K), and the paths in nm (K,)."""
+    """Return the mean of `exp(2 pi i path / wavelength)` over the channels of linear sRGB, (3, K).
+
+    Also return the paths in nm (K,).
+    """
     wavelengths, responses = sensor_responses(Illuminant.named("E"))
     weight = xyz_to_srgb(responses)
     step = 60000.0 / (2.0 * np.pi * 511.0)  # of Cycles, which interpolates between these nodes
@@ -232,7 +235,7 @@ def _observer_table() -> tuple[Array, Array]:
 
 
 def _phases(cosine: Array, outside: float, n: Array, k: Array) -> tuple[Array, Array]:
-    """Phases of reflection at an interface to n + i k (3,), parallel and perpendicular, (P, 3) each."""
+    """Return the phases of reflection at an interface to n + i k (3,), parallel and perpendicular, (P, 3) each."""
     c = cosine[:, None]
     ratio = k / n
     a = n * n * (1.0 - ratio * ratio) - outside**2 * (1.0 - c * c)

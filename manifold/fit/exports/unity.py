@@ -43,7 +43,7 @@ _COAT_ALPHA, _F0 = 0.01, 0.04
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Properties of a material, all of `DEFAULTS`; reflectance at normal incidence is Unity's 0.04."""
+    """Return the properties of a material, all of `DEFAULTS`; reflectance at normal incidence is Unity's 0.04."""
     roughness, anisotropy = material.around_mean
     coat = material.coat_weight if material.coat_alpha <= _SMOOTH_COAT else 0.0
     return DEFAULTS | {
@@ -57,7 +57,7 @@ def parameters(material: Principled) -> dict[str, Any]:
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
-    """The material's BRDF for lights without extent, f in 1/sr, shape (P, 3).
+    """Return the material's BRDF for lights without extent, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
@@ -87,19 +87,19 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
 
 
 def _narrowing(coat: float) -> float:
-    """By how much a coat multiplies the `2 / alpha^2 - 2` of the base below it."""
+    """Return the factor by which a coat multiplies the `2 / alpha^2 - 2` of the base below it."""
     return (1.0 + coat * (1.0 / 1.5 - 1.0)) ** 2
 
 
 def _widened(alpha: float, factor: float) -> float:
-    """GGX alpha whose `2 / alpha^2 - 2` is `factor` times that of another."""
+    """Return the GGX alpha whose `2 / alpha^2 - 2` is `factor` times that of another."""
     if factor == 1.0:
         return alpha
     return float(np.sqrt(2.0 / (factor * (2.0 / max(alpha, 1e-4) ** 2 - 2.0) + 2.0)))
 
 
 def _burley(pairs: ShadingPairs, roughness: float) -> Array:
-    """Burley's diffuse term in 1/sr, (P, 1), with Unity's normalisation."""
+    """Return Burley's diffuse term in 1/sr, (P, 1), with Unity's normalisation."""
     f90 = 0.5 + 2.0 * roughness * pairs.cos_d**2
     at_light = 1.0 + (f90 - 1.0) * (1.0 - pairs.cos_l) ** 5
     at_view = 1.0 + (f90 - 1.0) * (1.0 - pairs.cos_v) ** 5

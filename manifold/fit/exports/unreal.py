@@ -53,7 +53,7 @@ def shading_model(values: Mapping[str, Any]) -> str:
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
+    """Return the inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
     roughness, anisotropy = material.around_mean
     return (
         DEFAULTS
@@ -70,7 +70,7 @@ def parameters(material: Principled) -> dict[str, Any]:
 
 
 def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
-    """The material's BRDF, f in 1/sr, shape (P, 3).
+    """Return the material's BRDF, f in 1/sr, shape (P, 3).
 
     Args:
         values: all of `DEFAULTS`.
@@ -93,6 +93,6 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
 
 
 def _base(values: Mapping[str, Any], cosine: Array) -> Array:
-    """The base colour at cosines between normal and view (P,), shape (P, 3)."""
+    """Return the base colour at cosines between normal and view (P,), shape (P, 3)."""
     nodes = np.reshape(values["BaseColorCurve"] or values["BaseColor"], (-1, 3))
     return np.stack([np.interp(cosine, CURVE_COSINES[-len(nodes) :], channel) for channel in nodes.T], axis=1)

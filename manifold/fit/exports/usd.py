@@ -15,7 +15,9 @@ OPENPBR_ID = "ND_open_pbr_surface_surfaceshader"
 
 
 def usda(export: Export, openpbr_parameters: Mapping[str, Any] | None = None) -> str:
-    """The layer: y up, metres, `outputs:surface` for previews and `outputs:mtlx:surface` for MaterialX renderers.
+    """Return the layer: y up, in metres.
+
+    `outputs:surface` is for previews, and `outputs:mtlx:surface` for MaterialX renderers.
 
     Args:
         export: with the parameters of UsdPreviewSurface.
@@ -72,7 +74,7 @@ def Xform "World"
 
 
 def _textured(path: str, textures: TextureFiles) -> tuple[str, str]:
-    """Inputs of UsdPreviewSurface that come from textures, and the nodes that read these."""
+    """Return the inputs of UsdPreviewSurface that come from textures, and the nodes that read these."""
     inputs = {"diffuseColor": "color3f", "normal": "normal3f"}
     placed = "".join(
         f"{' ' * 16}{kind} inputs:{key}.connect = <{path}/{key}.outputs:rgb>\n"
@@ -108,7 +110,7 @@ def _textured(path: str, textures: TextureFiles) -> tuple[str, str]:
 
 
 def _turned_tangent(path: str, degrees: float) -> str:
-    """Nodes of MaterialX that turn the tangent; none for 0."""
+    """Return nodes of MaterialX that turn the tangent; empty for 0."""
     if not degrees:
         return ""
     world = '                string inputs:space = "world"\n'

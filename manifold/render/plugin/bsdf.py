@@ -68,7 +68,7 @@ def _refuse(properties: Any) -> Any:
 
 
 def _plugin_class(mi: Any, variant: str) -> Any:
-    """The class for a variant: Mitsuba's base classes exist once per variant."""
+    """Return the plugin's class for a variant, because Mitsuba's base classes exist once per variant."""
     is_spectral = "spectral" in variant
 
     class ManifoldBSDF(mi.BSDF):  # type: ignore[misc]
@@ -155,7 +155,7 @@ def _plugin_class(mi: Any, variant: str) -> Any:
 
 
 def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], FixedLatent | None]:
-    """The textures of the latent, or a fixed one."""
+    """Read the textures of the latent, or a fixed one."""
     from manifold.render.plugin.mixture import FixedLatent
 
     names = [f"latent_{k}" for k in range(model.settings.latent_dim)]
@@ -190,7 +190,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
 
 
 def _finite_texture(mi: Any, properties: Any, name: str) -> Any:
-    """A texture of a latent's coordinates, none of whose texels is NaN or infinite: such would be rendered as NaN."""
+    """Return a texture of a latent's coordinates, and refuse NaN and infinite texels, which would render as NaN."""
     texture = properties.get_texture(name)
     params = mi.traverse(texture)
     for key in params.keys():  # noqa: SIM118  # its own iteration is over pairs

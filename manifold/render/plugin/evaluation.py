@@ -52,7 +52,7 @@ class VaryingWeights:
             self._inverse_K, self._column_sums = mi.Float64(inverse.ravel()), mi.Float64(inverse.sum(axis=0))
 
     def at(self, latent: list[Any]) -> Lobes:
-        """What the weights at latents, Q arrays, have in common."""
+        """Return the common part of the weights at latents, Q arrays."""
         dr = self._dr
         x = [self._mi.Float64(v) for v in dr.detach(latent)]
         has_slopes = dr.grad_enabled(latent)
@@ -60,7 +60,7 @@ class VaryingWeights:
         return replace(lobes, offsets=[v - dr.detach(v) for v in latent]) if has_slopes else lobes
 
     def weight(self, lobes: Lobes, j: Any) -> tuple[Any, list[Any]]:
-        """Weight of material j, and its slopes by the latents where `lobes` has slopes."""
+        """Return the weight of material j, and its slopes by the latents if `lobes` has slopes."""
         mi, dr = self._mi, self._dr
         has_slopes = len(lobes.slopes) > 0
         if self._is_blend:
@@ -80,7 +80,7 @@ class VaryingWeights:
         ]
 
     def _sum(self, terms: Any, factors: Any, first: Any, has_slopes: bool) -> list[Any]:
-        """Sums over the materials of terms(j), each a value and perhaps Q slopes, times factors from `first` on."""
+        """Sum terms(j), each a value and perhaps Q slopes, over the materials, times factors from `first` on."""
         mi, dr = self._mi, self._dr
 
         def add(j: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
@@ -91,13 +91,13 @@ class VaryingWeights:
         return list(dr.while_loop((mi.UInt32(0), start), lambda j, _: j < self._n, add)[1])
 
     def _first(self, start: Any, update: Any) -> Any:
-        """The last state of a loop over the materials."""
+        """Return the last state of a loop over the materials."""
         return self._dr.while_loop(
             (self._mi.UInt32(0), start), lambda j, _: j < self._n, lambda j, s: (j + 1, update(j, s))
         )[1]
 
     def _of_blend(self, latent: list[Any], has_slopes: bool) -> Lobes:
-        """For `latent.blending.blend_weights`, relative to the nearest material."""
+        """Return the common part of `latent.blending.blend_weights`, relative to the nearest material."""
         mi, dr = self._mi, self._dr
 
         def nearer(j: Any, found: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -109,7 +109,7 @@ class VaryingWeights:
         return Lobes(latent, (nearest, total), slopes, mi.Float(1.0))
 
     def _share(self, latent: list[Any], j: Any, nearest: Any, has_slopes: bool) -> list[Any]:
-        """Share of material j before division by their sum, and its slopes."""
+        """Return the share of material j before division by their sum, and its slopes."""
         dr = self._dr
         (cost, slope), (least, slope_nearest) = self._cost(latent, j), self._cost(latent, nearest)
         share = dr.exp(least - cost)
@@ -123,13 +123,13 @@ class VaryingWeights:
         return [dr.maximum(kept, 0.0), *slopes[: len(slopes) * has_slopes]]
 
     def _cost(self, latent: list[Any], j: Any) -> tuple[Any, Any]:
-        """Negative logarithm of a share, and its slope over the difference of latents."""
+        """Return the negative logarithm of a share, and its slope by the difference of latents."""
         unit = 1.0 / self._gp.kernel.length_scale**2
         squared = self._dr.maximum(self._squared_distance(latent, j) * unit, 1e-12)
         return 0.5 * squared + self._dr.log(squared), (1.0 + 2.0 / squared) * unit
 
     def _of_posterior(self, latent: list[Any], has_slopes: bool) -> Lobes:
-        """For weights of the Gaussian process; a unit vector at a training latent."""
+        """Return the common part of the Gaussian process's weights; a unit vector at a training latent."""
         mi, dr, n = self._mi, self._dr, self._n
         match = self._first(
             mi.UInt32(n),
@@ -144,7 +144,7 @@ class VaryingWeights:
         return Lobes(latent, lobes.sums, slopes, magnitude)
 
     def _similarity(self, latent: list[Any], j: Any, has_slopes: bool) -> list[Any]:
-        """Covariance with material j, and its slopes."""
+        """Return the covariance with material j, and its slopes."""
         dr, kernel = self._dr, self._gp.kernel
         unit = 1.0 / kernel.length_scale**2
         k, slope = kernel.radial(self._squared_distance(latent, j) * unit, dr)
@@ -190,7 +190,7 @@ class _Group:
 
     @classmethod
     def all_of(cls, meta: Any) -> list[_Group]:
-        """The groups of materials with meta data (N, META)."""
+        """Group the materials with meta data (N, META)."""
         sizes = np.delete(meta, _OFFSETS, axis=1)
         breaks = np.flatnonzero(np.any(sizes[1:] != sizes[:-1], axis=1)) + 1
         edges = [0, *breaks.tolist(), len(meta)]
@@ -231,8 +231,9 @@ class Evaluation:
     # -- weights -------------------------------------------------------------------------------------------
 
     def set_weights(self, mixture: Mixture, latent: Any = None, colours: Any = None) -> None:
-        """Take the weights of a mixture of the same materials, with slopes by latent (Q,) and chosen colours (B,) where
-        derivatives are to pass through the weights.
+        """Take the weights of a mixture of the same materials.
+
+        Slopes by latent (Q,) and chosen colours (B,) are kept if derivatives pass through the weights.
         """
         mi, dr = self._mi, self._dr
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
@@ -245,19 +246,19 @@ class Evaluation:
         self._offsets = [v - dr.detach(v) for v in (latent, colours) if v is not None]
 
     def _uploaded(self, weights: Array) -> Any:
-        """Weights of materials, or of samples padded as they are stored."""
+        """Upload weights of materials, or of samples in their padded layout."""
         if self._has_samples:
             weights = np.pad(weights, ((0, 0), (0, 0), (0, self._n_stored - weights.shape[2])))
         return self._mi.Float(weights.astype(np.float32).ravel())
 
     def weights(self, latent: list[Any] | None) -> Lobes | None:
-        """Weights at latents, a list of Q arrays; None for a fixed mixture, which has its own."""
+        """Return weights at latents, a list of Q arrays; None for a fixed mixture, which has its own."""
         return None if latent is None or self._varying is None else self._varying.at(latent)
 
     def _weight(
         self, lobes: Lobes | None, i: Any, has_slopes: bool, active: Any
     ) -> tuple[Any, Any, list[Any]]:
-        """Weight of material i, its share in sampling, and slopes of the weight if asked for."""
+        """Return the weight of material i, its share in sampling, and slopes of the weight if asked for."""
         mi, dr = self._mi, self._dr
         if lobes is not None and self._varying is not None:
             v, slopes = self._varying.weight(lobes, i)
@@ -270,7 +271,7 @@ class Evaluation:
         return weight, share, slopes
 
     def _offsets_at(self, lobes: Lobes | None, bands: Any) -> list[Any]:
-        """Factors of the slopes: 0, with the derivatives of parameters; none where nothing is differentiated."""
+        """Return the factors of the slopes: 0, with the derivatives of parameters; none without differentiation."""
         mi, dr = self._mi, self._dr
         if lobes is not None:
             return list(lobes.offsets)
@@ -288,13 +289,13 @@ class Evaluation:
     # -- one material --------------------------------------------------------------------------------------
 
     def _families(self, i: Any, active: Any) -> tuple[Family, Family, list[Any]]:
-        """Warps of the visible normals and of the luminance, and all other numbers of material i."""
+        """Return the warps of visible normals and luminance, and all other numbers of material i."""
         meta = self._dr.gather(self._mi.ArrayXu, self._meta, i, active, shape=(META, self._dr.width(i)))
         m = [meta[k] for k in range(META)]
         return Family(*m[0:4]), Family(*m[4:8]), m[8:]
 
     def _families_of(self, group: _Group, i: Any) -> tuple[Family, Family, list[Any]]:
-        """The same of a material of a group, sizes as numbers that the compiler knows."""
+        """Return `_families` of a material in a group, with sizes as numbers that the compiler knows."""
         m: list[Any] = [
             int(first) + (i - group.start) * int(step) if k in _OFFSETS else int(first)
             for k, (first, step) in enumerate(zip(group.first, group.step, strict=True))
@@ -302,7 +303,7 @@ class Evaluation:
         return Family(*m[0:4]), Family(*m[4:8]), m[8:]
 
     def _slices(self, i: Any, theta: Any, phi: Any, n_theta: Any, n_phi: Any, active: Any) -> Slices:
-        """What surrounds incident directions: elevations around theta, and azimuths around phi where there are any."""
+        """Return the slices around incident directions: elevations around theta, azimuths around phi if any."""
         dr = self._dr
         (low, high), t = self._around(self._theta_nodes, self._n_theta, i, theta, n_theta, active)
         if (n_phi if isinstance(n_phi, int) else self._n_phi) == 1:
@@ -314,7 +315,7 @@ class Evaluation:
     def _around(
         self, nodes: Any, most: int, i: Any, value: Any, n: Any, active: Any
     ) -> tuple[tuple[Any, Any], Any]:
-        """The two of material i's n nodes around a value, and the weight of the second."""
+        """Return the two of material i's n nodes around a value, and the weight of the second."""
         mi, dr = self._mi, self._dr
         first = i * most
         low, high = bisect(
@@ -325,8 +326,9 @@ class Evaluation:
         return (low, high), dr.select(b > a, dr.clip((value - a) / (b - a), 0.0, 1.0), 0.0)
 
     def _in_its_frame(self, symmetry: Any, rotation: Any, wi: Any) -> tuple[Any, Any]:
-        """Cosine and sine of the turn into the frame in which a sample was measured, and signs for each axis after it,
-        which move incident directions into the measured azimuths; see `pairs.signs`.
+        """Return cosine and sine of the turn into the sample's measured frame, and signs for each axis after it.
+
+        The signs move incident directions into the measured azimuths; see `pairs.signs`.
         """
         mi, dr = self._mi, self._dr
         turn = mi.Vector2f(dr.cos(rotation), dr.sin(rotation))
@@ -336,7 +338,7 @@ class Evaluation:
         return turn, mi.Vector3f(x, y, 1.0)
 
     def _grid(self, grid: list[Any], x: Any, y: Any, active: Any) -> Any:
-        """Bilinear value of a packed grid: where its cells begin, its rows and columns."""
+        """Return the bilinear value of a packed grid, given by its first cell, its rows and columns."""
         dr = self._dr
         cells, rows, columns = grid
         j, tx = self._warps.cell(x, columns)
@@ -349,7 +351,10 @@ class Evaluation:
     def eval_pdf(
         self, lobes: Lobes | None, wi: Any, wo: Any, wavelengths: Any, active: Any
     ) -> tuple[Any, Any]:
-        """f * cos(theta_o) as a spectrum, with derivatives by the latent, and the density of `sample`, both in 1/sr."""
+        """Return f * cos(theta_o) as a spectrum and the density of `sample`, both in 1/sr.
+
+        The former has derivatives by the latent.
+        """
         mi, dr = self._mi, self._dr
         if dr.grad_enabled(wi, wo):
             raise UsageError(
@@ -408,7 +413,7 @@ class Evaluation:
         self, cells: Any, grid: Family, slices: Slices, u: Any, v: Any, bands: Any,
         scale: Any, cosines: Any, active: Any,
     ) -> Any:  # fmt: skip
-        """Mapped values of one material at the warped point (u, v): a spectrum, or those of its sample bands."""
+        """Return mapped values of one material at the warped point (u, v): a spectrum, or those of its sample bands."""
         mi, dr = self._mi, self._dr
         j, tx = self._warps.cell(u, grid.columns)
         i, ty = self._warps.cell(v, grid.rows)
@@ -436,7 +441,7 @@ class Evaluation:
         return mi.Spectrum(*values)
 
     def _all_bands(self, packets: list[tuple[Any, list[Any]]], active: Any) -> list[Any]:
-        """Values of all bands of cells with weights of their corners, in one read where bands are few."""
+        """Return values of all bands of cells by the weights of their corners, in one read if there are few bands."""
         if self._n_stored > MOST_BANDS_AT_ONCE:
             return [self._band(packets, band, active) for band in range(self._n_stored)]
         n = SPECTRUM_PACKET * self._n_stored
@@ -459,7 +464,7 @@ class Evaluation:
         ]
 
     def _band(self, packets: list[tuple[Any, list[Any]]], band: Any, active: Any) -> Any:
-        """Value of one band of cells with weights of their corners."""
+        """Return the value of one band of cells by the weights of their corners."""
         dr, mi = self._dr, self._mi
         stored = dr.float16_array_t(mi.ArrayXf) if self._is_half else mi.ArrayXf
         total = 0.0
@@ -472,7 +477,10 @@ class Evaluation:
     def _combined(
         self, mapped: list[Any], material: Any, bands: Any, has_slopes: bool, active: Any
     ) -> list[Any]:
-        """Sums over the samples of a material, by the weights and by their slopes as `_offsets_at` orders them."""
+        """Return sums over the samples of a material, by the weights and by their slopes.
+
+        The slopes have the order of `_offsets_at`.
+        """
         mi, dr, n = self._mi, self._dr, self._n_stored
 
         def dot(array: Any, band: Any) -> Any:
@@ -481,7 +489,7 @@ class Evaluation:
             return sum(weights[k] * mapped[k] for k in range(n))
 
         def spectra(array: Any) -> list[Any]:
-            """Of the bands, or parts of the bands below and above the wavelengths."""
+            """Return the sums of the bands, or the parts of the bands below and above the wavelengths."""
             if self._is_rgb:
                 return [mi.Spectrum(*(dot(array, b) for b in range(3)))]
             below, above = (
@@ -498,7 +506,7 @@ class Evaluation:
         return sums
 
     def _locate_bands(self, wavelengths: Any) -> list[tuple[Any, Any]]:
-        """Band below each wavelength, and how far it is to the next; held constant outside."""
+        """Return the band below each wavelength, and the fraction of the way to the next; constant outside."""
         mi, dr = self._mi, self._dr
         located = []
         for wavelength in wavelengths:
@@ -514,7 +522,7 @@ class Evaluation:
     # -- sampling ------------------------------------------------------------------------------------------
 
     def sample(self, lobes: Lobes | None, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
-        """Outgoing directions; those below the horizon have no weight."""
+        """Sample outgoing directions; those below the horizon have no weight."""
         mi, dr = self._mi, self._dr
         i = self._choose(lobes, sample1)
         visible, luminance, rest = self._families(i, active)
@@ -533,7 +541,7 @@ class Evaluation:
         return dr.select(cos_im > 0.0, wo, mi.Vector3f(0.0, 0.0, -1.0))
 
     def _choose(self, lobes: Lobes | None, sample1: Any) -> Any:
-        """A material per lane, by its share."""
+        """Choose a material per lane, by its share."""
         mi, dr, varying = self._mi, self._dr, self._varying
         if lobes is None or varying is None:
             i = dr.binary_search(0, self._n - 1, lambda m: dr.gather(mi.Float, self._lobe_ends, m) < sample1)
@@ -550,7 +558,7 @@ class Evaluation:
 
 
 def _elevation(mi: Any, dr: Any, w: Any) -> Any:
-    """Angle from the normal, stable near it."""
+    """Return the angle from the normal, stable near it."""
     return 2.0 * dr.asin(dr.minimum(0.5 * dr.norm(w - mi.Vector3f(0.0, 0.0, 1.0)), 1.0))
 
 
@@ -559,7 +567,7 @@ def _azimuth(dr: Any, w: Any) -> Any:
 
 
 def _turned(mi: Any, w: Any, turn: Any) -> Any:
-    """Vectors turned about the normal by an angle with these cosine and sine."""
+    """Turn vectors about the normal by an angle with this cosine and sine."""
     return mi.Vector3f(turn.x * w.x - turn.y * w.y, turn.y * w.x + turn.x * w.y, w.z)
 
 
@@ -588,7 +596,7 @@ class DrJitMapping:
         return mapped
 
     def _factor(self, cosines: Any) -> Any:
-        """The factor of values inside the logarithm."""
+        """Return the factor of values inside the logarithm."""
         if isinstance(self._mapping, LogRelative):
             return self._dr.maximum(cosines, self._mapping.floor) / self._mapping.epsilon
         assert isinstance(self._mapping, Log)

@@ -86,12 +86,13 @@ class FixedLatent:
     def of(
         cls, model: Manifold, place: Place, colour: ColourChoice = NEAREST, tolerance: float = 0.0
     ) -> FixedLatent:
-        """The latent of a place, in a colour that is chosen there."""
+        """Return the latent of a place, in a colour that is chosen there."""
         return cls(model, place.latent, choose_colour(model, place, colour).colours, tolerance)
 
     def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:
-        """Another latent (Q,), and other colours (B,), float32; what rounds to a material's latent, or to what was, is
-        taken for that.
+        """Return another latent (Q,), and other colours (B,), float32.
+
+        Values that round to a material's latent, or to the former values, are taken for these.
         """
         known = (self.latent, *self.model.X)
         exact = next((x for x in known if np.array_equal(np.float32(x), latent)), latent)
@@ -100,8 +101,9 @@ class FixedLatent:
         return replace(self, latent=self.model.place(exact.tolist()).latent, colours=colours)
 
     def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
-        """The prediction; at a training latent the measured material. Tables of one `before`, of the same model, serve
-        again where they hold all materials that are needed.
+        """Return the prediction, or at a training latent the measured material.
+
+        Tables of a mixture `before`, of the same model, are reused if they hold all the materials.
         """
         model, x, colours = self.model, self.latent, self.colours
         combination = model.combination(x, colours)
@@ -142,7 +144,7 @@ class FixedLatent:
 
 
 def _slopes(model: Manifold, x: Array, colours: Array | None) -> list[Array]:
-    """Slopes of the weights by each coordinate of x (Q,), and by a band's colour: Q or Q + 1 arrays like the weights.
+    """Return slopes of the weights by each coordinate of x (Q,), and by a band's colour: Q or Q + 1 arrays.
 
     Weights are smooth functions that cost little, in double precision: central differences have nine digits.
     """
@@ -154,7 +156,7 @@ def _slopes(model: Manifold, x: Array, colours: Array | None) -> list[Array]:
 
 
 def varying_mixture(model: Manifold) -> Mixture:
-    """All materials, for latents that are known only where a surface is hit."""
+    """Return a mixture of all materials, for latents that are known only where a surface is hit."""
     n = len(model.names)
     if model.space.landmarks is not None:
         raise UsageError(
@@ -178,8 +180,9 @@ def varying_mixture(model: Manifold) -> Mixture:
 
 
 def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indices, Array, float]:
-    """The fewest materials that do for weights v (N,), their new weights, and the relative error that remains, as a
-    share of the norm of the mapped values, at most the tolerance; 0 keeps all.
+    """Return the fewest materials that reproduce weights v (N,) within a tolerance, their new weights, and the error.
+
+    The error is relative to the norm of the mapped values; a tolerance of 0 keeps all materials.
 
     The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values, by
     their Gram matrix S (N, N). Materials go one by one, that first whose loss raises it least: of weight u_k, by `u_k^2
@@ -211,14 +214,14 @@ def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indice
 
 
 def _fitted_again(kept: Indices, weights: Array, S: Array) -> Array:
-    """The weights of kept materials, (n, ...), whose mapped values are nearest to those of all, (N, ...)."""
+    """Return weights of kept materials, (n, ...), whose mapped values are nearest to those of all, (N, ...)."""
     return np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0].astype(np.float64)
 
 
 def _tables(
     model: Manifold, materials: Iterable[int], bands: list[int], before: Mixture | None = None
 ) -> tuple[list[int], Tables]:
-    """An order of some materials, and of those of a mixture before, and their tables: its own, where they do."""
+    """Return an order of the materials, and their tables; those of a mixture before are reused if they suffice."""
     known = [] if before is None else list(before.order)
     if before is not None and set(materials) <= set(known):
         return known, before.tables
@@ -230,7 +233,7 @@ def _tables(
 
 
 def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:
-    """The bands that renders ask for, and their indices: Mitsuba's wavelengths go from 360 to 830 nm."""
+    """Return the bands that renders ask for, and their indices; Mitsuba's wavelengths go from 360 to 830 nm."""
     if bands.wavelengths_nm is None:
         return bands, list(range(bands.count))
     nm = np.asarray(bands.wavelengths_nm)
@@ -244,7 +247,7 @@ def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:
 
 
 def _by_size(files: list[BsdfFile]) -> list[int]:
-    """An order in which materials whose tables have the same sizes are neighbours."""
+    """Return an order in which materials with tables of equal sizes are neighbours."""
 
     def sizes(k: int) -> tuple[object, ...]:
         file = files[k]

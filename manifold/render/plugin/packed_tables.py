@@ -147,14 +147,14 @@ class _Store:
         self._blocks: list[AnyArray] = []
 
     def add(self, block: Array) -> int:
-        """Append; the index of its first packet."""
+        """Append a block, and return the index of its first packet."""
         start = self._length
         self._blocks.append(np.ascontiguousarray(block, dtype=self._dtype).ravel())
         self._length += self._blocks[-1].size // self._packet
         return start
 
     def joined(self) -> AnyArray:
-        """Everything, shape (packets * size,)."""
+        """Return all blocks, shape (packets * size,)."""
         joined = np.concatenate(self._blocks)
         self._blocks.clear()
         if joined.size > np.iinfo(np.uint32).max:
@@ -163,24 +163,27 @@ class _Store:
 
 
 def _unit(values: Array) -> float:
-    """The power of two in which the largest of some values is between 2^14 and 2^15, near the end of float16."""
+    """Return the power of two in which the largest value lies between 2^14 and 2^15, near the end of float16."""
     largest = float(np.abs(values).max())
     return 2.0 ** (np.floor(np.log2(largest)) - 14) if largest > 0 else 1.0
 
 
 def _corners(grid: Array) -> Array:
-    """Corners of all cells of node values (..., R, C), shape (..., R - 1, C - 1, 4): row by row."""
+    """Return the corners of all cells of node values (..., R, C), shape (..., R - 1, C - 1, 4): row by row."""
     return np.stack([grid[..., :-1, :-1], grid[..., :-1, 1:], grid[..., 1:, :-1], grid[..., 1:, 1:]], axis=-1)
 
 
 def _neighbours(slices: Array) -> Array:
-    """Each of T elevations (P, T, ..., K) and the next, shape (P, T - 1, ..., 2, K); a single one with itself."""
+    """Return each of T elevations (P, T, ..., K) with the next, shape (P, T - 1, ..., 2, K).
+
+    A single elevation is returned with itself.
+    """
     upper = slices[:, 1:] if slices.shape[1] > 1 else slices
     return np.stack([slices[:, : upper.shape[1]], upper], axis=-2)
 
 
 def _warp_cells(warp: Warp, of_incidence: tuple[int, ...]) -> Array:
-    """All cells of a warp of P x T incidences, shape (P, T - 1, R - 1, C - 1, 2, 8)."""
+    """Return all cells of a warp of P x T incidences, shape (P, T - 1, R - 1, C - 1, 2, 8)."""
     before = np.stack([warp.conditional[:, :-1, :-1], warp.conditional[:, 1:, :-1]], axis=-1)
     totals = warp.conditional[:, :, -1]
     rows = np.stack([totals[:, :-1], totals[:, 1:]], axis=-1)[:, :, None, :]

@@ -39,7 +39,7 @@ class Slices:
 
 
 def bisect(mi: Any, dr: Any, n: Any, n_steps: int, is_below: Any) -> tuple[Any, Any]:
-    """The last of n indices but one up to which `is_below` holds, or 0, and the next one."""
+    """Return the last index below n - 1 at which `is_below` holds, or 0, and the next index."""
     low, high = mi.UInt32(0), mi.UInt32(n - 1)
     for _ in range(n_steps):
         middle = (low + high) >> 1
@@ -60,18 +60,18 @@ class PackedWarps:
         self._n_steps = max(1, (most_nodes - 1).bit_length())
 
     def cell(self, x: Any, n: Any) -> tuple[Any, Any]:
-        """Index of the cell that holds x in [0, 1] on n nodes, and the position inside it."""
+        """Return the index of the cell that holds x in [0, 1] on n nodes, and the position inside it."""
         mi, dr = self._mi, self._dr
         scaled = dr.clip(x, 0.0, 1.0) * mi.Float(n - 1)
         i = dr.minimum(mi.UInt32(scaled), n - 2)
         return i, scaled - mi.Float(i)
 
     def _between_azimuths(self, slices: Slices, values: list[Any]) -> Any:
-        """Values at the one azimuth, or between those at the two."""
+        """Return values at the one azimuth, or interpolated between the two."""
         return values[0] if len(values) == 1 else self._dr.lerp(*values, slices.s)
 
     def _indices(self, family: Family, slices: Slices, i: Any, j: Any) -> list[Any]:
-        """Numbers of the packets of a cell, each with both elevations."""
+        """Return the packet numbers of a cell, each with both elevations."""
         return [
             family.cells + (pair * (family.rows - 1) + i) * (family.columns - 1) + j
             for pair, _, _ in slices.at
@@ -88,7 +88,7 @@ class PackedWarps:
         )
 
     def _blended(self, family: Family, slices: Slices, i: Any, j: Any, active: Any) -> list[Any]:
-        """The values of a cell at the incident direction; see `packed_tables.WARP_VALUES`."""
+        """Return the values of a cell at the incident direction; see `packed_tables.WARP_VALUES`."""
         packets = [
             self._dr.gather(
                 self._mi.ArrayXf, self._warps, n, active, shape=(2 * WARP_VALUES, self._dr.width(n))
@@ -103,7 +103,7 @@ class PackedWarps:
         ]
 
     def invert(self, family: Family, slices: Slices, x: Any, y: Any, active: Any) -> tuple[Any, Any, Any]:
-        """The variates that `sample` maps to (x, y), and the density there."""
+        """Return the variates that `sample` maps to (x, y), and the density there."""
         dr, mi = self._dr, self._mi
         j, tx = self.cell(x, family.columns)
         i, ty = self.cell(y, family.rows)
@@ -116,7 +116,7 @@ class PackedWarps:
         return dr.select(total > 0.0, u, 0.0), v, density
 
     def density(self, family: Family, slices: Slices, x: Any, y: Any, active: Any) -> Any:
-        """The density at (x, y), which integrates to 1 over the unit square."""
+        """Return the density at (x, y), which integrates to 1 over the unit square."""
         dr, mi = self._dr, self._mi
         j, tx = self.cell(x, family.columns)
         i, ty = self.cell(y, family.rows)
@@ -130,7 +130,7 @@ class PackedWarps:
         return value * mi.Float((family.rows - 1) * (family.columns - 1))
 
     def sample(self, family: Family, slices: Slices, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
-        """The point (x, y) of uniform variates (u, v)."""
+        """Return the point (x, y) of uniform variates (u, v)."""
         dr, mi = self._dr, self._mi
         u, v = dr.clip(u, 1e-7, 1.0 - 1e-7), dr.clip(v, 1e-7, 1.0 - 1e-7)
         i = self._below(family.rows, v, lambda m: self._marginal(family, slices, m, active))
@@ -152,11 +152,11 @@ class PackedWarps:
         return x, y
 
     def _below(self, n: Any, value: Any, at: Any) -> Any:
-        """The last index below n - 1 at which an increasing function is still below a value."""
+        """Return the last index below n - 1 at which an increasing function is still below a value."""
         return bisect(self._mi, self._dr, n, self._n_steps, lambda m: at(m) < value)[0]
 
     def _invert_linear(self, f0: Any, f1: Any, area: Any) -> Any:
-        """Position t in [0, 1] where the integral of the line from f0 to f1 over [0, t] is `area`."""
+        """Return the position t in [0, 1] where the integral of the line from f0 to f1 over [0, t] is `area`."""
         dr = self._dr
         total, fall = f0 + f1, f0 - f1
         is_flat = (dr.abs(fall) < _FLAT * total) | (total <= 0.0)

@@ -46,7 +46,7 @@ def process(data: Data, training: Indices, start: int) -> LatentProcess:
     rng = np.random.default_rng(start)
     X0 = first + (_JITTER * first.std(axis=0) * rng.standard_normal(first.shape) if start else 0.0)
     model = GPLVM(2, mu=1e-4, optimizer="dls").fit_gram(S, data.n_outputs, X0=X0)
-    return LatentProcess(model.gp_, data, Identity(), training, 0.0)
+    return LatentProcess(model.gp_, data, Identity(), training, 0.0, is_clipped=False)
 
 
 def by_residual(process: LatentProcess, i: int) -> Combination:
@@ -54,7 +54,7 @@ def by_residual(process: LatentProcess, i: int) -> Combination:
     S = process.data.gram(process.mapping)
     some = process.training
     encoder = Encoder(process.gp, S[np.ix_(some, some)], process.data.n_outputs, 0.0)
-    return process.at(encoder.by_residual(S[i, some], float(S[i, i])), is_clipped=False)
+    return process.at(encoder.by_residual(S[i, some], float(S[i, i])))
 
 
 RULES: dict[str, Callable[[LatentProcess, int], Combination]] = {

@@ -127,6 +127,14 @@ def embed(
             min=3,
         ),
     ] = None,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published",
+            help="Follow Hikichi & Iwasaki to the letter: raw values without weights at 90 x 90 x 180 direction pairs, "
+            "fixed output variance 1, direct local search from the principal components, two dimensions.",
+        ),
+    ] = False,
     without: WithoutOption = None,
     scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
@@ -156,9 +164,14 @@ def embed(
         chosen["mapping"] = mapping
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
+    if as_published and (auto_dim or chosen != {"kernel": "se", "latent_dim": 2}):
+        raise UsageError(
+            "found --as-published and another setting of the fit, expected none: it fixes them all"
+        )
+    settings = Settings.published() if as_published else Settings(kind=kind, **chosen)
     with OneWorkerOptions(None, scheduler).executor() as executor:
         fitted, candidates = embed(
-            library, output, Settings(kind=kind, **chosen), without=without or (),
+            library, output, settings, without=without or (),
             auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=executor,
         )  # fmt: skip
     settings = fitted.settings
@@ -183,13 +196,13 @@ def embed(
         f"Model {output}",
         {
             "materials": fitted.space.materials_in_words,
-            "kind": kind,
+            "kind": settings.kind + ", as published" * settings.as_published,
             "latent dimensions": settings.latent_dim,
             "mapping": settings.mapping,
             "kernel": settings.kernel,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal components",
-            **({} if kind == "blend" else {"condition of K": f"{fitted.gp.condition:.3g}"}),
+            **({} if settings.kind == "blend" else {"condition of K": f"{fitted.gp.condition:.3g}"}),
             **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )

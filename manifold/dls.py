@@ -201,10 +201,10 @@ def _limits(
     return lower, upper
 
 
-class _FunctionObjective:
-    """An ordinary function as a `MoveObjective`: every move is a full evaluation."""
+class FunctionObjective:
+    """An ordinary function of x (n,) as a `MoveObjective`: every move is a full evaluation."""
 
-    def __init__(self, fun: Callable[..., float], args: tuple[Any, ...], x0: Array) -> None:
+    def __init__(self, fun: Callable[..., float], x0: Array, args: tuple[Any, ...] = ()) -> None:
         self._fun, self._args = fun, args
         self.x = x0
         self.value = self._evaluate(x0)
@@ -276,7 +276,7 @@ def hooke_jeeves(
     start = np.atleast_1d(np.array(x0, dtype=np.float64))
     if start.ndim != 1:
         raise ShapeError(f"x0 has shape {start.shape}, expected (n,)")
-    objective = _FunctionObjective(fun, args, np.clip(start, *_limits(bounds, start.shape[0])))
+    objective = FunctionObjective(fun, np.clip(start, *_limits(bounds, start.shape[0])), args)
     return direct_local_search(
         objective,
         initial_step=initial_step,

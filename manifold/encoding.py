@@ -184,12 +184,14 @@ class Encoder:
         S: Gram matrix of the mapped materials, not centred, shape (n, n).
         n_outputs: D, outputs behind S.
         prior: weight of the Gaussian prior on the latent, or one per axis, shape (Q,).
+        fixed_variance: s^2; None is what maximises the likelihood of the training materials.
     """
 
     gp: GaussianProcess
     S: Array
     n_outputs: int
     prior: float | Array = 0.0
+    fixed_variance: float | None = None
 
     @classmethod
     def of_decoder(cls, decoder: Decoder, prior: float | Array = 0.0) -> Encoder:
@@ -224,6 +226,8 @@ class Encoder:
     @cached_property
     def output_variance(self) -> float:
         """s^2 of the training materials."""
+        if self.fixed_variance is not None:
+            return self.fixed_variance
         return max(self.gp.output_variance(self.S, self.n_outputs), np.finfo(float).tiny)
 
     # -- searching -----------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from manifold.dls import STOPPED, direct_local_search
+from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
 from manifold.encoding import Encoder
 from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
@@ -83,8 +83,13 @@ def search(run: Run, X: Array) -> Array:
     """
     objective = run.objective
     l = objective.kernel.length_scale
+    moves: MoveObjective
+    if objective.output_variance is None:
+        moves = IncrementalObjective(objective, X)
+    else:  # the compiled moves profile the output variance
+        moves = FunctionObjective(lambda x: objective.value(x.reshape(X.shape)), X.reshape(-1).copy())
     result = direct_local_search(
-        IncrementalObjective(objective, X),
+        moves,
         initial_step=_FIRST_STEP * l,
         tolerance=_LAST_STEP * run.tol * l,
         maxfev=np.iinfo(np.int64).max,
@@ -149,7 +154,11 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             Iwasaki publish it (section 3.4); `l-bfgs`, descent along the gradient from the start.
         prior: weight of the Gaussian prior on the latents *per output*; 0 is none, 1 / D is eq. 19 of
             Hikichi & Iwasaki as they state it.
+        output_variance: s^2, in squared units of the outputs; None is what maximises the likelihood, 1.0 is eq. 20 of
+            Hikichi & Iwasaki.
         start_scale: standard deviation of the start along every axis.
+        farthest_first: search in the order of the distance of the start from the origin, so that the order of the
+            samples does not matter; False searches in the order of the samples.
         max_iter: limit on rounds of a search and on iterations of L-BFGS; 0 keeps the start.
         tol: L-BFGS ends where an iteration gains less than a hundredth of this, times |F|, or no entry of the
             gradient is larger than this; direct local search where its steps are a hundred of these, in length scales.
@@ -158,7 +167,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         embedding_: latents X, shape (N, Q).
         objective_, objective_start_: F at the end and at the start.
         n_iter_, n_evaluations_: rounds, and evaluations of F (a move of one coordinate is one).
-        output_variance_: profiled s^2, in squared units of the outputs.
+        output_variance_: s^2, in squared units of the outputs.
         gp_: `GaussianProcess` of the latents.
         gram_: centred Gram matrix, shape (N, N).
         n_outputs_: D.
@@ -178,7 +187,9 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         kernel: str | type[Kernel] = "se",
         optimizer: str = "dls",
         prior: float = 0.0,
+        output_variance: float | None = None,
         start_scale: float = 1.0,
+        farthest_first: bool = True,
         max_iter: int = 3000,
         tol: float = 1e-6,
     ) -> None:
@@ -188,7 +199,9 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self.kernel = kernel
         self.optimizer = optimizer
         self.prior = prior
+        self.output_variance = output_variance
         self.start_scale = start_scale
+        self.farthest_first = farthest_first
         self.max_iter = max_iter
         self.tol = tol
 
@@ -239,8 +252,10 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         start = require_start(X0, N, Q) if X0 is not None else self.start_scale * pca_start(S, Q)
         kernel = kernel_named(self.kernel, self.mu, self.length_scale)
         # Where a search along coordinates ends depends on their order: farthest first, in whatever order samples come.
-        order = np.argsort(-np.sum(start**2, axis=1), kind="stable")
-        objective = LatentObjective(S[np.ix_(order, order)], n_outputs, kernel, float(self.prior))
+        order = np.argsort(-np.sum(start**2, axis=1), kind="stable") if self.farthest_first else np.arange(N)
+        objective = LatentObjective(
+            S[np.ix_(order, order)], n_outputs, kernel, float(self.prior), self.output_variance
+        )
         run = Run(objective, start[order], self.max_iter, self.tol, callback)
         objective_start = run.best
         if self.max_iter > 0:
@@ -254,7 +269,9 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self.gp_ = GaussianProcess(X, kernel)
         self.gp_.warn_of_fit(S)
         self.embedding_, self.gram_, self.n_outputs_ = X, S, n_outputs
-        self.output_variance_ = self.gp_.output_variance(S, n_outputs)
+        self.output_variance_ = (
+            self.gp_.output_variance(S, n_outputs) if self.output_variance is None else self.output_variance
+        )
         self.objective_, self.objective_start_ = objective_end, objective_start
         self.n_iter_, self.n_evaluations_ = max(run.n_iter, 1), run.n_evaluations
 
@@ -264,6 +281,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             raise UsageError(f"n_components = {self.n_components}, expected at least 1")
         require_mu(self.mu)
         require_prior(self.prior)
+        if self.output_variance is not None and not 0.0 < self.output_variance < np.inf:
+            raise UsageError(f"output_variance = {self.output_variance}, expected a positive number or None")
 
     @property
     def _n_features_out(self) -> int:
@@ -282,7 +301,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         cross, norm = Y_c @ (Y_fit - mean).T, np.einsum("md,md->m", Y_c, Y_c)
         of_fit = np.diag(self.gram_)
         squared = norm[:, None] + of_fit - 2.0 * cross
-        encoder = Encoder(self.gp_, self.gram_, self.n_outputs_, float(self.prior))
+        encoder = Encoder(self.gp_, self.gram_, self.n_outputs_, float(self.prior), self.output_variance)
         nearest = squared.argmin(axis=1)
         same = squared.min(axis=1) <= _SAME * (norm + of_fit[nearest])
         latents = self.embedding_[nearest]

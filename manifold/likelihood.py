@@ -20,26 +20,40 @@ _SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
 class LatentObjective:
     """F(X) and its gradient, by a fresh factorisation.
 
-    `F = 1/2 log|K| + N/2 log s^2 + prior/2 ||X||^2` with `s^2 = tr(K^-1 S) / (N D)`, constants dropped; S (N, N) is a
-    centred Gram matrix of D outputs, the prior's weight per output.
+    `F = 1/2 log|K| + N/2 log s^2 + tr(K^-1 S) / (2 D s^2) - N/2 + prior/2 ||X||^2`; S (N, N) is a centred Gram matrix
+    of D outputs, the prior's weight per output. Where the output variance is None, s^2 maximises the likelihood,
+    `s^2 = tr(K^-1 S) / (N D)`, and the third and fourth terms cancel.
 
-    Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, per output.
+    Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, per output, where s^2 = 1.
     """
 
-    def __init__(self, S: Array, n_outputs: int, kernel: Kernel, prior: float = 0.0) -> None:
+    def __init__(
+        self,
+        S: Array,
+        n_outputs: int,
+        kernel: Kernel,
+        prior: float = 0.0,
+        output_variance: float | None = None,
+    ) -> None:
         self.S = np.ascontiguousarray(S)
         self.n_outputs = n_outputs
         self.kernel = kernel
         self.prior = prior
+        self.output_variance = output_variance
 
     def __call__(self, X: Array) -> tuple[float, Array]:
         """Return F at X (N, Q) and its gradient (N, Q).
 
-        `dF/dK = 1/2 K^-1 - N / (2 tr(K^-1 S)) K^-1 S K^-1`.
+        `dF/dK = 1/2 K^-1 - 1 / (2 D s^2) K^-1 S K^-1`.
 
-        Source: Lawrence 2005, eq. 6, with the output variance profiled out.
+        Source: Lawrence 2005, eq. 6.
         """
         return self.with_noise(X)[:2]
+
+    def value(self, X: Array) -> float:
+        """F at X (N, Q)."""
+        P, log_det = self.factorise(self.kernel.training(X))
+        return self.value_of(log_det, float(np.sum(P * self.S)), float(np.sum(X**2)))
 
     def with_noise(self, X: Array) -> tuple[float, Array, float]:
         """Return F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
@@ -48,7 +62,10 @@ class LatentObjective:
         P, log_det = self.factorise(K)
         PS = P @ self.S
         trace = float(np.trace(PS))
-        dK = 0.5 * P - (0.5 * N / trace) * (PS @ P)
+        variance = (
+            trace / N if self.output_variance is None else self.n_outputs * self.output_variance
+        )  # D s^2
+        dK = 0.5 * P - (0.5 / variance) * (PS @ P)
         gradient = self.kernel.gradient(X, dK, slope) + self.prior * X
         return self.value_of(log_det, trace, float(np.sum(X**2))), gradient, float(np.trace(dK))
 
@@ -57,8 +74,12 @@ class LatentObjective:
         N = self.S.shape[0]
         if not trace > 0.0:
             return float("inf")
-        log_variance = np.log(trace / (N * self.n_outputs))
-        return float(0.5 * log_det + 0.5 * N * log_variance + 0.5 * self.prior * squared_norm)
+        variance = trace / (N * self.n_outputs)
+        misfit = 0.0
+        if self.output_variance is not None:
+            misfit = 0.5 * N * (variance / self.output_variance - 1.0)
+            variance = self.output_variance
+        return float(0.5 * log_det + 0.5 * N * np.log(variance) + misfit + 0.5 * self.prior * squared_norm)
 
     def factorise(self, K: Array) -> tuple[Array, float]:
         """Return the inverse of K (N, N), by Cholesky, and log|K|."""

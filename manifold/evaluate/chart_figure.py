@@ -17,7 +17,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from manifold.evaluate.chart import COSTS, ERRORS, Chart, conclusion, cost_of
 from manifold.evaluate.held_out import ChartRow
-from manifold.evaluate.methods import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
+from manifold.evaluate.methods import AFTER_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
 from manifold.evaluate.readings import Curve
 from manifold.evaluate.seen_fits import FAMILY
 from manifold.metrics import BALL
@@ -46,7 +46,7 @@ STYLES = {
     "GPLVM, whole materials": _Style("s", "#e69f00"),
     BLENDS: _Style("P", "#000000"),
     NONNEGATIVE: _Style("v", "#56b4e9"),
-    AS_PUBLISHED: _Style("*", "#d55e00"),
+    AFTER_PUBLISHED: _Style("*", "#d55e00"),
     FAMILY: _Style("x", "#555555"),
 }
 _FRONT_POINTS, _OTHER_POINTS, _PUBLISHED_POINTS = 8.5, 5.0, 15.0

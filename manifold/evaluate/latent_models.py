@@ -36,21 +36,26 @@ def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
     )
 
 
-def fit_published(data: Data, training: Indices) -> Encode:
-    """As Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search; they give no rule for the latent of a new
-    material, and cube roots, by which all models are searched, look best.
+def fit_after_published(data: Data, training: Indices) -> Encode:
+    """After Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search; directions are weighted by their
+    cosines, and the output variance maximises the likelihood.
+
+    They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
     """
     settings = Settings("material", 2, "identity", mu=1e-4, optimizer="dls")
     return _process(settings, data, training).encode
 
 
 def _process(s: Settings, data: Data, training: Indices, tolerance: float = _TOLERANCE) -> LatentProcess:
-    mapping = MAPPINGS[s.mapping]
+    mapping, power = MAPPINGS[s.mapping], 0.0 if s.as_published else 1.0
     model = GPLVM(
         min(s.latent_dim, len(training) - 1), mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior,
-        optimizer=s.optimizer, tol=tolerance,
-    ).fit_gram(data.gram(mapping)[np.ix_(training, training)], data.n_outputs)  # fmt: skip
-    return LatentProcess(model.gp_, data, mapping, training, s.prior)
+        optimizer=s.optimizer, tol=tolerance, output_variance=1.0 if s.as_published else None,
+        farthest_first=not s.as_published,
+    ).fit_gram(data.gram(mapping, power=power)[np.ix_(training, training)], data.n_outputs)  # fmt: skip
+    return LatentProcess(
+        model.gp_, data, mapping, training, s.prior, model.output_variance, is_clipped=not s.as_published
+    )
 
 
 def _fit_blend(s: Settings) -> Fit:
@@ -85,6 +90,7 @@ class LatentProcess:
         training: the materials of the process, shape (n,).
         prior: weight of the Gaussian prior on latents.
         known_variance: output variance s^2 of the mapped values, where it is not that of the training materials.
+        is_clipped: whether negative values of predictions of `encode` are cut to 0.
     """
 
     gp: GaussianProcess
@@ -93,6 +99,7 @@ class LatentProcess:
     training: Indices
     prior: float
     known_variance: float | None = None
+    is_clipped: bool = True
 
     def encode(self, i: int) -> Combination:
         """The prediction of material i at the latent whose decoded values are nearest to its own, in cube roots."""
@@ -100,13 +107,13 @@ class LatentProcess:
             self._encoder.by_values(self._decoder, self.data.f[i, :: self.data.stride].reshape(-1))
         )
 
-    def at(self, latent: Array, weights: Array | None = None, *, is_clipped: bool = True) -> Combination:
+    def at(self, latent: Array, weights: Array | None = None) -> Combination:
         """The prediction at a latent (Q,); weights (n,) stand in for those of the process where they are given."""
         weights = self.gp.weights(latent[None])[0] if weights is None else weights
         spread = np.zeros(self.data.n_materials)
         spread[self.training] = weights
         variance = self.output_variance * float(self.gp.variance(latent[None])[0])
-        return Combination(self.mapping, spread, None, is_clipped, variance)
+        return Combination(self.mapping, spread, None, self.is_clipped, variance)
 
     @cached_property
     def _gram(self) -> Array:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold import progress
-from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic
+from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic, values_at
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.mapping import MAPPINGS, ValueMapping
@@ -20,7 +20,7 @@ from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import MOST_LAID_OUT, Settings
 from manifold.names import counted
-from manifold.pairs import RusinkiewiczGrid, cosine_weight
+from manifold.pairs import Pairs, RusinkiewiczGrid, cosine_weight
 from manifold.records import Array, evenly_spaced
 
 BLOCK_PAIRS = 1024  # direction pairs held at once: 51 materials x 195 bands x 1024 pairs are 80 MB
@@ -33,7 +33,7 @@ class Gram:
     Attributes:
         S: sum of weight * T(f_i) * T(f_j) over what a sample holds: direction pairs and bands of a material,
             shape (N, N); or direction pairs of a single band, shape (N B, N B), material by material.
-        n_outputs: D, how many values a sample holds above the horizon.
+        n_outputs: D, how many values a sample holds.
     """
 
     S: Array
@@ -50,29 +50,35 @@ def value_blocks(
     for wi, wo, above in grid.suited_to(all_isotropic(materials)).blocks(block):
         if np.any(above):
             wi, wo = wi[above], wo[above]
-            yield wi, wo, np.stack([material.eval(wi, wo) for material in materials])
+            pairs = Pairs(wi, wo)
+            yield wi, wo, np.stack([values_at(material, pairs) for material in materials])
 
 
 def gram_matrix(
     materials: Sequence[BRDF],
     mapping: ValueMapping,
     grid: RusinkiewiczGrid,
+    *,
+    is_weighted: bool = True,
 ) -> Gram:
     """Return the Gram matrix of N materials of the same bands over a grid.
 
-    Each pair is weighted by cos(theta_i) cos(theta_o), as in an image.
+    Each pair is weighted by cos(theta_i) cos(theta_o), as in an image, and D counts pairs above the horizon. Without
+    weights D counts the whole grid, as in eq. 22 of Hikichi & Iwasaki.
     """
     S = np.zeros((len(materials), len(materials)))
     n_outputs = 0
     total = -(-grid.n_pairs // BLOCK_PAIRS)
     for done, (wi, wo, f) in enumerate(value_blocks(materials, grid), start=1):
         cosines = cosine_weight(wi, wo)
-        mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2])) * np.sqrt(cosines)[:, None]
+        mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2]))
+        if is_weighted:
+            mapped = mapped * np.sqrt(cosines)[:, None]
         flat = mapped.reshape(len(materials), -1)
         S += flat @ flat.T
         n_outputs += flat.shape[1]
         progress.report(done, total, "direction pairs")
-    return Gram(S, n_outputs)
+    return Gram(S, n_outputs if is_weighted else grid.n_pairs * materials[0].bands.count)
 
 
 _LIT_DEG = np.array([0.0, 45.0])
@@ -132,7 +138,8 @@ def _fit_materials(materials: MaterialCache, s: Settings) -> Fitted:
 
     matrix = _gram(materials, s)
     fitted = GPLVM(
-        s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior
+        s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior,
+        output_variance=1.0 if s.as_published else None, farthest_first=not s.as_published,
     ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
     space = MaterialSpace(fitted.embedding_, matrix.S, matrix.n_outputs, s.covariance())
     return (
@@ -163,10 +170,11 @@ def _gram(materials: MaterialCache, s: Settings) -> Gram:
     library, mapping = materials.library, MAPPINGS[s.mapping]
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
     made_of = f"gram-3 {library.content_hash} {list(materials.names)} {mapping!r} {grid!r}"
+    made_of += " as published" if s.as_published else ""
     key = hashlib.sha256(made_of.encode()).hexdigest()
     cached = library.cache_get(key)
     if cached is not None and cached["S"].shape == (len(materials.names),) * 2:
         return Gram(cached["S"], int(cached["n_outputs"][0]))
-    matrix = gram_matrix(materials.filled(), mapping, grid)
+    matrix = gram_matrix(materials.filled(), mapping, grid, is_weighted=not s.as_published)
     library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
     return matrix

@@ -100,7 +100,9 @@ class Manifold(LatentMap):
             library = Library.open(library)
         chosen = library.names if names is None else names_among(library, names)
         is_nonnegative = SPACES[settings.kind].is_nonnegative
-        materials = MaterialCache(library, chosen, is_nonnegative=is_nonnegative)
+        materials = MaterialCache(
+            library, chosen, is_nonnegative=is_nonnegative, fills_cells=not settings.as_published
+        )
         left_out = None
         # A layout amplifies the rounding of sums, which depends on the number of threads.
         with one_blas_thread:
@@ -292,7 +294,9 @@ class Manifold(LatentMap):
         stored = read_model(path)
         library = open_library(path, stored, library)
         settings, space, left_out = restore(path, stored)
-        materials = MaterialCache(library, stored.names, is_nonnegative=space.is_nonnegative)
+        materials = MaterialCache(
+            library, stored.names, is_nonnegative=space.is_nonnegative, fills_cells=not settings.as_published
+        )
         model = cls(materials, space, settings, stored.statistics, left_out)
         if library.content_hash != stored.library_hash:
             change = (

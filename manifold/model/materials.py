@@ -45,10 +45,19 @@ class MaterialCache:
     Attributes:
         is_nonnegative: whether negative values are taken for 0 where materials are combined; RGB files have some,
             colours outside sRGB.
+        fills_cells: whether unmeasured cells are filled; otherwise they keep their zeros.
     """
 
-    def __init__(self, library: Library, names: Sequence[str], *, is_nonnegative: bool = False) -> None:
+    def __init__(
+        self,
+        library: Library,
+        names: Sequence[str],
+        *,
+        is_nonnegative: bool = False,
+        fills_cells: bool = True,
+    ) -> None:
         self.library, self.names, self.is_nonnegative = library, tuple(names), is_nonnegative
+        self.fills_cells = fills_cells
         self._measured: dict[str, MeasuredBRDF] = _Latest()
         self._filled: dict[str, MeasuredBRDF] = _Latest()
         self._in_bands: tuple[tuple[int, ...], dict[str, MeasuredBRDF]] = (), _Latest()
@@ -132,7 +141,7 @@ class MaterialCache:
         self._unmeasured_shares[name] = unmeasured_share(file, cells)
         if (rotation := rotation_of(file)) is not None:
             self._turned[name] = rotation - file.rotation_rad
-        return fill_unmeasured(file, cells, copy=False)
+        return fill_unmeasured(file, cells, copy=False) if self.fills_cells else file
 
     def filled_file(self, name: str) -> BsdfFile:
         """Return a material's file as predictions combine it: `measured_file`, for blends without negative values."""

@@ -33,6 +33,7 @@ from manifold.records import Array
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 4
+_ADDED_SETTINGS = {"as_published": False}  # of earlier files of this version, which lack them
 
 MAGIC = b"manifold model\r\n"
 _HEADER = struct.Struct("<16sI16x")  # magic, version
@@ -201,7 +202,8 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
 def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, LeftOut | None]:
     """Restore settings, latent space, and errors of left-out materials from a model file."""
     try:
-        settings = Settings(**{f.name: stored.settings[f.name] for f in fields(Settings)})
+        held = _ADDED_SETTINGS | stored.settings
+        settings = Settings(**{f.name: held[f.name] for f in fields(Settings)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), stored.n_bands or 0)
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:

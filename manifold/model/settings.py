@@ -42,6 +42,7 @@ class Settings:
         sample_bands: bands per material of which colours of blends are made, at most.
         landmarks: number of materials of a map of blends that are laid out, the others being located among them; None
             is all of at most 300 materials, and 150 of more.
+        as_published: follow Hikichi & Iwasaki to the letter, see `published`.
     """
 
     kind: str = "blend"
@@ -55,6 +56,16 @@ class Settings:
     grid: str = "default"
     sample_bands: int = 5
     landmarks: int | None = None
+    as_published: bool = False
+
+    @classmethod
+    def published(cls) -> Settings:
+        """The settings of Hikichi & Iwasaki to the letter; docs/explanation/gplvm.md lists what they change.
+
+        Raw values without weights, in all bands and at all 90 x 90 x 180 direction pairs; unmeasured cells are zeros;
+        s^2 = 1; direct local search from the principal components in the order of the materials; mu = 1e-4, l = 1.
+        """
+        return cls("material", 2, "identity", grid="hikichi", as_published=True)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -78,6 +89,13 @@ class Settings:
             raise UsageError(
                 f"landmarks = {self.landmarks} for kind {self.kind} in {self.latent_dim} dimensions, expected kind "
                 f"blend, and at least {self.latent_dim + 2}"
+            )
+        if self.as_published and (
+            self.kind == "blend" or (self.mapping, self.optimizer) != ("identity", "dls")
+        ):
+            raise UsageError(
+                f"as_published with kind {self.kind}, mapping {self.mapping} and optimizer {self.optimizer}, expected "
+                "Settings.published()"
             )
         RusinkiewiczGrid.named(self.grid)  # checks it
         if not isinstance(self.kernel, str):

@@ -40,6 +40,30 @@ def test_objective_is_the_likelihood_written_out(rng):
     assert objective_of(Y, 1e-2, 1.3)(X)[0] == pytest.approx(expected, rel=1e-10)
 
 
+def test_a_fixed_output_variance_gives_the_likelihood_without_profiling(rng):
+    """Eq. 21 of Hikichi & Iwasaki, where s^2 = 1; its gradient by differences."""
+    Y, X = curved(rng, 8), rng.normal(size=(8, 2))
+    N, D = Y.shape
+    Y_c = Y - Y.mean(axis=0)
+    fixed = LatentObjective(centre_gram(Y @ Y.T), D, SquaredExponential(1e-2, 1.3), output_variance=1.0)
+    expected = -reference.log_likelihood(X, Y_c, 1e-2, 1.3) / D - 0.5 * N * (1.0 + np.log(2.0 * np.pi))
+    value, gradient = fixed(X)
+    assert value == pytest.approx(expected, rel=1e-10)
+    assert fixed.value(X) == pytest.approx(expected, rel=1e-10)
+    slope = reference.central_differences(lambda at: fixed(at)[0], X)
+    np.testing.assert_allclose(gradient, slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("optimizer", OPTIMIZERS)
+def test_fits_with_a_fixed_output_variance_end_below_the_start(rng, optimizer):
+    Y = curved(rng, 8)
+    model = GPLVM(1, mu=1e-2, optimizer=optimizer, output_variance=0.5, max_iter=20).fit(Y)
+    assert model.objective_ < model.objective_start_ - 1e-3
+    assert model.output_variance_ == 0.5
+    with pytest.raises(UsageError, match="expected a positive number or None"):
+        GPLVM(output_variance=0.0).fit(Y)
+
+
 @pytest.mark.parametrize("optimizer", OPTIMIZERS)
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_fit_ends_at_the_likelihood_of_its_kernel_written_out(rng, kernel, optimizer):

@@ -46,6 +46,40 @@ def gplvm_objective(X, Y, mu, length_scale, radial=RADIAL["se"]):
     return 0.5 * np.linalg.slogdet(K)[1] + 0.5 * N * math.log(s2)
 
 
+def log_likelihood(X, Y, mu, length_scale):
+    """Eq. 21 of Hikichi & Iwasaki for centred Y (N, D)."""
+    K = covariance_matrix(X, X, mu, length_scale)
+    N, D = Y.shape
+    return (
+        -0.5 * np.sum(Y * np.linalg.solve(K, Y))
+        - 0.5 * D * np.linalg.slogdet(K)[1]
+        - 0.5 * N * D * math.log(2.0 * math.pi)
+    )
+
+
+def both_sides_of_eq_15(X, Y, X_new, mu, length_scale):
+    """Distance of every prediction from the nearest sample, and its bound, for centred Y (N, D)."""
+    K = covariance_matrix(X, X, mu, length_scale)
+    slope = math.exp(-0.5) * math.sqrt(2 * len(X)) / length_scale * np.linalg.cond(K) * np.linalg.norm(Y)
+    means, _ = posterior(X, Y, X_new, mu, length_scale)
+    sides = []
+    for x, mean in zip(X_new, means, strict=True):
+        i = min(range(len(X)), key=lambda k: math.dist(x, X[k]))
+        sides.append((np.linalg.norm(mean - Y[i]), slope * math.dist(x, X[i])))
+    return np.array(sides).T
+
+
+def rusinkiewicz(theta_h, theta_d, phi_d):
+    """Both directions of a pair whose half vector has azimuth 0."""
+    h = np.array([math.sin(theta_h), 0.0, math.cos(theta_h)])
+    d = np.array(
+        [math.sin(theta_d) * math.cos(phi_d), math.sin(theta_d) * math.sin(phi_d), math.cos(theta_d)]
+    )
+    turn = np.array([[h[2], 0.0, h[0]], [0.0, 1.0, 0.0], [-h[0], 0.0, h[2]]])
+    wi = turn @ d
+    return wi, 2.0 * (wi @ h) * h - wi
+
+
 def rmse(f, f_star):
     """Eq. 22 of Hikichi & Iwasaki by loops over direction pairs and bands."""
     total = 0.0

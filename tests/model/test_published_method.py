@@ -9,7 +9,9 @@ import pytest
 from helpers import reference
 from helpers.small_library import NAMES, measured
 
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
+from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.compacting import compact_library
 from manifold.library.importing import import_files
@@ -17,6 +19,7 @@ from manifold.library.store import Library
 from manifold.model.location import locate
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
+from manifold.pairs import NAMED_GRIDS, RusinkiewiczGrid
 
 T = {"identity": lambda f: f, "cube-root": np.cbrt}
 
@@ -115,3 +118,85 @@ def test_a_material_that_the_library_lacks_is_located_beside_its_materials(model
     file = measured("syn_felt_green")
     located = locate(model, replace(file, spectra=1.2 * file.spectra))
     assert not np.any(np.all(located.latent == model.X, axis=1))
+
+
+COARSE = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
+
+
+@pytest.fixture(scope="module")
+def literal(folder):
+    """The published settings to the letter, on one in a thousand of the published pairs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(NAMED_GRIDS, "hikichi", COARSE)
+        return Manifold.fit(folder / "library.zarr", Settings.published())
+
+
+@pytest.fixture(scope="module")
+def raw(folder):
+    """Values of the files as they are, zeros below the horizon, less their mean: shape (N, D)."""
+    angles = [np.arange(n) * step for n, step in ((9, np.pi / 18), (9, np.pi / 18), (18, np.pi / 18))]
+    wi, wo = np.array(
+        [reference.rusinkiewicz(h, d, p) for h in angles[0] for d in angles[1] for p in angles[2]]
+    ).transpose(1, 0, 2)
+    above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
+    Y = np.zeros((len(NAMES), len(wi), 3))
+    for k, name in enumerate(NAMES):
+        brdf = MeasuredBRDF(read_bsdf(folder / "files" / f"{name}_rgb.bsdf"))
+        Y[k, above] = brdf.eval(wi[above], wo[above])
+    return Y.reshape(len(NAMES), -1)
+
+
+def test_the_letter_has_the_gram_matrix_of_raw_values_without_weights(literal, raw):
+    """Sums in another order; values are single precision."""
+    np.testing.assert_allclose(literal.space.S, raw @ raw.T, rtol=1e-5)
+    assert literal.space.n_outputs == raw.shape[1] == 9 * 9 * 18 * 3
+
+
+def test_the_letter_ends_where_no_move_of_a_coordinate_raises_the_likelihood(literal, raw):
+    Y = raw - raw.mean(axis=0)
+    mu, l = literal.settings.mu, literal.settings.length_scale
+    best = reference.log_likelihood(literal.X, Y, mu, l)
+    start = literal.statistics["objective_start"]
+    assert literal.statistics["objective"] < start - 1e-3 * abs(start)
+    for index in np.ndindex(literal.X.shape):
+        for step in (-1e-3, 1e-3):  # ten times the last step of the search
+            moved = literal.X.copy()
+            moved[index] += step
+            # The likelihood sums thousands of outputs; K has a condition of up to 1e5.
+            assert reference.log_likelihood(moved, Y, mu, l) < best + 1e-7 * abs(best)
+
+
+def test_the_letter_predicts_the_posterior_mean_with_its_negative_values(literal, raw, rng):
+    mean = raw.mean(axis=0)
+    between = np.concatenate([rng.dirichlet(np.ones(len(NAMES)), 20) @ literal.X, literal.X])
+    expected, variance = reference.posterior(literal.X, raw, between, 1e-4, 1.0)
+    weights = literal.gp.weights(between)
+    np.testing.assert_allclose(weights @ raw, expected, atol=1e-7 * np.abs(raw).max())
+    np.testing.assert_allclose(literal.gp.variance(between), variance, atol=1e-9)
+    np.testing.assert_array_equal(weights[20:], np.eye(len(NAMES)))  # the delta of eq. 11
+    K = reference.covariance_matrix(literal.X, literal.X, 1e-4, 1.0)
+    np.testing.assert_allclose(literal.gp.K, K, atol=1e-14)
+    moved, bound = reference.both_sides_of_eq_15(literal.X, raw - mean, between[:20], 1e-4, 1.0)
+    found = literal.gp.length_scale_bound(between[:20], literal.space.S)
+    np.testing.assert_allclose(found.displacement, moved, rtol=1e-5)
+    np.testing.assert_allclose(found.bound, bound, rtol=1e-5)
+    negative = between[int(np.argmin((weights @ raw).min(axis=1)))]
+    pairs = (
+        from_spherical(np.linspace(0.0, 1.4, 30), 0.0)[:, None],
+        from_spherical(np.linspace(0.0, 1.4, 30), np.pi),
+    )
+    assert literal.predict(negative).eval(*pairs).min() < 0.0
+
+
+def test_the_letter_keeps_the_zeros_of_unmeasured_cells_also_when_it_is_loaded(literal, tmp_path):
+    at = (0, 2, slice(None), 11, 11)
+    literal.save(tmp_path / "model.h5")
+    loaded = Manifold.load(tmp_path / "model.h5", literal.library)
+    assert loaded.settings == literal.settings
+    for model in (literal, loaded):
+        assert np.all(model.materials.measured_file("syn_satin_gold").spectra[at] == 0.0)
+
+
+def test_the_letter_refuses_other_mappings():
+    with pytest.raises(UsageError, match=r"expected Settings\.published"):
+        Settings("material", mapping="cube-root", as_published=True)

@@ -119,7 +119,7 @@ class Application(typer.Typer):
         return typer.main.get_command(chosen)
 
     def command(self, *args: Any, **kwargs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        """As `typer.Typer.command`; a parameter that is a dataclass of options is these options."""
+        """Register a command like `typer.Typer.command`; a dataclass of options becomes these options."""
         add = super().command(*args, cls=Command, **kwargs)
 
         def added(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -130,7 +130,7 @@ class Application(typer.Typer):
 
 
 def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:
-    """A command of its parameters, and the fields of those of them that are dataclasses of options."""
+    """Return a command whose parameters that are dataclasses of options are replaced by their fields."""
     signature = inspect.signature(command, eval_str=True)
     groups = {p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)}
     if not groups:

@@ -32,7 +32,7 @@ _MOST_WORKERS = 1024
 
 
 def _workers_option(by_default: str) -> Any:
-    """The option `--workers`, to stand in an annotation."""
+    """Return the option `--workers` for an annotation."""
     return typer.Option(
         "--workers",
         "-j",
@@ -64,7 +64,7 @@ class WorkerOptions:
     default: ClassVar[int | None] = None
 
     def executor(self) -> AbstractContextManager[Executor | None]:
-        """What `work.run` takes, to enter."""
+        """Return the executor for `work.run`, to enter."""
         from manifold import work
 
         if self.scheduler is None:
@@ -80,7 +80,7 @@ class WorkerOptions:
 
 @dataclass(frozen=True)
 class OneWorkerOptions(WorkerOptions):
-    """By default this process alone."""
+    """Worker options whose default is this process."""
 
     workers: Annotated[int | None, _workers_option("1")] = None
     default: ClassVar[int | None] = 1
@@ -88,7 +88,7 @@ class OneWorkerOptions(WorkerOptions):
 
 @dataclass(frozen=True)
 class ThreadOptions(OneWorkerOptions):
-    """By default threads of this process."""
+    """Worker options whose default is threads of this process."""
 
     workers: Annotated[int | None, _workers_option("threads of this process")] = None
 
@@ -112,7 +112,7 @@ PointsOption = Annotated[
 
 
 def is_many(sources: Sequence[MaterialSource], output: Path | None) -> bool:
-    """Whether sources are for a folder: several, a folder or a library, or where the output is a folder."""
+    """Return whether sources need a folder: several, a folder or a library, or if the output is a folder."""
     from manifold.estimate import inputs
 
     return inputs.is_many(sources) or (output is not None and output.is_dir())
@@ -125,7 +125,7 @@ def inputs_of(
     *,
     samples: bool = False,
 ) -> list[Input] | None:
-    """The materials of several sources, of a folder, a library or a file of several samples; None for one.
+    """Return the materials of several sources, a folder, a library or a file of several samples; None for one.
 
     An output folder that is there is for several. Wanted files of folders are RGL files by default; with `samples` a
     file of several is several materials.

@@ -145,7 +145,7 @@ def fit(
 
 
 def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSource) -> None:
-    """A picture beside the JSON of a fit."""
+    """Draw a picture beside the JSON of a fit."""
     from manifold.estimate.sources import source_file
     from manifold.fit.comparison import picture_of_fit
 

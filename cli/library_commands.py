@@ -195,7 +195,7 @@ def import_(
 
 
 def _rotation(text: str | None) -> float | Literal["auto"] | None:
-    """An azimuth in radians."""
+    """Parse an azimuth in radians."""
     if text is None:
         return None
     if text == "auto":
@@ -308,7 +308,7 @@ def info(
 
 
 def _shortened(messages: list[str], what: str) -> str:
-    """The first three messages, behind how many there are."""
+    """Return the first three messages, behind their number."""
     return (f"{len(messages)} {what}: " if messages[1:] else "") + terminal.first_three(messages)
 
 
@@ -390,7 +390,7 @@ def find(
 
 
 def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:
-    """The material of a file, name or place; readings where a file has such."""
+    """Read the material of a file, name or place; readings if a file has such."""
     from manifold.brdf.measured import MeasuredBRDF
     from manifold.estimate.inputs import is_readings
     from manifold.estimate.sources import FileSource, parse_source, read_source

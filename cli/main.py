@@ -107,7 +107,7 @@ def run(arguments: list[str] | None = None) -> None:
 
 
 def _is_interruption(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused the error: compiled code and imports wrap `KeyboardInterrupt` into errors of their own."""
+    """Return whether Ctrl-C caused the error; compiled code and imports wrap `KeyboardInterrupt` in other errors."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
@@ -128,7 +128,7 @@ def _one_line(message: object) -> str:
 
 
 def _show_warning(strict: bool, message: Warning | str, category: type[Warning], *_: object) -> None:
-    """Warnings of this package as one line, or as errors; those of libraries are for developers."""
+    """Show warnings of this package as one line, or raise them as errors; those of libraries are for developers."""
     if not category.__module__.startswith("manifold"):
         return
     if strict:

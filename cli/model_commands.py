@@ -219,7 +219,7 @@ def embed(
 
 
 def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]:
-    """A row on anisotropic samples that lie turned against each other."""
+    """Return a row on anisotropic samples that lie turned against each other."""
     degrees = math.degrees(angle_rad)
     if degrees < _LEAST_TURN_DEG:
         return {}
@@ -228,7 +228,7 @@ def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]
 
 
 def parse_latent_dim(text: str) -> int:
-    """A number of dimensions."""
+    """Parse a number of dimensions."""
     if not (text.isascii() and text.isdigit() and int(text) >= 1):
         raise UsageError(f"--latent-dim '{text}': expected a whole number from 1, or auto")
     return int(text)

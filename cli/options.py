@@ -25,7 +25,7 @@ DEFAULT_MODEL = Path("model.h5")
 
 
 def output_option(help: str, metavar: str = "FILE") -> Any:
-    """The option `--output`, to stand in an annotation."""
+    """Return the option `--output` for an annotation."""
     return written("--output", "-o", help=help, metavar=metavar)
 
 
@@ -67,7 +67,10 @@ class ColourOptions:
     ] = None
 
     def choice(self, *, refused: str | None = None) -> ColourChoice:
-        """What they choose; where there is nothing to be coloured, `refused` says what they go with, and why."""
+        """Return the chosen colour.
+
+        If nothing can be coloured, `refused` names the commands that take these options, and why.
+        """
         from manifold.model.colours import ColourChoice
 
         if refused is not None and self != OWN_COLOUR:
@@ -153,7 +156,7 @@ UnitOption = Annotated[
 
 
 def viewing_of(illuminant: str | None, observer: int | None, usual: Viewing | None = None) -> Viewing:
-    """Light and observer of Lab values; the usual ones, or D65/2, where none are given."""
+    """Return light and observer of Lab values; the usual ones, or D65/2, if none are given."""
     from manifold.formats.readings import DAYLIGHT, Viewing
 
     usual = usual or DAYLIGHT
@@ -161,19 +164,19 @@ def viewing_of(illuminant: str | None, observer: int | None, usual: Viewing | No
 
 
 def given_viewing(illuminant: str | None, observer: int | None) -> Viewing | None:
-    """Light and observer that options name; None where they name neither."""
+    """Return light and observer that options name; None if they name neither."""
     return None if illuminant is None and observer is None else viewing_of(illuminant, observer)
 
 
 def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
-    """What an argument means that stands for a material."""
+    """Return the material that an argument names."""
     from manifold.estimate.sources import parse_source
 
     return parse_source(text, model, library or (None if model.exists() else DEFAULT_LIBRARY))
 
 
 def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:
-    """What arguments mean that stand for materials; patterns such as `*.bsdf` mean what they match."""
+    """Return the materials that arguments name; patterns such as `*.bsdf` stand for their matches."""
     from manifold.disk import matching
 
     return [material_source(each, model, library) for text in texts for each in matching(text)]
@@ -205,7 +208,7 @@ def one_material(
     text: str | None, latent: str | None, model: Path, library: Path | None, *,
     colour: ColourOptions,
 ) -> MaterialSource:  # fmt: skip
-    """The one material of a command, see `material_sources`."""
+    """Return the one material of a command, see `material_sources`."""
     if (text is None) == (latent is None):
         found = "nothing" if text is None else f"{text} and --latent {latent}"
         raise UsageError(

@@ -24,7 +24,7 @@ _running: ContextVar[_Running] = ContextVar("_running")
 
 
 def written(*names: str, help: str, metavar: str = "FILE", hidden: bool = False) -> Any:
-    """An option that names a file or folder to be written, to stand in an annotation; see `check_all`."""
+    """Return an option for an annotation that names a file or folder to be written; see `check_all`."""
     option = typer.Option(*names, help=help, metavar=metavar, hidden=hidden)
     option.is_written = True
     return option
@@ -45,12 +45,12 @@ def check_all(command: Callable[..., Any], parameters: Mapping[str, Any]) -> Non
 
 
 def or_default(output: Path | None, default: str) -> Path:
-    """The output that was named, or a default that is checked as if it had been named."""
+    """Return the named output, or a default that is checked in the same way."""
     return checked(Path(default)) if output is None else output
 
 
 def checked(path: Path, name: str = "output") -> Path:
-    """A path that the running command may write to, of a parameter of some name."""
+    """Return a path that the running command may write to, after a check that names its parameter."""
     from manifold.library.identity import require_outside_libraries
 
     if str(path) == "-":

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PhotoOptions:
-    """How pictures of a ball were taken."""
+    """Options of the light and camera of pictures of a ball."""
 
     lamp: Annotated[
         list[str] | None,

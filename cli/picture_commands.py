@@ -167,7 +167,7 @@ def slices(
 
 
 def parse_wavelengths(text: str) -> list[float]:
-    """One to four numbers separated by commas."""
+    """Parse one to four numbers separated by commas."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

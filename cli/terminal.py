@@ -38,13 +38,13 @@ def begin(strict: bool) -> None:
 
 
 def is_strict() -> bool:
-    """Whether warnings are errors in the command that runs."""
+    """Return whether warnings are errors in the running command."""
     return _is_strict
 
 
 @contextmanager
 def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
-    """A progress bar on stderr, or a line there every ten seconds where it is no terminal."""
+    """Show a progress bar on stderr, or a line every ten seconds if it is no terminal."""
     if not sys.stderr.isatty():
         with _lines(title) as line:
             yield line
@@ -77,7 +77,7 @@ def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
 
 @contextmanager
 def _lines(title: str) -> Iterator[Listener]:
-    """Lines on stderr from a thread of their own, so that long steps do not look like a command that hangs."""
+    """Print lines on stderr from a separate thread, so that long steps do not look like a command that hangs."""
     state, finished = "", threading.Event()
 
     def step(done: int, total: int, what: str) -> None:
@@ -102,7 +102,7 @@ def _lines(title: str) -> Iterator[Listener]:
 
 
 class Results:
-    """What a command prints on stdout: text for people and, where asked, a JSON file; for `-`, JSON alone."""
+    """The output of a command on stdout: text for people and, if requested, a JSON file; for `-`, only JSON."""
 
     def __init__(self, json_target: Path | None = None) -> None:
         """Refuse a JSON file that cannot be written, before any work."""
@@ -156,7 +156,7 @@ class Results:
 
 
 def _filled(text: str, first: str, others: str) -> str:
-    """Lines of at most `_WIDTH` columns, broken at blanks, with what they begin with."""
+    """Wrap lines at blanks to at most `_WIDTH` columns, with their prefixes."""
     return textwrap.fill(
         text, _WIDTH, initial_indent=first, subsequent_indent=others,
         break_long_words=False, break_on_hyphens=False,
@@ -164,12 +164,12 @@ def _filled(text: str, first: str, others: str) -> str:
 
 
 def first_three(words: Sequence[str]) -> str:
-    """The first three of what may be many, and how many more."""
+    """Return the first three words, and the number of the others."""
     return first_few(words, 3, "; ", " (--json lists them)")
 
 
 def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
-    """Rows of `Results.rows` for parameters, which are numbers or colours."""
+    """Return rows of `Results.rows` for parameters, which are numbers or colours."""
     return {
         key: ", ".join(f"{v:.4g}" for v in value) if isinstance(value, list) else f"{value:.4g}"
         for key, value in parameters.items()
@@ -177,7 +177,7 @@ def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
 
 
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
-    """Rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
+    """Return rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
 
 
@@ -187,5 +187,5 @@ def note_old_spelling(old: str, new: str) -> None:
 
 
 def megabytes(size: int) -> str:
-    """A size in bytes for people."""
+    """Format a size in bytes for people."""
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"

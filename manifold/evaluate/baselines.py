@@ -18,7 +18,7 @@ _IDENTITY = MAPPINGS["identity"]
 
 
 def fit_nearest(data: Data, training: Indices) -> Encode:
-    """The material whose values are nearest, weighted as the linear error is."""
+    """Predict the material whose values are nearest, weighted as the linear error is."""
     G = data.gram(_IDENTITY, power=2)
 
     def encode(i: int) -> Combination:
@@ -29,7 +29,7 @@ def fit_nearest(data: Data, training: Indices) -> Encode:
 
 
 def fit_linear(data: Data, training: Indices) -> Encode:
-    """The best point between the two nearest materials (Hikichi & Iwasaki, eq. 23)."""
+    """Predict the best point between the two nearest materials (Hikichi & Iwasaki, eq. 23)."""
     G = data.gram(_IDENTITY, power=2)
 
     def encode(i: int) -> Combination:
@@ -40,7 +40,7 @@ def fit_linear(data: Data, training: Indices) -> Encode:
 
 
 def fit_oracle(data: Data, training: Indices) -> Encode:
-    """The best point on a line between any two materials: what linear interpolation cannot beat."""
+    """Predict the best point on a line between any two materials, which linear interpolation cannot beat."""
     G = data.gram(_IDENTITY, power=2)
 
     def encode(i: int) -> Combination:
@@ -50,7 +50,7 @@ def fit_oracle(data: Data, training: Indices) -> Encode:
 
 
 def fit_pca(mapping_name: str, count: int) -> Fit:
-    """Projection on the first principal components in a mapped domain, weighted by the cosines."""
+    """Project on the first principal components in a mapped domain, weighted by the cosines."""
     mapping = MAPPINGS[mapping_name]
 
     def fit(data: Data, training: Indices) -> Encode:
@@ -74,12 +74,12 @@ def fit_pca(mapping_name: str, count: int) -> Fit:
 
 
 def _squared_distances(G: Array, i: int, training: Indices) -> Array:
-    """From material i to the training materials, by inner products G (N, N)."""
+    """Return squared distances of material i from the training materials, by inner products G (N, N)."""
     return G[i, i] + np.diag(G)[training] - 2.0 * G[i, training]
 
 
 def _best_mix(data: Data, G: Array, i: int, training: Indices, among: Indices) -> Combination:
-    """The best point between any two of some training materials, or at one of them."""
+    """Return the best point between any two of some training materials, or at one of them."""
     chosen = training[among]
     squared = _squared_distances(G, i, chosen)
     inner = G[np.ix_(chosen, chosen)] - G[i, chosen][:, None] - G[i, chosen][None] + G[i, i]
@@ -95,7 +95,7 @@ def _best_mix(data: Data, G: Array, i: int, training: Indices, among: Indices) -
 
 
 def _in_all_bands(data: Data, training: Indices, weights: Array, mapping: ValueMapping) -> Combination:
-    """A combination of whole materials, by weights of the training materials; negative values stay."""
+    """Return a combination of whole materials, by weights of the training materials; negative values are kept."""
     spread = np.zeros(data.n_materials)
     spread[training] = weights
     return Combination(mapping, spread, is_clipped=False)
@@ -105,13 +105,14 @@ NUMBERS_PER_BAND = 26  # about 13 weights of a reconstruction, and which atoms t
 
 
 def few_numbers(B: int) -> int:
-    """What three atoms with a weight per band take: 12 for RGB."""
+    """Return how many numbers three atoms with a weight per band take: 12 for RGB."""
     return 3 * (min(B, MAX_BANDS) + 1)
 
 
 def fit_nonnegative(sample_bands: int, numbers: Callable[[int], int] | None = None) -> Fit:
-    """All samples, of so many bands per material, and lobes: `manifold.model.reconstruction`, with as many weights as
-    it takes, or at most so many numbers of B bands, see `few_atoms`.
+    """Fit all samples, of `sample_bands` bands per material, and lobes: `manifold.model.reconstruction`.
+
+    The number of weights is free, or limited to so many numbers of B bands, see `few_atoms`.
     """
 
     def fit(data: Data, training: Indices) -> Encode:

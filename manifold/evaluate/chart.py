@@ -61,18 +61,18 @@ class Chart:
     skipped: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
-        """The chart as plain values."""
+        """Return the chart as plain values."""
         reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
         return {"reference": reference, **plain(vars(self))}
 
     def front(self, error: str, cost: str) -> list[ChartRow]:
-        """The settings on a front, cheapest first."""
+        """Return the settings on a front, cheapest first."""
         by_key = {row.key: row for row in self.rows}
         return [by_key[key] for key in self.fronts[error][cost]]
 
 
 def cost_of(row: ChartRow, cost: str) -> float:
-    """A cost, one of `COSTS`: reference times, or bytes; NaN where it is not known."""
+    """Return a cost, one of `COSTS`: reference times, or bytes; NaN if unknown."""
     value = getattr(row, cost)
     if value is None:
         return np.nan
@@ -80,7 +80,7 @@ def cost_of(row: ChartRow, cost: str) -> float:
 
 
 def conclusion(made: Chart) -> str:
-    """Which settings to choose, in two sentences; empty where none was held out."""
+    """Return two sentences on the settings to choose; empty if none was held out."""
     held_out = [row for row in made.rows if row.is_held_out]
     if not held_out:
         return ""
@@ -190,7 +190,7 @@ class _Measuring:
             self._held = HeldOut(files, how.grid, [s for s in chosen if isinstance(s, Method)])
 
     def measure(self, keys: Sequence[str]) -> _Measured:
-        """Rows of settings."""
+        """Return the rows of settings."""
         with stopwatch.one_core():
             rows = [
                 self._held.measure(method)
@@ -212,14 +212,17 @@ def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
 
 
 def _known_settings(n_bands: int) -> Registry[Method | str]:
-    """All settings, by key: held-out ones, and the names of fits."""
+    """Return all settings, by key: held-out ones, and the names of fits."""
     known = Registry[Method | str]("setting", ((s.key, s) for s in chart_methods(n_bands)))
     known.update({f"fit_{method}": method for method in seen_fits.METHODS})
     return known
 
 
 def _storage_key(method: Method | str) -> tuple[bool, str]:
-    """Settings that store files alike stand together, as only one set of stored files is in memory; fits come last."""
+    """Return a sort key by which settings with equal storage are adjacent; fits come last.
+
+    Only one set of stored files is in memory.
+    """
     return (False, method.storage.key) if isinstance(method, Method) else (True, "")
 
 
@@ -247,7 +250,7 @@ def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
 
 
 def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:
-    """Keys of the held-out settings on each front of an error and a cost, cheapest first.
+    """Return the keys of the held-out settings on each front of an error and a cost, cheapest first.
 
     Neither errors and bytes that differ by 1 %, nor times that differ by 10 % or their spreads, count as different.
     """
@@ -268,7 +271,7 @@ def _front(rows: Sequence[ChartRow], error: str, cost: str) -> list[str]:
 
 
 def dominators(costs: Array, tolerance: Array | float = 0.0) -> list[list[int]]:
-    """Per row of costs (M, C), the rows that are better in one column and worse in none; less is better.
+    """Return per row of costs (M, C) the rows that are better in one column and worse in none; less is better.
 
     Every cost is an interval, known to +- tolerance: it is better, or worse, where intervals do not meet.
     """

@@ -55,7 +55,7 @@ _LEAST_ERROR = 1e-4  # smaller ones are drawn here
 
 
 def chart(made: Chart) -> Figure:
-    """Errors against costs. Filled and joined: on the front; pale and small: dominated; crosses saw the material."""
+    """Draw errors against costs: points on the front filled and joined, dominated ones pale, seen ones as crosses."""
     figure = new_figure(15.0, 12.4)
     kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
     figure.suptitle(
@@ -110,30 +110,30 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
 
 
 def _error_of(row: ChartRow, error: str) -> float:
-    """An error, at least the smallest that the logarithmic axis shows: copies of a material have none."""
+    """Return an error, at least the smallest that the logarithmic axis shows; copies have an error of 0."""
     return max(float(getattr(row.median, error)), _LEAST_ERROR)
 
 
 def _with(made: Chart, cost: str) -> list[ChartRow]:
-    """The settings whose cost is known."""
+    """Return the settings whose cost is known."""
     return [row for row in made.rows if np.isfinite(cost_of(row, cost))]
 
 
 def _stairs(corners: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """The boundary of the region that a front dominates, from the cheapest to the dearest corner."""
+    """Return the boundary of the region that a front dominates, from the cheapest to the dearest corner."""
     x, y = np.array(corners).T
     return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
 
 
 def _widen(axes: Axes, costs: Sequence[float]) -> None:
-    """Room for the numbers of an axis whose costs hardly differ."""
+    """Widen an axis whose costs hardly differ, so that its numbers have room."""
     if costs and max(costs) < 2.0 * min(costs):
         middle = float(np.sqrt(min(costs) * max(costs)))
         axes.set_xlim(0.5 * middle, 2.0 * middle)
 
 
 def _error_ticks(axes: Axes, values: Sequence[float]) -> None:
-    """Numbers where the errors span less than three decades."""
+    """Set numbers on the axis if the errors span less than three decades."""
     if max(values) / min(values) < 1e3:
         _number_ticks(axes.yaxis, values)
     else:
@@ -142,7 +142,7 @@ def _error_ticks(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _number_ticks(axis: Axis, values: Sequence[float]) -> None:
-    """Numbers at 1, 2 and 5, and between them where the values span less than a decade."""
+    """Set numbers at 1, 2 and 5, and between them if the values span less than a decade."""
     is_short = max(values) < 10.0 * min(values)
     axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if is_short else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(lambda value, _: f"{value:g}" if value < 1e5 else f"{value / 1e6:g}M")
@@ -204,7 +204,7 @@ def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> Non
 
 
 def _title(group: Sequence[ChartRow]) -> str:
-    """One name for settings that are drawn on each other: the first, simplest one's; fits by their methods."""
+    """Return one name for settings that are drawn on each other: the first, simplest one's; fits by their methods."""
     first = group[0]
     if not first.is_held_out:
         return "fit: " + ", ".join(row.title.split(", ")[-1] for row in group)
@@ -228,7 +228,7 @@ _READING_STYLES = (
 
 
 def readings_chart(curves: Sequence[Curve]) -> Figure:
-    """Three panels: medians as lines, 90th percentiles dotted; one colour per method."""
+    """Draw three panels: medians as lines, 90th percentiles dotted; one colour per method."""
     figure = new_figure(12.0, 4.4)
     panels = figure.subplots(1, 3)
     for axes, (kind, label) in zip(panels, _READING_LABELS.items(), strict=True):

@@ -65,7 +65,7 @@ class Method:
 
 
 def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:
-    """Every material left out once: one at a time, or dealt into so many folds."""
+    """Return splits that leave every material out once: one at a time, or in so many folds."""
     n_folds = n_materials if n_folds is None else n_folds
     everything = np.arange(n_materials)
     folds = [everything[k::n_folds] for k in range(n_folds)]
@@ -73,7 +73,7 @@ def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:
 
 
 def wall_clock(work: Callable[[], Any]) -> tuple[Any, float]:
-    """The result of some work, and its duration in seconds."""
+    """Return the result of some work, and its duration in seconds."""
     start = time.perf_counter()
     result = work()
     return result, time.perf_counter() - start

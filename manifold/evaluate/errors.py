@@ -65,7 +65,7 @@ class PredictionErrors:
         self._weight += float(weight.sum())
 
     def of_values(self, n_pairs: float = 1.0, shares: Array | float = 1.0) -> Errors[Array]:
-        """Cube-root and linear error and both RMSE of every material, each (N,).
+        """Return cube-root and linear error and both RMSE of every material, each (N,).
 
         The RMSE sum over bands, of which each that was measured stands for so many, (B',); eq. 22 divides its sum by
         `n_pairs`.
@@ -85,7 +85,7 @@ class PredictionErrors:
 def measure_errors(
     predictions: Predictions, bands: Indices, blocks: Iterable[Values]
 ) -> list[PredictionErrors]:
-    """Errors of several methods in one walk over blocks of measured values in some bands (B',)."""
+    """Measure errors of several methods in one pass over blocks of measured values in some bands (B',)."""
     errors = [PredictionErrors([c.in_bands(bands) for c in each]) for each in predictions]
     for values in blocks:
         for one in errors:
@@ -94,7 +94,7 @@ def measure_errors(
 
 
 def standardised_error(data: Data, i: int, combination: Combination) -> float:
-    """Error of the mapped prediction of material i, in the standard deviations that the method expected.
+    """Return the error of the mapped prediction of material i, in the standard deviations that the method expected.
 
     `z = sqrt(sum w (T(f) - T(f*))^2 / (P sum_b variance_b))` over pairs and the data's bands, with the weight
     `w = cos(theta_i) cos(theta_o)` that outputs have in the Gram matrix. Calibrated methods have a root mean
@@ -111,7 +111,7 @@ def standardised_error(data: Data, i: int, combination: Combination) -> float:
 
 
 def colour_errors(materials: Sequence[MeasuredBRDF], predictions: Predictions) -> list[Errors[Array]]:
-    """Colours and spectral angles at multi-angle geometries of all predictions, method by method."""
+    """Return colours and spectral angles at multi-angle geometries of all predictions, method by method."""
     values, bands = Values.at(materials, Pairs(*multi_angle_pairs())), materials[0].bands
     errors: list[Errors[Array]] = []
     for each in predictions:
@@ -127,7 +127,7 @@ def colour_errors(materials: Sequence[MeasuredBRDF], predictions: Predictions) -
 def plausibility_results(
     materials: Sequence[MeasuredBRDF], bands: Indices, predictions: Predictions
 ) -> list[list[Plausibility]]:
-    """Of all predictions, method by method, in some bands."""
+    """Measure the plausibility of all predictions, method by method, in some bands."""
     selected = [material.select_bands(bands.tolist()) for material in materials]
     here = [[c.in_bands(bands) for c in each] for each in predictions]
 
@@ -164,12 +164,12 @@ class Result:
         return self.errors.p90
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; errors also as medians and 90th percentiles."""
+        """Return plain values; errors also as medians and 90th percentiles."""
         return plain({field.name: getattr(self, field.name) for field in fields(self)} | self.errors.of_each)
 
 
 class KeptResults:
-    """What a long experiment has measured, with which an interrupted one is continued; without a library, nothing.
+    """Measurements of a long experiment, from which an interrupted one continues; without a library, nothing is kept.
 
     `run` says in words all that the results depend on beside the library and the version of the package.
     """
@@ -180,7 +180,7 @@ class KeptResults:
         self._key = hashlib.sha256(f"{run} {__version__} {content}".encode()).hexdigest()
 
     def get(self) -> dict[str, Array]:
-        """What an interrupted experiment has kept; empty if nothing."""
+        """Return the measurements that an interrupted experiment has kept; empty if there are none."""
         return {} if self._library is None else self._library.cache_get(self._key) or {}
 
     def put(self, arrays: Mapping[str, Array]) -> None:

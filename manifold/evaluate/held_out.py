@@ -59,7 +59,7 @@ class ChartRow(Result):
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return super().to_json() | plain({"fit": self.fit, "predict": self.predict})
 
 
@@ -104,7 +104,7 @@ class HeldOut:
         }  # fmt: skip
 
     def measure(self, setting: Method) -> ChartRow:
-        """Errors of all materials, each left out once, and costs."""
+        """Measure errors of all materials, each left out once, and costs."""
         combinations, fit, warned = self._fitted(setting.fit)
         if setting.is_dense:
             fit = RelativeTime(fit.median - self.scaled["tabulating"] + self._resampling, fit.spread)
@@ -125,7 +125,7 @@ class HeldOut:
         )  # fmt: skip
 
     def errors(self, i: int, f: Array, f_ball: Array) -> Errors[float]:
-        """Errors of predicted values of material i on grid and ball, (P, B') and (P_ball, B')."""
+        """Return the errors of predicted values of material i on grid and ball, (P, B') and (P_ball, B')."""
         data = self.data
         wide = np.sqrt(self._shares)  # each band stands for those around it
         rmse = metrics.rmse(wide * data.f[i], wide * f, n_pairs=self._n_pairs)
@@ -133,7 +133,7 @@ class HeldOut:
         return replace(self.balls.look(i, f_ball) | of_values, rmse=rmse)
 
     def _fitted(self, fit: Fit) -> _Fitted:
-        """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""
+        """Return predictions of all materials by fits without them, the time of a fit, and the fits' warnings."""
         if fit not in self._fits:
             warned: list[str] = []
 
@@ -181,11 +181,11 @@ class StoredMaterials:
         self._at = [Values.at(sampled, pairs) for pairs in (held.pairs, held.balls.lights)]
 
     def file_bytes(self, band_share: float) -> int:
-        """Bytes of all files that predictions read, values in a share of the bands."""
+        """Return the bytes of all files that predictions read, with values in a share of the bands."""
         return sum(self.storage.file_bytes(file, band_share) for file in self._files)
 
     def errors(self, combinations: Sequence[Combination]) -> Errors[Array]:
-        """Errors, as `HeldOut.errors` gives them, of a prediction per material."""
+        """Return errors of a prediction per material, as `HeldOut.errors` defines them."""
         rows, bands = [], self._held.data.bands
         here = combinations if self.back is not None else [c.in_bands(bands) for c in combinations]
         for first in range(0, len(here), _AT_ONCE):
@@ -199,7 +199,7 @@ class StoredMaterials:
 def _predictor(
     stored: StoredMaterials, combination: Combination, block: Pairs, *, is_dense: bool
 ) -> Callable[[], object]:
-    """A function that predicts values at the direction pairs of a block, in all bands, as the package does."""
+    """Return a function that predicts values at the direction pairs of a block, in all bands, as the package does."""
     if is_dense:
         return _from_table(np.stack([m.eval_at(block) for m in stored.brdfs]), combination.weights)
     if combination.sample_bands is not None:
@@ -215,7 +215,7 @@ def _predictor(
 
 
 def _from_table(f: Array, weights: Array) -> Callable[[], object]:
-    """Sums of tabulated values (N, P, B), streamed from memory as those of the whole table are."""
+    """Return a function that sums tabulated values (N, P, B), streamed from memory like those of the whole table."""
     copies = max(_STREAMED_BYTES // (4 * f.size), 1)
     tables = np.repeat(f.astype(np.float32)[None], copies, axis=0)
     turn = itertools.count()
@@ -224,7 +224,7 @@ def _from_table(f: Array, weights: Array) -> Callable[[], object]:
 
 
 def without_small_weights(combination: Combination, threshold: float) -> Combination:
-    """Weights below a share of the largest set to 0; the others scaled to the same sum."""
+    """Set weights below a share of the largest to 0, and scale the others to the same sum."""
     if threshold <= 0.0:
         return combination
     w = combination.weights

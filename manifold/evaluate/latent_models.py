@@ -26,8 +26,9 @@ _TOLERANCE = 1e-5  # tolerance of fits that are made once per left-out material
 
 
 def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
-    """The model that a manifold of these settings has, of fewer dimensions where there are not enough materials, with a
-    tolerance of the fit of a GPLVM.
+    """Return the fit of a manifold with these settings, with fewer dimensions if there are too few materials.
+
+    `tolerance` is that of the fit of a GPLVM.
     """
     return (
         _fit_blend(s)
@@ -102,13 +103,13 @@ class LatentProcess:
     is_clipped: bool = True
 
     def encode(self, i: int) -> Combination:
-        """The prediction of material i at the latent whose decoded values are nearest to its own, in cube roots."""
+        """Predict material i at the latent whose decoded values are nearest to its own, in cube roots."""
         return self.at(
             self._encoder.by_values(self._decoder, self.data.f[i, :: self.data.stride].reshape(-1))
         )
 
     def at(self, latent: Array, weights: Array | None = None) -> Combination:
-        """The prediction at a latent (Q,); weights (n,) stand in for those of the process where they are given."""
+        """Predict at a latent (Q,); given weights (n,) replace those of the process."""
         weights = self.gp.weights(latent[None])[0] if weights is None else weights
         spread = np.zeros(self.data.n_materials)
         spread[self.training] = weights
@@ -129,7 +130,7 @@ class LatentProcess:
 
     @cached_property
     def _decoder(self) -> Decoder:
-        """At the direction pairs used to encode."""
+        """Return the decoder at the direction pairs used to encode."""
         some, data = slice(None, None, self.data.stride), self.data
         mapped = data.mapped(self.mapping)[self.training, some].reshape(len(self.training), -1)
         return Decoder(self.gp, mapped, self.mapping, np.repeat(data.cosines[some], data.f.shape[2]))

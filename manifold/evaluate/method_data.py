@@ -54,8 +54,9 @@ class Data(Values):
         *,
         stride: int = PAIR_STRIDE,
     ) -> Data:
-        """Evaluate N materials of the same bands on a grid, in some bands, increasing; by default at most MAX_BANDS,
-        evenly spaced.
+        """Evaluate N materials of the same bands on a grid, in some bands, increasing.
+
+        By default these are at most MAX_BANDS, evenly spaced.
         """
         n_bands = materials[0].bands.count
         bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
@@ -77,20 +78,20 @@ class Data(Values):
         )
 
     def blocks(self) -> Iterator[Values]:
-        """The values, some direction pairs at a time."""
+        """Yield the values in blocks of direction pairs."""
         size = block_pairs(self.n_materials, len(self.bands))
         for start in range(0, self.f.shape[1], size):
             some = slice(start, start + size)
             yield Values(self.f[:, some], self.wi[some], self.wo[some])
 
     def cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """The cached result of `make` for a key."""
+        """Return the cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
 
     def unmapped(self) -> Data:
-        """The same without what methods share, values in a mapped domain and their products: each pays its own."""
+        """Return the data without cached products, so that each method pays for its own."""
         return Data(self.f, self.wi, self.wo, self.bands, self.n_bands, self.stride, self.materials)
 
     @property
@@ -104,8 +105,9 @@ class Data(Values):
         return self.f.shape[1] * self.f.shape[2]
 
     def gram(self, mapping: ValueMapping, bands: Indices | None = None, *, power: float = 1.0) -> Array:
-        """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has,
-        shape (N, N) of whole materials, (N * B_s, N * B_s) of single bands.
+        """Return inner products of samples over direction pairs, weighted by cosines^power, and over a sample's bands.
+
+        The shape is (N, N) for whole materials, (N * B_s, N * B_s) for single bands.
         """
 
         def products() -> Array:
@@ -118,30 +120,31 @@ class Data(Values):
         return self.cached((mapping, power, None if bands is None else tuple(bands.tolist())), products)
 
     def samples(self, mapping: ValueMapping, bands: Indices | None = None) -> Array:
-        """T(f), sample by sample: of whole materials, shape (N, P * B'), or of single bands (B_s,), counted among all,
-        shape (N * B_s, P).
+        """Return T(f), sample by sample: whole materials, shape (N, P * B'), or single bands, shape (N * B_s, P).
+
+        The bands (B_s,) count among all.
         """
         if bands is None:
             return self.mapped(mapping).reshape(self.n_materials, -1)
         return self.mapped_samples(mapping, np.searchsorted(self.bands, bands))
 
     def available_bands(self, count: int) -> Indices:
-        """At most `count` of the bands here, as evenly spaced over all bands as they can be."""
+        """Return at most `count` of the bands here, as evenly spaced over all bands as possible."""
         wanted = evenly_spaced(self.n_bands, count)
         nearest = np.abs(self.bands[None] - wanted[:, None]).argmin(axis=1)
         return np.unique(self.bands[nearest])
 
     def relative_error(self, i: int, predicted: Array) -> float:
-        """Of a prediction (P, B') of material i, weighted by the cosines."""
+        """Return the error of a prediction (P, B') of material i, weighted by the cosines."""
         return relative_error(self.f[i], predicted, self.cosines)
 
 
 def band_shares(bands: Indices, n_bands: int) -> Array:
-    """How many of all bands each of some, increasing (B',), stands for: those that are nearest to it, shape (B',)."""
+    """Return how many of all bands each of the increasing bands (B',) stands for, those nearest to it, shape (B',)."""
     edges = np.concatenate([[-0.5], 0.5 * (bands[1:] + bands[:-1]), [n_bands - 0.5]])
     return np.diff(edges)
 
 
 def block_pairs(n_materials: int, n_bands: int) -> int:
-    """Direction pairs of a block of values."""
+    """Return the number of direction pairs in a block of values."""
     return int(np.clip(_BLOCK_VALUES // (n_materials * n_bands), 64, 16384))

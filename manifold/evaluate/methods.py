@@ -36,12 +36,12 @@ _COARSE = ((2, 1), (2, 2), (4, 1))  # one in so many outgoing rows and columns, 
 
 
 def standard_methods() -> list[Method]:
-    """Methods that need no fitted model: baselines first, the setting of Hikichi & Iwasaki, then models."""
+    """Return methods that need no fitted model: baselines first, the setting of Hikichi & Iwasaki, then models."""
     return [*baseline_methods(), *gplvm_methods()]
 
 
 def baseline_methods() -> list[Method]:
-    """Baselines of the models of this package."""
+    """Return the baselines of the models of this package."""
     return [
         Method("nearest", "nearest material", lambda B: 1, fit_nearest),
         Method("linear", "linear, two nearest", lambda B: 3, fit_linear),
@@ -55,7 +55,7 @@ def baseline_methods() -> list[Method]:
 
 
 def gplvm_methods() -> list[Method]:
-    """Models of this package at settings of their own."""
+    """Return the models of this package at settings of their own."""
     titles = {
         "gplvm_2": "GPLVM, 2, cube root", "gplvm_6": "GPLVM, 6, cube root",
         "blend_2": "blend, 2 + 2 per band", "blend_3": "blend, 3 + 2 per band",
@@ -80,7 +80,7 @@ STANDARD = {
 
 
 def _model(key: str, title: str, s: Settings) -> Method:
-    """The model that a manifold of these settings has: a coordinate per axis, and per band a colour and a gain."""
+    """Return the model of a manifold with these settings: a coordinate per axis, and per band a colour and a gain."""
     Q, per_band = s.latent_dim, {"blend": 2, "material": 0}[s.kind]
     return Method(
         key, title, lambda B: Q + per_band * B, fit_settings(s), fits_model=True, family=_FAMILIES[s.kind],
@@ -110,7 +110,7 @@ def _few_atoms(sample_bands: int) -> Method:
 
 
 def chart_methods(n_bands: int) -> list[Method]:
-    """All settings that a chart compares for materials of so many bands, simplest first."""
+    """Return all settings that a chart compares for materials of `n_bands` bands, simplest first."""
     mappings = ("identity", "cube-root", "log-relative")
     pcas = [_pca(f"pca_{k}_{T}", f"PCA {k}, {T}", T, k) for T in mappings for k in (2, 4, 6, 8)]
     gplvms = [_model(f"gplvm_{Q}_{T}", f"GPLVM {Q}, {T}", _gplvm(Q, T)) for T in mappings for Q in (2, 4, 6)]

@@ -17,7 +17,7 @@ from manifold.records import Indices
 
 
 def model_methods(model: Manifold) -> list[Method]:
-    """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
+    """Return methods of one fitted model, the most optimistic first; refitted ones are unbiased."""
     s, space, count = model.settings, model.space, _pca_count(model)
 
     def method(key: str, title: str, fit: Fit, *, is_held_out: bool = True, refits: bool = True) -> Method:
@@ -25,11 +25,14 @@ def model_methods(model: Manifold) -> list[Method]:
         return Method(key, title, space.numbers, fit, is_held_out, refits, fits_model=fits_model)
 
     def fit_reconstruction(data: Data, training: Indices) -> Encode:
-        """The measured material, which the kernel's delta makes of every training latent."""
+        """Predict the measured material itself, which the kernel's delta makes of every training latent."""
         return lambda i: Combination(model.mapping, np.eye(data.n_materials)[i], is_clipped=False)
 
     def fit_smooth(data: Data, training: Indices) -> Encode:
-        """The posterior mean at a material's own latent without the delta: what lies next to the material."""
+        """Predict by the posterior mean at a material's own latent without the delta.
+
+        It describes points next to the material.
+        """
         process = _process(model, data, training)
 
         def encode(i: int) -> Combination:
@@ -38,7 +41,7 @@ def model_methods(model: Manifold) -> list[Method]:
         return encode
 
     def fit_latents_kept(data: Data, training: Indices) -> Encode:
-        """The posterior mean at a material's own latent, of a process on the other materials.
+        """Predict by the posterior mean at a material's own latent, of a process on the other materials.
 
         Latents were fitted with the material, so the error is optimistic. Of whole materials it is the closed
         form of leave-one-out (Rasmussen & Williams 2006, eq. 5.12).
@@ -51,11 +54,17 @@ def model_methods(model: Manifold) -> list[Method]:
         return encode
 
     def fit_encoded(data: Data, training: Indices) -> Encode:
-        """The process on the other materials, their latents kept; the material's own is found from its data."""
+        """Predict by the process on the other materials, latents kept.
+
+        The material's own latent is found from its data.
+        """
         return _process(model, data, training).encode
 
     def fit_blend_encoded(data: Data, training: Indices) -> Encode:
-        """Blends of the other materials, which stay where they are; the material's own place is found from its data."""
+        """Predict by blends of the other materials, which keep their places.
+
+        The material's own place is found from its data.
+        """
         table = MaterialTable(list(data.materials), np.arange(model.bands.count))
         search = space.left_out_search(table, model.materials, s)
         return lambda i: search(i)[1]
@@ -82,19 +91,19 @@ def model_methods(model: Manifold) -> list[Method]:
 
 
 def replaced_keys(model: Manifold) -> set[str]:
-    """Keys of the standard methods that are the model's own under another name."""
+    """Return the keys of the standard methods that are the model's own under another name."""
     same = {key for key, settings in STANDARD.items() if model.settings == settings}
     return same | {f"pca_{_pca_count(model)}_log_relative"}
 
 
 def _pca_count(model: Manifold) -> int:
-    """As many components as a latent of the model has coordinates."""
+    """Return the number of components, equal to the coordinates of the model's latents if possible."""
     return min(model.gp.X.shape[1], len(model.names) - 2)
 
 
 def _process(
     model: Manifold, data: Data, materials: Indices, output_variance: float | None = None
 ) -> LatentProcess:
-    """The process on the latents of some materials of the model."""
+    """Return the process on the latents of some materials of the model."""
     gp = GaussianProcess(model.space.X[materials], model.space.kernel)
     return LatentProcess(gp, data, model.mapping, materials, model.settings.prior, output_variance)

@@ -50,7 +50,7 @@ class Task:
     wo: Array
 
     def readings(self, chosen: Indices) -> Readings:
-        """The material read at some of the directions."""
+        """Return readings of the material at some of the directions."""
         nm = self.others.band_axis.wavelengths_nm
         return Readings(
             "left out", "library", self.wi[chosen], self.wo[chosen], None if nm is None else np.array(nm),
@@ -77,7 +77,7 @@ class ReadingMethod:
 
 
 def _from_weights(atoms: LibraryAtoms, weights: Array) -> Predicted:
-    """Predictions of weights (B_s, n + 1) of cube roots; negative cube roots are cut to 0."""
+    """Return predictions of weights (B_s, n + 1) of cube roots; negative cube roots are cut to 0."""
     on_grid, on_ball = atoms.directions[:, : atoms.n_grid], atoms.ball
     return np.maximum(weights @ on_grid, 0.0).T ** 3, np.maximum(weights @ on_ball, 0.0).T ** 3
 
@@ -98,7 +98,7 @@ def _amplitude(task: Task) -> Array:
 
 
 def _well_conditioned(task: Task, count: int) -> Indices:
-    """Directions at which principal components are told apart best: pivots of a QR factorisation.
+    """Return the directions that tell principal components apart best: pivots of a QR factorisation.
 
     Source: Nielsen et al. 2015, section 4 (least condition number); here greedily, by Businger & Golub 1965.
     """
@@ -108,7 +108,10 @@ def _well_conditioned(task: Task, count: int) -> Indices:
 
 
 def _ridge(task: Task, chosen: Indices) -> Predicted:
-    """Ridge regression on all principal components of the atoms' cube roots. Source: Nielsen et al. 2015, eq. 9."""
+    """Predict by ridge regression on all principal components of the atoms' cube roots.
+
+    Source: Nielsen et al. 2015, eq. 9.
+    """
     n = task.others.n_measured
     atoms, amplitude = task.at[:n, chosen], _amplitude(task)[chosen]
     X = (atoms - atoms.mean(axis=0)) * amplitude
@@ -121,7 +124,7 @@ def _ridge(task: Task, chosen: Indices) -> Predicted:
 
 
 def _nearest(task: Task, chosen: Indices) -> Predicted:
-    """The material of the library that differs least at the readings."""
+    """Predict the material of the library that differs least at the readings."""
     N, amplitude = len(task.others.names), _amplitude(task)[chosen]
     read = task.at[: task.others.n_measured, chosen].reshape(N, -1, len(chosen))
     apart = np.sum(((read - task.roots[:, chosen]) * amplitude) ** 2, axis=(1, 2))
@@ -132,7 +135,7 @@ def _nearest(task: Task, chosen: Indices) -> Predicted:
 
 
 def _principled(task: Task, chosen: Indices) -> Predicted:
-    """Mitsuba's principled BSDF fitted to the readings; NaN where they do not make a fit."""
+    """Predict by Mitsuba's principled BSDF fitted to the readings; NaN if no fit is possible."""
     grid, lights = task.others.grid, panel.judged()
     read = task.readings(chosen)
     try:
@@ -188,7 +191,7 @@ class Curve:
         return [(n, e.median, e.p90) for n, e in each if not np.all(np.isnan(e.ball))]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; None where a method has no error."""
+        """Return plain values; None where a method has no error."""
         return {
             "key": self.key, "title": self.title, "counts": list(self.counts),
             "errors": plain(self.errors), "program": f"manifold {__version__}",
@@ -235,7 +238,7 @@ def measure_curves(
 def _errors_of(
     atoms: LibraryAtoms, m: int, task: Task, counts: Sequence[int], methods: Sequence[ReadingMethod]
 ) -> dict[str, Array]:
-    """Errors of material m, by method: shape (len(counts), 3), NaN where a method needs more readings."""
+    """Return errors of material m, by method: shape (len(counts), 3), NaN where a method needs more readings."""
     orders = {choose: choose(task, max(counts)) for choose in {method.order for method in methods}}
     errors = {method.key: np.full((len(counts), len(_KINDS)), np.nan) for method in methods}
     for method in methods:
@@ -248,7 +251,7 @@ def _errors_of(
 
 
 def _at_an_ma_t12(atoms: LibraryAtoms, library: Library | None) -> list[Curve]:
-    """Curves of one number of readings: at the directions of an MA-T12, without gloss and with it."""
+    """Return curves of one number of readings: at the directions of an MA-T12, without gloss and with it."""
     wi, wo = geometry_ma_t12()
     nm, values = atoms.bands.wavelengths_nm, np.ones((len(wi), atoms.bands.count))
     read = Readings("left out", "library", wi, wo, None if nm is None else np.array(nm), values)

@@ -55,7 +55,7 @@ _BYTES_PER_NUMBER = 8
 
 @dataclass(frozen=True, kw_only=True)
 class MethodResult(Result):
-    """What a report says of one method.
+    """The results of one method in a report.
 
     Attributes: those of `Result`, and
         rmse_uncertainty: relative error of both RMSE, estimated from every second of the measured bands; 0 if all were
@@ -88,7 +88,7 @@ class MethodResult(Result):
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """What `manifold report` prints and writes.
+    """The content that `manifold report` prints and writes.
 
     Attributes:
         names: materials, in the order of all per-material tuples.
@@ -125,7 +125,7 @@ class Report:
         return f"<Report: {len(self.names)} materials, {self.bands}, {len(self.methods)} methods>"
 
     def to_json(self) -> dict[str, Any]:
-        """The report as plain values, with the program's version; numbers that are not finite become None."""
+        """Return the report as plain values, with the program's version; numbers that are not finite become None."""
         return {"program": f"manifold {__version__}", **plain(vars(self))}
 
 
@@ -225,7 +225,7 @@ def make_report(
 
 
 def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
-    """Whether a method is too slow for this many materials and bands to run by default."""
+    """Return whether a method is too slow for this many materials and bands to run by default."""
     if not method.fits_model:
         return False
     samples = n_materials * min(method.sample_bands or 1, n_bands)
@@ -233,7 +233,7 @@ def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
 
 
 def _encode(data: Data, methods: Sequence[Method], known: Mapping[str, Encoded]) -> list[Encoded]:
-    """Predictions of every material by every method, as weights; those of some are known."""
+    """Return predictions of every material by every method, as weights; `known` has some of them."""
     encoded = []
     for m, method in enumerate(methods):
 
@@ -249,7 +249,7 @@ def _encode(data: Data, methods: Sequence[Method], known: Mapping[str, Encoded])
 def _measured_blocks(
     materials: Sequence[MeasuredBRDF], bands: Indices, grid: RusinkiewiczGrid
 ) -> Iterator[Values]:
-    """Measured values on a grid in some bands, block by block."""
+    """Yield measured values on a grid in some bands, block by block."""
     selected = [material.select_bands(bands.tolist()) for material in materials]
     size = block_pairs(len(materials), len(bands))
     total = -(-grid.n_pairs // size)
@@ -262,7 +262,7 @@ def _result(
     model: Manifold, data: Data, method: Method, encoded: Encoded, errors: PredictionErrors,
     physical: Sequence[Plausibility], colours: Errors[Array], table: MaterialTable, bands: Indices, n_pairs: int,
 ) -> MethodResult:  # fmt: skip
-    """All that is measured of one method."""
+    """Return all measurements of one method."""
     n_bands, negative = model.bands.count, errors.negative_share
     of_values = errors.of_values(n_pairs, band_shares(bands, n_bands))
     fewer = np.zeros(len(bands))  # every second of the bands stands for all
@@ -288,7 +288,7 @@ def _result(
 
 
 def _difference(coarse: Errors[Array], fine: Errors[Array]) -> float:
-    """Relative difference of the RMSE of materials, (N,) each: of the medians, or in the median if that is larger."""
+    """Return the relative difference of the RMSE of materials, (N,) each: of the medians, or its median if larger."""
     found = 0.0
     for a, b in ((coarse.rmse, fine.rmse), (coarse.rmse_80, fine.rmse_80)):
         medians = np.array([[np.median(a)], [np.median(b)]])
@@ -298,7 +298,7 @@ def _difference(coarse: Errors[Array], fine: Errors[Array]) -> float:
 
 
 def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int:
-    """Bytes needed to predict: files, or their warps and sample bands, and the numbers of all materials."""
+    """Return the bytes needed to predict: files, or their warps and sample bands, and the numbers of all materials."""
     n_bands = library.bands.count
     unused = 1.0 - min(method.sample_bands or n_bands, n_bands) / n_bands
     files = [library.attributes(name) for name in names]
@@ -308,7 +308,7 @@ def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int
 
 
 def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]:
-    """Standardised errors of what is held out, where every prediction has a variance."""
+    """Return standardised errors of held-out materials, if every prediction has a variance."""
     if not method.is_held_out or any(c.variance is None for c in encoded.combinations):
         return {"standardised_error": None, "rms_standardised_error": None}
     z = np.array([standardised_error(data, i, c) for i, c in enumerate(encoded.combinations)])
@@ -327,7 +327,7 @@ class _Refits(NamedTuple):
 
 
 def tabulate_materials(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Data:
-    """The data of all methods, in about 20 bands, among them the samples of blends."""
+    """Return the data of all methods, in about 20 bands, including the samples of blends."""
     count = model.bands.count
     bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
     return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands)
@@ -336,8 +336,9 @@ def tabulate_materials(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Da
 def _refit_there(
     workers: Executor, methods: Sequence[Method], n_materials: int, model: Path, library: Path | None,
 ) -> dict[str, Encoded]:  # fmt: skip
-    """Predictions of every material by methods that are fitted without it, by their keys; workers read the model's file
-    and the materials.
+    """Return predictions of every material by methods that are fitted without it, by their keys.
+
+    Workers read the model's file and the materials.
     """
     size = -(-n_materials // _PARTS)
     starts = range(0, n_materials, size)

@@ -68,7 +68,7 @@ where it is largest for each material, median and 90th percentile."""
 
 
 def _short(error: float) -> str:
-    """An error of values in 1/sr: from 100 on without decimals, which decide nothing there."""
+    """Format an error of values in 1/sr; from 100 on without decimals."""
     return f"{error:,.0f}" if error >= 100.0 else f"{error:.3f}"
 
 
@@ -128,7 +128,10 @@ the expected."""
 
 
 def lead(report: Report) -> str:
-    """Three sentences: the model's own error for left-out materials, that of baselines, and whether it is expected."""
+    """Return three sentences on the errors of left-out materials.
+
+    They give the model's own error, that of baselines, and whether it is expected.
+    """
     by_key = {m.key: m for m in report.methods}
     own = next(by_key[key] for key in _OWN_METHODS if key in by_key)
     nearest, linear = by_key["nearest"], by_key["linear"]
@@ -148,7 +151,7 @@ def lead(report: Report) -> str:
 
 
 def format_report(report: Report) -> str:
-    """Short tables of all methods, then the materials, then times; plain text that ends in a newline."""
+    """Format short tables of all methods, then the materials, then times, as plain text that ends in a newline."""
     methods = report.methods
     illuminants = list(methods[0].errors.colours)
     colours: Columns = (
@@ -175,7 +178,7 @@ def format_report(report: Report) -> str:
 
 
 def _uncertainty(report: Report) -> str:
-    """How well the bands that were measured tell the RMSE of all."""
+    """Return a sentence on how well the measured bands determine the RMSE of all bands."""
     if report.n_error_bands == report.n_bands:
         return ""
     most = max(m.rmse_uncertainty for m in report.methods)
@@ -186,13 +189,13 @@ def _uncertainty(report: Report) -> str:
 
 
 def _section(title: str, methods: Sequence[MethodResult], columns: Columns, note: str) -> list[str]:
-    """A row per method."""
+    """Return a section with a row per method."""
     rows = [(m.title, *(show(m) for _, show in columns)) for m in methods]
     return _table((title, *(head for head, _ in columns)), rows, note)
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], note: str) -> list[str]:
-    """A table, the first column to the left and the others to the right, and what it shows."""
+    """Return a table, the first column to the left and the others to the right, and its explanation."""
     head, *body = table_lines(columns, rows, numeric=[k > 0 for k in range(len(columns))])
     return [head, "-" * len(head), *body, "", *note.splitlines(), ""]
 
@@ -202,7 +205,7 @@ def _calibrated(rms: float) -> str:
 
 
 def _heading(report: Report) -> list[str]:
-    """What was evaluated."""
+    """Return the lines that name the evaluated materials and settings."""
     synthetic = sum(report.is_synthetic)
     some = f" ({synthetic} of them synthetic)" if synthetic else ""
     kind = " (synthetic corpus)" if synthetic == len(report.names) else some
@@ -219,12 +222,12 @@ def _heading(report: Report) -> list[str]:
 
 
 def _fixed(error: float) -> str:
-    """A relative error with three decimals; that of a black material, over nothing, as a power of ten."""
+    """Format a relative error with three decimals; that of a black material, over nothing, as a power of ten."""
     return f"{error:.3f}" if error < _MANY_DIGITS else f"{error:.0e}"
 
 
 def _expected_errors(report: Report) -> list[str]:
-    """Calibration of the expected errors."""
+    """Return the calibration of the expected errors as lines."""
     if report.expected_errors is None:
         return [*textwrap.wrap(f"Expected errors: {'; '.join(NOT_CALIBRATED)}.", _WIDTH), ""]
     rows = [
@@ -248,7 +251,7 @@ def _expected_errors(report: Report) -> list[str]:
 
 
 def _materials(report: Report) -> list[str]:
-    """One row per material: latent, and held-out errors."""
+    """Return one row per material: latent, and held-out errors."""
     by_key = {m.key: m for m in report.methods}
     shown = [key for key in _MATERIAL_COLUMNS if key in by_key][:_SHOWN_METHODS]
     first = by_key[shown[0]]
@@ -270,7 +273,7 @@ def _materials(report: Report) -> list[str]:
 
 
 def _closing(report: Report) -> list[str]:
-    """Times, and what was not run."""
+    """Return lines on times and on methods that were not run."""
     s = report.seconds
     lines = textwrap.wrap(
         f"Loading {s['load']:.1f} s, tabulating {s['tabulate']:.1f} s, fitting and encoding "
@@ -283,7 +286,7 @@ def _closing(report: Report) -> list[str]:
 
 
 def _latent(x: Sequence[float]) -> str:
-    """The first coordinates; the JSON report holds them all."""
+    """Format the first coordinates; the JSON report holds all of them."""
     return ", ".join(
         [*(f"{v:+.2f}" for v in x[:_SHOWN_COORDINATES]), *(["..."] if x[_SHOWN_COORDINATES:] else [])]
     )

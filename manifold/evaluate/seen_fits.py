@@ -39,23 +39,23 @@ class FittedPrediction(Combination):
 
     @classmethod
     def of(cls, brdf: EvaluableBRDF | None, n_bands: int) -> FittedPrediction:
-        """All bands of a BRDF."""
+        """Wrap all bands of a BRDF."""
         bands = np.arange(n_bands)
         return cls(Identity(), np.zeros((n_bands, 0)), bands[:0], is_clipped=False, brdf=brdf, bands=bands)
 
     def in_bands(self, bands: Indices) -> FittedPrediction:
-        """The same in some bands (B',)."""
+        """Return the prediction in some bands (B',)."""
         return replace(self, bands=self.bands[bands])
 
     def mapped(self, values: Values) -> Array:
-        """f in 1/sr, shape (P, B)."""
+        """Return f in 1/sr, shape (P, B)."""
         if self.brdf is None:
             return np.full((len(values.wi), len(self.bands)), np.nan)
         return self.brdf.eval(values.wi, values.wo)[:, self.bands]
 
 
 def seen_principled() -> Method:
-    """Fits of Mitsuba's principled to the seen materials, as a method."""
+    """Return fits of Mitsuba's principled to the seen materials, as a method."""
 
     def fit_principled(data: Data, training: Indices) -> Encode:
         def encode(i: int) -> Combination:
@@ -88,8 +88,9 @@ _Predictor = Callable[[Pairs], Callable[[], Array]]
 
 
 def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -> ChartRow:
-    """Fit evenly spaced materials by one of `METHODS`; predictions are evaluations at as many direction pairs as the
-    material's file has.
+    """Fit evenly spaced materials by one of `METHODS`.
+
+    Predictions are evaluations at as many direction pairs as the material's file has.
     """
     measured, fits, numbers = [], [], []
     for i in evenly_spaced(len(files), count).tolist():
@@ -103,7 +104,7 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -
 
 
 def _measured(i: int, file: BsdfFile, predictor: _Predictor, held: HeldOut) -> tuple[Errors[float], Array]:
-    """Errors of a prediction of material i, and times of repeated runs."""
+    """Return errors of a prediction of material i, and times of repeated runs."""
     on_grid, on_ball = predictor(held.pairs), predictor(held.balls.lights)
     errors = held.errors(i, *(evaluate()[:, held.data.bands] for evaluate in (on_grid, on_ball)))
     return errors, file.luminance.size / len(held.pairs) * held.watch.laps(on_grid, _REPEATS)
@@ -120,7 +121,7 @@ def _row(
 
 
 def _evaluator(result: FitResult, pairs: Pairs) -> Callable[[], Array]:
-    """The BRDF of a fit in the bands of its samples, f in 1/sr (P, B)."""
+    """Return a function that evaluates a fit in the bands of its samples, f in 1/sr (P, B)."""
     made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
     p = made.layout.join(result.values | result.spectra)
     return lambda: np.asarray(made.values(p)[0], dtype=np.float64) / pairs.wo[:, 2:]

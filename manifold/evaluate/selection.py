@@ -66,8 +66,10 @@ def choose(
     mapping: bool,
     latent_dim: bool,
 ) -> tuple[Settings, list[Candidate]]:
-    """Choose a mapping at the settings' number of dimensions, then the number of dimensions under that mapping, by at
-    least four materials of the same bands; the settings chosen, and all candidates that were tried, in order.
+    """Choose a mapping at the settings' number of dimensions, then the number of dimensions under that mapping.
+
+    There must be at least four materials of the same bands. Return the chosen settings, and all candidates
+    that were tried, in order.
     """
     if len(materials) < 4:
         raise UsageError(
@@ -113,7 +115,7 @@ class _Trials:
         self._splits = leave_out(N, N if N <= LEAVE_ONE_OUT_UP_TO else FOLDS)
 
     def run(self, name: str, latent_dim: int) -> Candidate:
-        """Held-out errors of one setting."""
+        """Return the held-out errors of one setting."""
         fit = fit_settings(replace(self._settings, mapping=name, latent_dim=latent_dim), tolerance=_TOLERANCE)
         encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))
         found = encoded.combinations

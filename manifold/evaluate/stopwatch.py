@@ -32,13 +32,16 @@ class RelativeTime:
 
     @classmethod
     def of(cls, ratios: Sequence[float] | Array) -> RelativeTime:
-        """Of repeated runs."""
+        """Summarise repeated runs."""
         low, median, high = np.percentile(ratios, [25, 50, 75])
         return cls(float(median), float(high - low))
 
     @classmethod
     def of_several(cls, runs: Sequence[Array]) -> RelativeTime:
-        """Of repeated runs of several works: their median, with the spread of runs about that of their own work."""
+        """Summarise repeated runs of several works: their median, and the spread of runs about it.
+
+        The spread of each work's runs is relative to its own median.
+        """
         medians = np.array([np.median(ratios) for ratios in runs])
         apart = np.concatenate([ratios / m for ratios, m in zip(runs, medians, strict=True)])
         median = float(np.median(medians))
@@ -46,8 +49,9 @@ class RelativeTime:
 
 
 class Stopwatch:
-    """Processor times as ratios to that of a reference run just before, so that neither the machine nor others count:
-    one evaluation of a synthetic material in 195 bands at 8192 direction pairs.
+    """Processor times relative to a reference run just before, so that machine and other processes do not matter.
+
+    The reference is one evaluation of a synthetic material in 195 bands at 8192 direction pairs.
     """
 
     def __init__(self) -> None:
@@ -60,7 +64,7 @@ class Stopwatch:
         self._runs.clear()
 
     def lap(self, work: Callable[[], Made]) -> tuple[Made, float]:
-        """The result of some work, and its time relative to the reference."""
+        """Return the result of some work, and its time relative to the reference."""
         start = time.process_time()
         self._brdf.eval_at(self._pairs)
         middle = time.process_time()
@@ -70,7 +74,7 @@ class Stopwatch:
         return result, (end - middle) / (middle - start)
 
     def laps(self, work: Callable[[], object], count: int) -> Array:
-        """The times that some work takes again and again, after a run that does not count."""
+        """Return the times of repeated work, after a run that does not count."""
         work()
         return np.array([self.lap(work)[1] for _ in range(count)])
 
@@ -82,12 +86,12 @@ class Stopwatch:
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Compiled loops and BLAS on one core, whose time depends least on what else runs."""
+    """Run compiled loops and BLAS on one core, whose time depends least on other processes."""
     with limit_threads(1), threadpool_limits(1):
         yield
 
 
 def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> Pairs:
-    """Direction pairs above the horizon, spread evenly over a grid, by default 45 x 23 x 12."""
+    """Return direction pairs above the horizon, spread evenly over a grid, by default 45 x 23 x 12."""
     pairs = (grid or RusinkiewiczGrid.named("default")).pairs()
     return pairs[np.linspace(0, len(pairs) - 1, count).astype(int)]

@@ -35,7 +35,10 @@ class Storage:
     stored_bytes: Callable[[BsdfFile], int] | None = None
 
     def file_bytes(self, stored: BsdfFile, band_share: float = 1.0) -> int:
-        """Bytes of a stored file that evaluation reads: values in a share of the bands, and distributions."""
+        """Return the bytes of a stored file that evaluation reads.
+
+        They are values in a share of the bands, and distributions.
+        """
         if self.stored_bytes is not None:
             return self.stored_bytes(stored)
         tables = stored.ndf.size + stored.sigma.size + stored.vndf.size
@@ -47,7 +50,7 @@ WHOLE = Storage("", "", lambda file: file)
 
 
 def compact() -> Storage:
-    """The compact form of libraries at its default tolerance, which is read as a whole."""
+    """Return the compact form of libraries at its default tolerance, which is read as a whole."""
     sizes: dict[str, int] = {}
 
     def reduce(file: BsdfFile) -> BsdfFile:
@@ -59,12 +62,12 @@ def compact() -> Storage:
 
 
 def half() -> Storage:
-    """All tables as float16; what is too large becomes its largest number."""
+    """Return storage of all tables as float16; larger values become its largest number."""
     return Storage("half", "float16", _halved, number_bytes=2)
 
 
 def few_bands(count: int) -> Storage:
-    """Values at a few wavelengths, chosen for D65; between them predictions are linear."""
+    """Return storage of values at a few wavelengths, chosen for D65; between them predictions are linear."""
 
     def reduce(file: BsdfFile) -> BsdfFile:
         nodes, projection = _projection(file.bands, count)
@@ -74,7 +77,7 @@ def few_bands(count: int) -> Storage:
 
 
 def few_angles(*, outgoing: int, incident: int) -> Storage:
-    """Every second, third ... row and column of the outgoing grid and of its warp, and incident elevation."""
+    """Return storage of every second, third ... row and column of the outgoing grid and its warp, and incidence."""
 
     def reduce(file: BsdfFile) -> BsdfFile:
         T = len(file.theta_i_rad)
@@ -90,7 +93,7 @@ def few_angles(*, outgoing: int, incident: int) -> Storage:
 
 
 def interpolation(bands: Bands, count: int) -> Array:
-    """The matrix (B, r) from r stored bands back to all."""
+    """Return the matrix (B, r) from r stored bands back to all."""
     nodes, _ = _projection(bands, count)
     return interpolation_matrix(nodes, np.asarray(bands.wavelengths_nm))
 

@@ -40,7 +40,7 @@ _NUMBER = {"type": "number", "minimum": -sys.float_info.max, "maximum": sys.floa
 
 @dataclass(frozen=True)
 class Context:
-    """What requests are about, and the folder where files are written; `latent_dim` is Q."""
+    """The model and library of requests, and the folder where files are written; `latent_dim` is Q."""
 
     folder: Path
     model: Path
@@ -78,7 +78,7 @@ class Command:
             raise UsageError("name: expected letters, digits, - and _, 60 at most, a letter or digit first")
 
     def output(self, request: Request, context: Context, is_taken: Callable[[Path], bool]) -> Path | None:
-        """A path in the folder; unless it may be replaced, a number is added to a name that is taken."""
+        """Return a path in the folder; a number is added to a taken name unless the file may be replaced."""
         if self.ending is None:
             return None
         target = TARGETS[request["target"]].suffix if "target" in request else ""
@@ -114,7 +114,7 @@ class Call:
 def call_of(
     name: str, request: Request, context: Context, is_taken: Callable[[Path], bool], file: Path | None = None
 ) -> Call:
-    """The call that a request asks for; the file that was sent is alone in its folder.
+    """Return the call that a request asks for; the file that was sent is alone in its folder.
 
     The request has the `name` of what is written, without an ending; `replace`, whether a file of that name may be
     replaced; `latent`, which may be `FROM:TO:T` between two materials, and of colours at most one of `like`, `srgb` and
@@ -131,7 +131,7 @@ def call_of(
 
 
 def _place(request: Request, context: Context) -> PlaceSource:
-    """The prediction that a request shows."""
+    """Return the prediction that a request shows."""
     latent, like, rows = request["latent"], request.get("like"), request.get("spectrum")
     if isinstance(latent, str):
         walk = parse_walk(latent, context.names)
@@ -160,7 +160,7 @@ def _predict(request: Request, context: Context, output: Path, file: Path) -> di
 
 
 def _photographed(request: Request, context: Context, output: Path, file: Path) -> dict[str, Any]:
-    """A photograph, which is followed by its light where `light_bytes` says so."""
+    """Return the arguments of a photograph, which is followed by its light if `light_bytes` says so."""
     photograph, light = file.with_suffix(request["suffix"]), request.get("light")
     file.rename(photograph)
     if "light_bytes" in request:
@@ -182,7 +182,7 @@ def _photographed(request: Request, context: Context, output: Path, file: Path) 
 
 
 def _schema(fields: dict[str, Any], required: Sequence[str] = (), **rules: Any) -> dict[str, Any]:
-    """The schema of a request that also has a name, which `Command.check` reads."""
+    """Return the schema of a request that also has a name, which `Command.check` reads."""
     properties = {"name": {}, "replace": {"type": "boolean"}, **fields}
     return {"properties": properties, "required": ["name", *required], "additionalProperties": False, **rules}
 

@@ -47,7 +47,7 @@ def server(
     port: int = 0,
     surfaces: Sequence[Path] = (),
 ) -> ExplorerServer:
-    """A server of the page that is listening on the loopback interface; `serve_until_interrupted` answers.
+    """Return a server of the page that listens on the loopback interface; `serve_until_interrupted` answers.
 
     The page's actions write into the folder; port 0 is any that is free; surfaces are as of `write_page`.
     """

@@ -51,12 +51,12 @@ class Job:
 
     @property
     def has_picture(self) -> bool:
-        """Whether it has made a picture that is still there."""
+        """Return whether it has made a picture that still exists."""
         picture = self.call.picture
         return self.state == "done" and picture is not None and picture.is_file()
 
     def to_json(self) -> dict[str, Any]:
-        """The plain values that the page shows."""
+        """Return the plain values that the page shows."""
         return {
             "number": self.number, "command": self.call.command, "subject": self.call.subject,
             "state": self.state, "message": self.message, "result": self.result, "picture": self.has_picture,
@@ -68,7 +68,7 @@ class Queue:
     """Runs calls one after the other; `inputs` is the temporary folder of the files that they read."""
 
     def __init__(self, command: tuple[str, ...] = WORKER) -> None:
-        """A queue without calls, whose worker, `worker.serve`, starts: it takes seconds to import what it needs."""
+        """Start a queue without calls and its worker, `worker.serve`, whose imports take seconds."""
         self.jobs: list[Job] = []
         self._temporary = TemporaryDirectory(prefix="manifold-explore-")
         self.inputs = Path(self._temporary.name)
@@ -85,7 +85,7 @@ class Queue:
         return job
 
     def is_writing(self, output: Path) -> bool:
-        """Whether a job that is not done will write a file."""
+        """Return whether an unfinished job will write a file."""
         return any(output in (j.call.output, j.call.picture) and j.ended is None for j in self.jobs)
 
     def cancel(self, number: int) -> bool:
@@ -102,7 +102,7 @@ class Queue:
             return True
 
     def close(self) -> None:
-        """Cancel everything, end the worker, and remove what was sent."""
+        """Cancel everything, end the worker, and remove the files that were sent."""
         for job in self.jobs:
             self.cancel(job.number)
         self._thread.shutdown()

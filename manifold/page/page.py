@@ -20,7 +20,10 @@ _EXPORT = re.compile(r"^export (?=(async )?(function|class|const|let) )", re.MUL
 
 
 def make_page(document: dict[str, Any]) -> str:
-    """The page as HTML, of the JSON of `page_data.to_document`, with `served` where a program answers its requests."""
+    """Return the page as HTML from the JSON of `page_data.to_document`.
+
+    `served` is set if a program answers its requests.
+    """
     script, style = page_script(), _source("style.css")
     connect = "'self'" if document.get("served") else "'none'"
     policy = (
@@ -32,12 +35,12 @@ def make_page(document: dict[str, Any]) -> str:
 
 
 def page_script() -> str:
-    """The script of the page."""
+    """Return the script of the page."""
     return _joined("start")
 
 
 def widget_module() -> str:
-    """The same as an ES module that anywidget takes: it makes the page in an element of a notebook."""
+    """Return the page's script as an ES module for anywidget, which makes the page in an element of a notebook."""
     body = re.sub(r"<script.*?</script>", "", _body(), flags=re.DOTALL)
     constants = f"const STYLE = {json.dumps(_source('style.css'))}, BODY = {json.dumps(body)};\n"
     return constants + _joined("widget")
@@ -50,7 +53,7 @@ def _body() -> str:
 
 
 def _joined(last: str) -> str:
-    """The modules as one, in the order in which they need each other."""
+    """Join the modules, in the order in which they need each other."""
     joined = [_EXPORT.sub("", _IMPORT.sub("", _source(f"{name}.js"))) for name in (*_MODULES, last)]
     return "\n".join(joined)
 
@@ -60,7 +63,7 @@ def _source(name: str) -> str:
 
 
 def _json_in_html(document: dict[str, Any]) -> str:
-    """JSON that cannot close the element it stands in, whatever names it holds."""
+    """Return JSON that cannot close the HTML element around it, whatever names it holds."""
     text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

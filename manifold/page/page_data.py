@@ -55,7 +55,7 @@ THETA_D_SHARE = 0.995
 
 
 def grid_directions() -> tuple[Array, Array]:
-    """wi and wo of all nodes of the grid, shape (P, 3) each.
+    """Return wi and wo of all nodes of the grid, shape (P, 3) each.
 
     theta_d is a share of the largest at which both directions are above the horizon, so that the whole grid can be
     looked up: `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)` there.
@@ -67,7 +67,7 @@ def grid_directions() -> tuple[Array, Array]:
 
 
 def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
-    """theta_d at which one of the directions reaches the horizon, in radians."""
+    """Return the theta_d at which one of the directions reaches the horizon, in radians."""
     return np.asarray(np.arctan2(1.0, np.tan(theta_h) * np.abs(np.cos(phi_d))))
 
 
@@ -97,7 +97,7 @@ class TabulatedPairs:
 
 
 def tabulated_pairs() -> TabulatedPairs:
-    """The pairs of a page, mirror images left out: materials are tabulated as the mean of both sides."""
+    """Return the pairs of a page without mirror images: materials are tabulated as the mean of both sides."""
     wi, wo = [], []
     *gloss, gloss_weights = _gloss_meter()
     spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
@@ -116,7 +116,9 @@ def tabulated_pairs() -> TabulatedPairs:
 
 
 def _gloss_meter() -> tuple[Array, Array, Array]:
-    """Pairs of the gloss meter at 60 degrees, on one side of the plane of incidence, and gloss units per 1/sr at each.
+    """Return pairs of the gloss meter at 60 degrees, and gloss units per 1/sr at each.
+
+    They lie on one side of the plane of incidence.
 
     All have the light at the centre of the source: that the source is wide is in the weights, as the wider receptor.
     """
@@ -138,7 +140,7 @@ def _gloss_meter() -> tuple[Array, Array, Array]:
 
 
 def _slice_angles(incidence_deg: float) -> Array:
-    """Degrees from -85 to 85, dense around the mirror direction."""
+    """Return degrees from -85 to 85, dense around the mirror direction."""
     near = incidence_deg + np.arange(-10.0, 10.25, 0.5)
     return np.unique(np.concatenate([np.arange(-85.0, 85.5, 2.5), near]))
 
@@ -155,7 +157,7 @@ _MOST_BALL = 15.0  # CIEDE2000 at which the ground of the map is darkest
 
 
 def error_field(model: Manifold) -> dict[str, Any] | None:
-    """Values on a regular grid over the map, the last dimension running fastest; None above three dimensions.
+    """Return values on a regular grid over the map, the last dimension fastest; None above three dimensions.
 
     Expected errors of the ball if the colour is known, and, of blends, if it is `blended`; or, of a model that is not
     calibrated, the posterior over the prior standard deviation; and where the data do not support predictions.
@@ -238,7 +240,7 @@ def tabulate(model: Manifold) -> Tables:
 
 
 def _thumbnail(material: MeasuredBRDF, at_nodes: Indices) -> NDArray[np.uint8]:
-    """A small ball, (S, S, 3), which the map shows until the page has drawn a finer one."""
+    """Return a small ball, (S, S, 3), which the map shows until the page has drawn a finer one."""
     ball = ball_colours.ball(_THUMBNAIL)
     bands = material.bands
     if bands.wavelengths_nm is not None:
@@ -251,7 +253,7 @@ def _thumbnail(material: MeasuredBRDF, at_nodes: Indices) -> NDArray[np.uint8]:
 
 
 def packed(components: NDArray[np.float32]) -> dict[str, Any]:
-    """Components (N, R, P) as text: the first as float16, the others as bytes, relative to the first.
+    """Return components (N, R, P) as text: the first as float16, the others as bytes, relative to the first.
 
     The first is positive, about the lightness; the others are about the chroma.
     """
@@ -268,7 +270,7 @@ def packed(components: NDArray[np.float32]) -> dict[str, Any]:
 
 
 def to_document(model: Manifold, tables: Tables, surfaces: Sequence[WrittenSurface] = ()) -> dict[str, Any]:
-    """Everything that a page shows, as JSON; the means of surfaces are tabulated behind the materials."""
+    """Return everything that a page shows, as JSON; the means of surfaces are tabulated behind the materials."""
     space, names = require_blends(model.space).of_landmarks, _landmark_names(model)
     bands, nodes = model.bands, tables.nodes
     node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
@@ -314,7 +316,7 @@ def to_document(model: Manifold, tables: Tables, surfaces: Sequence[WrittenSurfa
 
 
 def _environments() -> list[dict[str, Any]]:
-    """The environments of the page: radiance in float16, row by row from the zenith."""
+    """Return the environments of the page: radiance in float16, row by row from the zenith."""
     made = []
     for name in ENVIRONMENTS:
         radiance = environment(name)
@@ -330,7 +332,7 @@ def _landmark_names(model: Manifold) -> list[str]:
 
 
 def _others(model: Manifold) -> dict[str, Any]:
-    """Places, colours and names of the materials that are no landmarks: points of the map, no part of predictions."""
+    """Return places, colours and names of materials that are not landmarks, which predictions do not use."""
     others = np.delete(np.arange(len(model.names)), model.landmarks)
     srgb = encode_srgb(np.clip(to_srgb(model.space.reflectances[others], model.bands), 0.0, 1.0))
     return {
@@ -341,7 +343,7 @@ def _others(model: Manifold) -> dict[str, Any]:
 
 
 def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
-    """Vertices of the colour paths; weights as indices of samples and values."""
+    """Return the vertices of the colour paths; weights as indices of samples and values."""
     vertices = []
     for coordinates, samples, weights in space.paths.vertices:
         sparse = [[[int(samples[k]), float(w[k])] for k in np.flatnonzero(w)] for w in weights]
@@ -350,7 +352,7 @@ def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
 
 
 def _walks(tables: Tables) -> dict[str, Any]:
-    """Highlights of the materials, and the shares of every two on their walk; the first and last are 0 and 1."""
+    """Return highlights of the materials, and the shares of every two on their walk; the first and last are 0 and 1."""
     walked, cosines = tables.walked, (tables.pairs.wi[:, 2], tables.pairs.wo[:, 2])
     lobes = [one.highlight for one in walked]
     shares = [
@@ -372,7 +374,7 @@ def _walks(tables: Tables) -> dict[str, Any]:
 
 
 def _node_bands(bands: Bands) -> Indices:
-    """Indices of at most 32 visible bands, evenly spread; of RGB bands all three."""
+    """Return indices of at most 32 visible bands, evenly spread; of RGB bands all three."""
     if bands.wavelengths_nm is None:
         return np.arange(bands.count)
     nm = np.asarray(bands.wavelengths_nm)
@@ -385,7 +387,7 @@ def _node_bands(bands: Bands) -> Indices:
 
 
 def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
-    """Cube roots of f cos(theta_i) cos(theta_o), the mean of both sides of the plane of the normal, (P, B')."""
+    """Return cube roots of f cos(theta_i) cos(theta_o), the mean of both sides of the plane of the normal, (P, B')."""
     mirror = np.array([1.0, -1.0, 1.0])
     half = WeightedSum([material], [0.5], cube_root=True)
     total = np.zeros((len(pairs.wi), material.bands.count), half.dtype)
@@ -395,7 +397,7 @@ def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
 
 
 def _band_weights(bands: Bands, nodes: Indices, at_nodes: Indices, count: int) -> Array:
-    """Weight of each band in colours, shape (B',); invisible bands have a small one."""
+    """Return the weight of each band in colours, shape (B',); invisible bands have a small one."""
     weights = np.full(count, _LEAST_WEIGHT)
     if bands.wavelengths_nm is None:
         return np.ones(count)
@@ -406,7 +408,7 @@ def _band_weights(bands: Bands, nodes: Indices, at_nodes: Indices, count: int) -
 
 
 def _spectral_basis(roots: Array, weights: Array) -> tuple[Array, Array]:
-    """Principal spectra (B', R) of cube roots (N, P, B'), and the matrix (B', R) that gives components."""
+    """Return principal spectra (B', R) of cube roots (N, P, B'), and the matrix (B', R) that gives components."""
     weighted = roots.reshape(-1, roots.shape[2]) * weights.astype(np.float32)
     gram = (weighted.T @ weighted).astype(np.float64)
     vectors = np.linalg.eigh(gram)[1][:, ::-1][:, :_COMPONENTS]

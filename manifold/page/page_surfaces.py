@@ -47,7 +47,7 @@ class _InBands(WrappedBRDF):
         self._matrix = None if None in nm else interpolation_matrix(*map(np.array, nm))
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., B)."""
+        """Return f in 1/sr, shape (..., B)."""
         values = self._brdf.eval(wi, wo)
         if self._matrix is None:
             return to_srgb(values, self._brdf.bands)
@@ -57,7 +57,10 @@ class _InBands(WrappedBRDF):
 def components_of(
     surface: WrittenSurface, bands: Bands, pairs: TabulatedPairs, basis: Array
 ) -> NDArray[np.float32]:
-    """Cube roots of the mean in some bands on the pairs of a page, in its spectral basis (J, R), shape (R, P)."""
+    """Return cube roots of the mean on the pairs of a page, in its spectral basis (J, R), shape (R, P).
+
+    The mean is converted to some bands.
+    """
     brdf = _InBands(surface.brdf, bands)
     roots = [np.cbrt(np.maximum(brdf.eval(pairs.wi * side, pairs.wo * side), 0.0)) for side in _SIDES]
     weighted = np.mean(roots, axis=0) * pairs.amplitude[:, None]  # [P, J]
@@ -65,7 +68,7 @@ def components_of(
 
 
 def surface_document(surface: WrittenSurface, model: Manifold) -> dict[str, Any]:
-    """Where a surface stands on the map, and its textures, as JSON."""
+    """Return a surface's place on the map, and its textures, as JSON."""
     located = locate_brdf(model, _InBands(surface.brdf, model.bands))
     return {
         "name": surface.name,
@@ -78,7 +81,7 @@ def surface_document(surface: WrittenSurface, model: Manifold) -> dict[str, Any]
 
 
 def _textures(textures: Textures) -> dict[str, Any]:
-    """Colours over the brightest of each channel, sRGB, and normals, as of `manifold surface`."""
+    """Return colours over the brightest of each channel, sRGB, and normals, as `manifold surface` writes them."""
     brightest = textures.albedo.max(axis=(0, 1))
     slope = _reduced(textures.slope)
     normal = normalize(np.concatenate([slope, np.ones((*slope.shape[:2], 1))], axis=-1))
@@ -90,7 +93,7 @@ def _textures(textures: Textures) -> dict[str, Any]:
 
 
 def _flakes(drawn: DrawnFlakes) -> dict[str, Any]:
-    """What flakes are, and a picture of their normals (x, y) and of the share of each pixel that is a flake's."""
+    """Return the parameters of flakes, and a picture of their normals (x, y) and of their share of each pixel."""
     nearest = distance_transform_edt(~drawn.mask, return_distances=False, return_indices=True)
     size = len(drawn.mask)
     at = ((np.arange(min(size, SIZE)) + 0.5) * size / min(size, SIZE)).astype(int)
@@ -107,7 +110,7 @@ def _flakes(drawn: DrawnFlakes) -> dict[str, Any]:
 
 
 def _reduced(values: Array) -> Array:
-    """Values (S, S, C) averaged to at most `SIZE` pixels a side."""
+    """Average values (S, S, C) to at most `SIZE` pixels a side."""
     from PIL import Image
 
     size = (min(len(values), SIZE),) * 2
@@ -116,7 +119,7 @@ def _reduced(values: Array) -> Array:
 
 
 def _picture(values: Array, kind: str) -> str:
-    """Values in [0, 1], (S, S, 3), as a picture in text."""
+    """Return values in [0, 1], (S, S, 3), as a picture in text."""
     from PIL import Image
 
     stream = io.BytesIO()

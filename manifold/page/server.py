@@ -59,7 +59,7 @@ class ExplorerServer(ThreadingHTTPServer):
     request_queue_size = 128  # connections that wait to be accepted
 
     def __init__(self, page: str, context: Context, port: int = 0, queue: Queue | None = None) -> None:
-        """Listen on a port; 0 is any that is free."""
+        """Listen on a port; 0 is any free port."""
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:
@@ -79,7 +79,7 @@ class ExplorerServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Of the page, token included."""
+        """Return the address of the page, token included."""
         return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -95,14 +95,14 @@ class _Handler(BaseHTTPRequestHandler):
         return cast(ExplorerServer, self.server)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is logged: addresses hold the token."""
+        """Log nothing, because addresses hold the token."""
 
     def do_GET(self) -> None:
-        """The page, the state of jobs, and pictures that were rendered."""
+        """Answer with the page, the state of jobs, and rendered pictures."""
         self._answer(self._get)
 
     def do_POST(self) -> None:
-        """Calls of commands."""
+        """Answer calls of commands."""
         self._answer(self._post)
 
     def _answer(self, method: Callable[[], None]) -> None:
@@ -146,7 +146,7 @@ class _Handler(BaseHTTPRequestHandler):
             return server.queue.add(call_of(name, request, server.context, self._is_taken, file))
 
     def _file_call(self, name: str) -> Job:
-        """Queue a call about the body, a file in a folder of its own; nothing is left of one that is refused."""
+        """Queue a call about the body, a file in a folder of its own, which is removed if the call is refused."""
         request = _json_object(unquote(self.headers.get("X-Request", ""), errors="replace"))
         COMMANDS[name].check(request)
         folder = Path(mkdtemp(dir=self._explorer.queue.inputs))
@@ -175,7 +175,7 @@ class _Handler(BaseHTTPRequestHandler):
         return _json_object(b"".join(self._blocks(MOST_JSON)))
 
     def _blocks(self, most: int) -> Iterator[bytes]:
-        """The body in blocks, at most so many bytes."""
+        """Yield the body in blocks, at most `most` bytes."""
         text = self.headers.get("Content-Length", "")
         if not text.isdecimal():
             raise _RequestError(HTTPStatus.LENGTH_REQUIRED, "expected Content-Length")

@@ -52,7 +52,7 @@ class MapWidget(AnyWidget):  # type: ignore[misc]
         return latent
 
     def prediction(self) -> PredictedBRDF:
-        """The material at the point, in the chosen colour.
+        """Return the material at the point, in the chosen colour.
 
         Raises:
             UsageError: what the other materials predict is shown, which the view alone computes.

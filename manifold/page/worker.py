@@ -49,7 +49,7 @@ def serve(run: Callable[[str, dict[str, Any]], dict[str, Any]]) -> None:
 
 
 def _end_with_server(replies: int) -> None:
-    """Terminate this process, and those it starts, once nothing reads its replies: the server was killed."""
+    """Terminate this process and its children once nothing reads its replies, because the server was killed."""
     poll = select.poll()
     poll.register(replies, 0)  # which tells only that the other end was closed
     poll.poll()

@@ -22,8 +22,9 @@ _UNITS = ((1e6, "MB"), (1e3, "kB"), (1.0, "B"))
 def budget_figure(
     whole: Array, chosen: Array, delta_e: Array, materials: Sequence[Mapping[str, Any]], tolerance: float
 ) -> Figure:
-    """Renders (H, W, 3) above, with the whole files and with what was chosen, and their CIEDE2000 (H, W); one row of
-    costs per material below, from `Chosen.to_json`, with the tolerance in CIEDE2000.
+    """Draw renders (H, W, 3) of the scene with the whole and the chosen files, and their CIEDE2000 (H, W).
+
+    Below is one row of costs per material, from `Chosen.to_json`, with the tolerance in CIEDE2000.
     """
     height = 8.6 / 3.0 * delta_e.shape[0] / delta_e.shape[1]
     figure = new_figure(8.6, height + 0.5 + 2.7 * len(materials))

@@ -32,7 +32,7 @@ from manifold.render import backend, images, render
 
 @dataclass(frozen=True)
 class BudgetSettings:
-    """How a scene is analysed.
+    """The settings of a scene's analysis.
 
     Attributes:
         size: pixels of the longer side.
@@ -80,7 +80,7 @@ class Chosen:
     asset: Path | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; a file that was not written has no name."""
+        """Return plain values; a file that was not written has no name."""
         one, bsdf = self.candidate, dict(self.candidate.bsdf)
         if "filename" in bsdf:
             bsdf["filename"] = self.asset
@@ -132,16 +132,16 @@ class Budget:
 
     @property
     def size(self) -> int:
-        """Bytes of all materials, those that stay among them."""
+        """Return the bytes of all materials, including those that are kept whole."""
         return sum(one.candidate.size for one in self.chosen) + sum(size for _, size in self.unseen)
 
     @property
     def full_size(self) -> int:
-        """Bytes of all whole files."""
+        """Return the bytes of all whole files."""
         return sum(one.full_size for one in self.chosen) + sum(size for _, size in self.unseen)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         known = {
             "scene": self.scene, "tolerance": self.tolerance, "settings": self.settings, "backend": self.backend,
             "bytes": self.size, "full_bytes": self.full_size, "materials": self.chosen,
@@ -155,7 +155,7 @@ def example(
     name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
     output: Path | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
-    """Budget one of the package's own scenes."""
+    """Return budget one of the package's own scenes."""
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         scene = example_scenes.write(name, folder)
@@ -246,7 +246,7 @@ def budget_scene(
 
 
 def _measured_file(material: SceneMaterial, folder: Path) -> Path:
-    """The file of a material; predictions are written first."""
+    """Return the file of a material; predictions are written first."""
     properties = material.properties
     if material.kind == "measured":
         path = Path(properties.get("filename", ""))
@@ -278,7 +278,7 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
 
 
 def _common_kind(files: Mapping[str, Path]) -> bool:
-    """Whether all files are linear sRGB."""
+    """Return whether all files are linear sRGB."""
     kinds = {path: read_bsdf(path).bands.is_rgb for path in files.values()}
     if len(set(kinds.values())) > 1:
         rgb = next(path for path, is_rgb in kinds.items() if is_rgb)
@@ -290,7 +290,7 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
 
 
 def _reason(cheaper: list[Representation], alone: Mapping[str, Difference]) -> str:
-    """Why nothing cheaper: what comes closest among it."""
+    """Return the reason why nothing cheaper was chosen: the closest of the cheaper representations."""
     if not cheaper:
         return "no representation is cheaper"
     rendered = [one for one in cheaper if one.name in alone]
@@ -302,7 +302,7 @@ def _reason(cheaper: list[Representation], alone: Mapping[str, Difference]) -> s
 
 
 def _lighting_in_words(lighting: MaterialLighting) -> str:
-    """The lighting and views of a material in the scene, in words."""
+    """Describe the lighting and views of a material in the scene."""
     (a, b), (c, d) = lighting.angles_deg(lighting.wi), lighting.angles_deg(lighting.wo)
     text = f"{100 * lighting.share:.0f} % of the picture, seen at {a:.0f}-{b:.0f} deg, lit at {c:.0f}-{d:.0f} deg"
     if lighting.bands.is_rgb:
@@ -323,7 +323,7 @@ def _notes(chosen: tuple[Chosen, ...], tolerance: Tolerance, hidden: list[str]) 
 
 
 def _asset_names(files: Mapping[str, Path], is_rgb: bool) -> dict[str, str]:
-    """Unique file name of each material in the output folder, by key."""
+    """Return the unique file name of each material in the output folder, by key."""
     kind = "rgb" if is_rgb else "spec"
     names: dict[str, str] = {}
     for key, path in files.items():

@@ -92,7 +92,7 @@ def write(name: str, folder: Path) -> Path:
 
 
 def _radiance(illuminant: str, luminance: float) -> str:
-    """A light's spectrum as an element, every 5 nm, scaled to a luminance."""
+    """Return a light's spectrum as an element, every 5 nm, scaled to a luminance."""
     light = Illuminant.named(illuminant)
     nm = np.arange(360.0, 831.0, 5.0)
     _, matching = sensor_responses(Illuminant.named("E"))

@@ -20,8 +20,10 @@ _COLOUR_WEIGHT = 30.0  # weight of colours against spectra, in standard deviatio
 
 
 def band_nodes(bands: Bands, light: Array, count: int) -> Array:
-    """Wavelengths in nm where few bands serve best, increasing, shape (count,): half follow the light, spectral power
-    (L,) in its bands, as the observer sees it, half are spread over what is visible.
+    """Return the wavelengths in nm at which few bands serve best, increasing, shape (count,).
+
+    Half of them follow the light, spectral power (L,) in its bands, as the observer sees it; half are spread
+    over the visible range.
     """
     seen = _sensed(bands, light).sum(axis=1)
     even = ((_SEEN_NM >= 400.0) & (_SEEN_NM <= 700.0)).astype(float)
@@ -31,8 +33,9 @@ def band_nodes(bands: Bands, light: Array, count: int) -> Array:
 
 
 def few_bands(source: Bands, bands: Bands, light: Array, count: int) -> tuple[Array, Array]:
-    """Nodes in nm (r,) that stand for a spectrum under a light, and the matrix (r, B) from its B values to them;
-    `bands`, `light` and `count` as in `band_nodes`.
+    """Return nodes in nm (r,) that represent a spectrum under a light, and the matrix (r, B) from its B values.
+
+    `bands`, `light` and `count` are those of `band_nodes`.
 
     By least squares. Between nodes a spectrum is linear, beyond them constant. What counts most is the colour under the
     light, which three nodes already keep; the freedom that is left keeps the spectrum, where the observer sees.
@@ -47,14 +50,17 @@ def few_bands(source: Bands, bands: Bands, light: Array, count: int) -> tuple[Ar
 
 
 def _sensed(bands: Bands, light: Array) -> Array:
-    """Spectral weights of the observer's three channels for reflectances under a light, shape (len(_SEEN_NM), 3)."""
+    """Return the spectral weights of the observer's channels for reflectances under a light, (len(_SEEN_NM), 3)."""
     nm, matching = sensor_responses(Illuminant.named("E"))
     power = np.interp(_SEEN_NM, np.asarray(bands.wavelengths_nm), light)
     return np.stack([np.interp(_SEEN_NM, nm, column) for column in matching.T], axis=1) * power[:, None]
 
 
 def with_bands(file: BsdfFile, nodes: Array, projection: Array) -> BsdfFile:
-    """A spectral file in other bands: nodes in nm (r,) and the matrix (r, B) to them; negative values become 0."""
+    """Return a spectral file in other bands: nodes in nm (r,), and the matrix (r, B) to them.
+
+    Negative values become 0.
+    """
     P, T, B, H, W = file.spectra.shape
     flat = file.spectra.transpose(2, 0, 1, 3, 4).reshape(B, -1)
     values = np.maximum(projection.astype(np.float32) @ flat, 0.0).reshape(len(nodes), P, T, H, W)
@@ -67,8 +73,10 @@ def with_bands(file: BsdfFile, nodes: Array, projection: Array) -> BsdfFile:
 
 
 def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: int) -> BsdfFile:
-    """A file at some incident elevations, by their indices, increasing, with so many nodes per axis of the outgoing
-    grid and of the distribution of visible normals.
+    """Return a file at some incident elevations, by their increasing indices.
+
+    `resolution` and `warp_nodes` are nodes per axis of the outgoing grid and of the distribution of visible
+    normals.
     """
     brdf = MeasuredBRDF(replace(file, rotation_rad=0.0))  # nodes are where the sample was measured
     vndf = _resampled(file.vndf[:, theta_i], warp_nodes)
@@ -102,15 +110,16 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
 
 
 def _resampled(values: Array, n: int) -> Array:
-    """Node values (..., R, C) interpolated to n nodes per axis, float32."""
+    """Interpolate node values (..., R, C) to n nodes per axis, float32."""
     at = np.linspace(0.0, 1.0, n)
     rows, columns = (interpolation_matrix(np.linspace(0.0, 1.0, size), at) for size in values.shape[-2:])
     return np.ascontiguousarray(rows @ values @ columns.T, dtype=np.float32)
 
 
 def kept_elevations(file: BsdfFile, theta_rad: Array, count: int) -> Array:
-    """Indices of at least two incident elevations of a file that a scene of elevations (M,) misses least, increasing,
-    shape (count,).
+    """Return indices of the incident elevations, at least two, that a scene of elevations (M,) needs most.
+
+    They increase, shape (count,).
 
     One after the other goes the node whose neighbours stand in for it best, weighed by how often its surroundings
     occur; the first and the last stay.

@@ -57,7 +57,7 @@ class Representation:
 
     @property
     def is_full(self) -> bool:
-        """Whether it is the reference itself."""
+        """Return whether it is the reference itself."""
         return self.name == FULL
 
 
@@ -91,13 +91,13 @@ class _Builder:
         return self.appearance(lambda wi, wo: self.in_light(brdf.eval_cos(wi, wo), file.bands))
 
     def in_light(self, values: Array, bands: Bands) -> Array:
-        """Values (..., B) in the bands of the light, (..., L)."""
+        """Convert values (..., B) to the bands of the light, (..., L)."""
         if bands.is_rgb:
             return values
         return values @ interpolation_matrix(_nm(bands), _nm(self.lighting.bands)).T
 
     def few_bands(self, source: Bands, count: int) -> tuple[Array, Array]:
-        """Nodes and matrix from a spectrum to fewer bands under this light; see `reduced_file.few_bands`."""
+        """Return nodes and matrix from a spectrum to fewer bands under this light; see `reduced_file.few_bands`."""
         return reduced_file.few_bands(source, self.lighting.bands, self.lighting.spectrum, count)
 
     @cached_property
@@ -131,8 +131,9 @@ class _Builder:
 
 
 def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> list[Representation]:
-    """All representations of a measured file, cheapest first, the whole file among them; reduced files are written to
-    the folder.
+    """Return all representations of a measured file, cheapest first, including the whole file.
+
+    Reduced files are written to the folder.
     """
     folder.mkdir(exist_ok=True)
     builder = _Builder(path, lighting, survey, folder)
@@ -156,7 +157,7 @@ def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: P
 
 
 def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool) -> float:
-    """Time of a million evaluations of a BSDF on the backend at hand, in ms: the best of three runs."""
+    """Return the time in ms of a million evaluations of a BSDF on this backend: the best of three runs."""
     mi = backend.mitsuba("rgb" if is_rgb else "spectral")
     made = mi.load_dict(dict(bsdf))
     context, best = mi.BSDFContext(), np.inf
@@ -193,7 +194,7 @@ def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool) -> float:
 
 
 def _fit(builder: _Builder) -> FitResult:
-    """Principled, fitted where the scene looks, and a little everywhere; spectral ones in `_FITTED_BANDS`."""
+    """Fit `principled` mainly to the directions that the scene shows; spectral ones in `_FITTED_BANDS`."""
     file, lighting = builder.file, builder.lighting
     rows = builder.rows[np.unique(np.linspace(0, len(builder.rows) - 1, _FIT_PAIRS).astype(int))]
     elsewhere = fit_samples.from_brdf(MeasuredBRDF(file)).subsample(_FIT_PAIRS // 2)
@@ -211,7 +212,7 @@ def _fit(builder: _Builder) -> FitResult:
 
 
 def _diffuse_albedo(builder: _Builder) -> Array:
-    """The albedo in the file's bands that gives the mean light of the material, shape (B,)."""
+    """Return the albedo in the file's bands that gives the mean light of the material, shape (B,)."""
     lighting, rows = builder.lighting, builder.rows
     power = lighting.light[rows].mean(axis=1)
     f_cos = MeasuredBRDF(builder.file).eval_cos(lighting.wi[rows], lighting.wo[rows])
@@ -219,7 +220,7 @@ def _diffuse_albedo(builder: _Builder) -> Array:
 
 
 def _add_parameters(builder: _Builder) -> None:
-    """Diffuse and principled BSDFs, in RGB, and for spectral files in a few bands."""
+    """Add diffuse and principled BSDFs, in RGB, and for spectral files in a few bands."""
     lighting, bands = builder.lighting, builder.file.bands
     fitted, albedo = _fit(builder), _diffuse_albedo(builder)
     colour = _rgb(albedo if bands.is_rgb else to_srgb(albedo, bands))
@@ -245,7 +246,7 @@ def _add_parameters(builder: _Builder) -> None:
 def _add_principled(
     builder: _Builder, fitted: FitResult, colours: Mapping[str, tuple[dict[str, Any], int]]
 ) -> None:
-    """The fit in base colours, of so many numbers each."""
+    """Add the fit in base colours, each with its number of values."""
     shared = {name: float(v) for name, v in fitted.values.items() if not isinstance(v, list)}
     lighting, rows = builder.lighting, builder.rows
     made = evaluator(fitted.family, lighting.wi[rows], lighting.wo[rows], 3)
@@ -268,12 +269,12 @@ def _nm(bands: Bands) -> Array:
 
 
 def _rgb(colour: Any) -> dict[str, Any]:
-    """A colour as Mitsuba takes it: within Rec. 709."""
+    """Return a colour as Mitsuba takes it: within Rec. 709."""
     return {"type": "rgb", "value": [float(v) for v in np.clip(colour, 0.0, 1.0)]}
 
 
 def _irregular(nodes: Array, values: Array) -> dict[str, Any]:
-    """A spectrum as Mitsuba takes it, constant beyond its nodes."""
+    """Return a spectrum as Mitsuba takes it, constant beyond its nodes."""
     nm = np.concatenate([[300.0], nodes, [1000.0]])
     padded = np.pad(values, 1, mode="edge")
     return {
@@ -284,7 +285,7 @@ def _irregular(nodes: Array, values: Array) -> dict[str, Any]:
 
 
 def _upsampled(texture: Mapping[str, Any], bands: Bands) -> Array:
-    """Values of a uniform texture in Mitsuba, shape (L,)."""
+    """Return the values of a uniform texture in Mitsuba, shape (L,)."""
     if bands.is_rgb:
         return np.asarray(texture["value"])
     mi = backend.mitsuba("spectral", Backend("scalar"))

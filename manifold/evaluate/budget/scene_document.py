@@ -70,7 +70,7 @@ class SceneDocument:
 
     @classmethod
     def read(cls, scene: Path | Mapping[str, Any]) -> SceneDocument:
-        """A scene from an XML file, a JSON file, or a dictionary of plain values; names of files are made absolute."""
+        """Read a scene from an XML file, a JSON file, or a dictionary of plain values; file names are made absolute."""
         mi = backend.mitsuba("rgb", Backend("scalar"))
         config = mi.parser.ParserConfig(mi.variant())
         folder, origin = (scene.parent, str(scene)) if isinstance(scene, Path) else (Path(), "the scene")
@@ -105,7 +105,7 @@ class SceneDocument:
         return width, height
 
     def load(self, mi: Any, bsdfs: Mapping[str, Mapping[str, Any]], film: Mapping[str, Any]) -> Any:
-        """The scene in the variant that is set, with BSDFs by key in place of its materials, and another film."""
+        """Load the scene in the current variant, with BSDFs by key in place of its materials, and another film."""
         config = mi.parser.ParserConfig(mi.variant())
 
         def instantiate() -> Any:
@@ -132,7 +132,7 @@ class SceneDocument:
         disk.write_text(path, _accepted(lambda: mi.parser.write_string(state), self.origin))
 
     def _with(self, mi: Any, bsdfs: Mapping[str, Mapping[str, Any]]) -> Any:
-        """A copy of the state with other BSDFs; their identifiers stay."""
+        """Return a copy of the state with other BSDFs under the same identifiers."""
         state = mi.parser.ParserState(self._state)
         for k, key in self._keys.items():
             if key in bsdfs:
@@ -143,7 +143,7 @@ class SceneDocument:
 
 
 def _material(props: Any, origin: str) -> SceneMaterial:
-    """A material of its plugin's properties; one that would be ignored is refused."""
+    """Return a material from its plugin's properties, and refuse one that Mitsuba would ignore."""
     kind = props.plugin_name()
     own = {name: str(props[name]) for name in sorted(props.keys())}
     for name in own:
@@ -171,13 +171,13 @@ def _append(mi: Any, state: Any, content: Mapping[str, Any]) -> int:
 
 
 def _children(mi: Any, props: Any) -> list[tuple[str, int]]:
-    """Names and indices of the nodes that a node's properties refer to."""
+    """Return names and indices of the nodes that a node's properties refer to."""
     values = [(name, props[name]) for name in props.keys()]  # noqa: SIM118 - a class of Mitsuba, not a mapping
     return [(n, v.index()) for n, v in values if isinstance(v, mi.Properties.ResolvedReference)]
 
 
 def _accepted(work: Any, origin: str) -> Any:
-    """The result of some work of Mitsuba's, whose refusal of the scene becomes a UsageError."""
+    """Run some of Mitsuba's work; its refusal of the scene becomes a UsageError."""
     try:
         return work()
     except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
@@ -186,7 +186,7 @@ def _accepted(work: Any, origin: str) -> Any:
 
 
 def _parse_xml(mi: Any, config: Any, scene: Path) -> tuple[Any, list[Path]]:
-    """Mitsuba's state of a file, no plugin of which is loaded, and the folders in which it looks for others."""
+    """Return Mitsuba's state of a file, without loading any plugin, and the folders in which it looks for others."""
     resolver = mi.file_resolver()
     before = list(resolver)
     try:
@@ -199,7 +199,7 @@ def _parse_xml(mi: Any, config: Any, scene: Path) -> tuple[Any, list[Path]]:
 
 
 def _dictionary(scene: Path | Mapping[str, Any], origin: str) -> dict[str, Any]:
-    """Plain values of a scene whose plugins may be loaded."""
+    """Return the plain values of a scene whose plugins may be loaded."""
     content = disk.read_json(scene, "a Mitsuba scene, .xml or .json") if isinstance(scene, Path) else scene
     if not isinstance(content, Mapping) or content.get("type") != "scene":
         raise FileFormatError(
@@ -212,7 +212,7 @@ def _dictionary(scene: Path | Mapping[str, Any], origin: str) -> dict[str, Any]:
 
 
 def _absolute(value: str, folders: Sequence[Path]) -> str:
-    """The absolute path of a file that a scene names; the value itself where there is no such file."""
+    """Return the absolute path of a file that a scene names, or the value itself if there is no such file."""
     paths = (folder / value for folder in folders)
     return next((str(path.absolute()) for path in paths if path.exists()), value)
 

@@ -61,12 +61,12 @@ class MaterialLighting:
         return (self.wi[:, 2] > 0.0) & (self.wo[:, 2] > 0.0) & np.any(self.light > 0.0, axis=1)
 
     def angles_deg(self, directions: Array) -> tuple[float, float]:
-        """5th and 95th percentile of the elevations of (M, 3) that occur, from the normal."""
+        """Return the 5th and 95th percentile of the elevations of (M, 3) that occur, from the normal."""
         theta = np.rad2deg(np.arccos(np.clip(directions[self.lit, 2], 0.0, 1.0)))
         return (0.0, 0.0) if theta.size == 0 else tuple(np.quantile(theta, (0.05, 0.95)).tolist())
 
     def radiance(self, f_cos: Array) -> Array:
-        """Colours of the pixels for f_cos (M, L) in 1/sr, as XYZ or linear sRGB, shape (P, 3)."""
+        """Return colours of the pixels for f_cos (M, L) in 1/sr, as XYZ or linear sRGB, shape (P, 3)."""
         seen = (self.light * f_cos).reshape(-1, LIGHT_SAMPLES, self.bands.count).mean(axis=1)
         return seen if self.bands.is_rgb else seen @ xyz_weights(self.bands, "E")
 
@@ -99,19 +99,20 @@ class Survey:
 
     @property
     def bands(self) -> Bands:
-        """In which light was sampled."""
+        """Return the bands in which light was sampled."""
         return next(iter(self.lighting.values())).bands
 
     def display(self, radiance: Array) -> Array:
-        """XYZ or linear sRGB (..., 3) as display values in [0, 1], exposed and white-adapted, tone-mapped."""
+        """Return XYZ or linear sRGB (..., 3) as display values in [0, 1], exposed and white-adapted, tone-mapped."""
         if self.bands.is_rgb:
             return images.tone_map(radiance / self.white)
         return images.tone_map(xyz_to_srgb(radiance / self.white[1], self.white / self.white[1]))
 
     def film(self) -> dict[str, Any]:
-        """The film for renders whose first three channels `display` takes: linear sRGB, or X, Y, Z. A fourth channel of
-        spectral ones only steers wavelengths to where the light has power, so that lines of fluorescent lamps are
-        sampled as often as they matter.
+        """Return the film for renders whose first three channels `display` takes: linear sRGB, or X, Y, Z.
+
+        A fourth channel of spectral ones only steers wavelengths to where the light has power, so that lines
+        of fluorescent lamps are sampled as often as they matter.
         """
         width, height = self.size
         common = {"width": width, "height": height, "rfilter": {"type": "box"}}
@@ -132,8 +133,9 @@ class Survey:
 
 
 def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, size: int) -> Survey:
-    """Light and view of a scene's materials, by their measured files, in linear sRGB or not, in a picture of `size`
-    pixels on the longer side.
+    """Survey light and view of a scene's materials, by their measured files.
+
+    They are in linear sRGB or not; the picture has `size` pixels on the longer side.
     """
     mi = backend.mitsuba("rgb" if is_rgb else "spectral", Backend("scalar"))
     width, height = document.film_size
@@ -167,7 +169,7 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
 def _primary_hits(
     mi: Any, scene: Any, width: int, height: int, names: Mapping[str, str]
 ) -> dict[str, list[tuple[int, int, Any]]]:
-    """Pixels that show a material, by its key: column, row, and the interaction."""
+    """Return the pixels that show a material, by its key: column, row, and the interaction."""
     sensor = scene.sensors()[0]
     keys: dict[tuple[int, bool], list[str]] = {}
     alive = []  # BSDFs whose identities are in `keys`
@@ -189,7 +191,7 @@ def _primary_hits(
 
 
 def _side(description: str, is_front: bool) -> str:
-    """Of Mitsuba's description of a two-sided BSDF, what it says of one side."""
+    """Return the part of Mitsuba's description of a two-sided BSDF that concerns one side."""
     front, back, rest = description.partition("\n  brdf[1] = ")
     return rest if back and not is_front else front
 
@@ -197,7 +199,7 @@ def _side(description: str, is_front: bool) -> str:
 def _lighting_at(
     mi: Any, scene: Any, hits: Sequence[tuple[int, int, Any]], shape: tuple[int, int], bands: Bands
 ) -> MaterialLighting:
-    """Light at the hits of one material."""
+    """Return the light at the hits of one material."""
     mask = np.zeros(shape, dtype=bool)
     for x, y, _ in hits:
         mask[y, x] = True
@@ -227,6 +229,6 @@ def _lighting_at(
 
 
 def _chunks(wavelengths_nm: Array) -> list[list[float] | None]:
-    """Wavelengths by fours, the last repeated."""
+    """Return wavelengths in groups of four, the last one padded."""
     padded = np.pad(wavelengths_nm, (0, -len(wavelengths_nm) % 4), mode="edge")
     return [[float(v) for v in four] for four in padded.reshape(-1, 4)]

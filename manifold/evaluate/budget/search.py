@@ -62,7 +62,7 @@ class Tolerance:
                 )
 
     def admits(self, found: Difference, scale: float = 1.0) -> bool:
-        """Whether a difference is within the tolerance times a scale."""
+        """Return whether a difference is within the tolerance times a scale."""
         return found.delta_e <= scale * self.delta_e and (
             self.flip is None or found.flip <= scale * self.flip
         )
@@ -144,7 +144,7 @@ def _first(
     key: str, candidates: Sequence[Representation], tolerance: Tolerance, scale: float,
     difference_alone: Callable[[str, Representation], Difference],
 ) -> Representation:  # fmt: skip
-    """The cheapest candidate within the scaled tolerance."""
+    """Return the cheapest candidate within the scaled tolerance."""
     for candidate in candidates:
         if candidate.predicted <= SLACK * scale * tolerance.delta_e and tolerance.admits(
             difference_alone(key, candidate), scale

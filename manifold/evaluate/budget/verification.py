@@ -48,7 +48,7 @@ class Pictures:
         return found
 
     def differences(self, choice: Choice) -> dict[str, Difference]:
-        """Of a choice to the reference, with the same seed."""
+        """Return the differences of a choice from the reference, with the same seed."""
         return self._compare(self._render(choice, self._seed))
 
     def beside(self, choice: Choice) -> tuple[Array, Array]:
@@ -56,13 +56,14 @@ class Pictures:
         return self._reference[0], self._render(choice, self._seed)[0]
 
     def noise(self) -> dict[str, Difference]:
-        """Of the reference to itself with another seed."""
+        """Return the differences of the reference from itself with another seed."""
         return self._compare(self._render({}, self._seed + 1))
 
 
 def without_noise(whole: float, halves: Sequence[float]) -> float:
-    """A mean difference between renders as it would be without noise, from that with all samples, and those with half
-    of them each.
+    """Return a mean difference between renders without noise.
+
+    It follows from the difference with all samples, and from those with half of them each.
 
     Squared, noise adds a share that is inverse to the samples: what halves show beyond the whole is the whole's share.
     """

@@ -15,8 +15,9 @@ FALSE_ALARM = "false alarm"
 
 
 def table(made: Stability) -> list[list[str]]:
-    """A row per mode, named in its first row only, and method: the largest error without a message, its limit, and what
-    happened.
+    """Return a row per mode, named in its first row only, and method.
+
+    It has the largest error without a message, its limit, and the outcomes.
     """
     rows, previous = [], None
     for row in made.rows:
@@ -34,7 +35,7 @@ def table(made: Stability) -> list[list[str]]:
 
 
 def outcomes(row: Row) -> str:
-    """Outcomes in order of severity, each once (*fine, warned*), or the defect where there is one."""
+    """Return the outcomes in order of severity, each once (*fine, warned*), or the defect if there is one."""
     if row.is_wrong:
         return WRONG
     if row.is_false_alarm:
@@ -43,7 +44,7 @@ def outcomes(row: Row) -> str:
 
 
 def conclusion(made: Stability) -> str:
-    """What to conclude, and which kind of map to choose where several were tried in the same modes."""
+    """Return a conclusion, with the kind of map to choose if several were tried in the same modes."""
     said = (
         "Results without a message can be trusted in these modes: every error above its limit was announced."
     )
@@ -70,7 +71,7 @@ def conclusion(made: Stability) -> str:
 
 
 def summary(made: Stability) -> str:
-    """The number of trials of each outcome, in one line."""
+    """Return the number of trials of each outcome, in one line."""
     trials = [one.outcome for row in made.rows for one in row.results]
     modes = len({row.mode for row in made.rows})
     counts = ", ".join(f"{trials.count(outcome)} {outcome}" for outcome in OUTCOMES)
@@ -81,5 +82,5 @@ def summary(made: Stability) -> str:
 
 
 def short(text: str, width: int) -> str:
-    """A text cut to a width."""
+    """Cut a text to a width."""
     return text if len(text) <= width else text[: width - 2] + ".."

@@ -40,7 +40,10 @@ _PAIR = (named(ALPHAS[1], 1), named(ALPHAS[2], 1))
 
 
 def lost_cells(file: BsdfFile, share: float) -> Mask:
-    """Cells of a few round patches per incidence that cover a share of the measured ones, bool, shape (P, T, H, W)."""
+    """Return a mask of cells of a few round patches per incidence, (P, T, H, W).
+
+    They cover a share of the measured cells.
+    """
     rng = np.random.default_rng(5)
     measured = file.measured_mask
     rows, columns = np.indices(measured.shape[2:])
@@ -54,7 +57,7 @@ def lost_cells(file: BsdfFile, share: float) -> Mask:
 
 
 def _times(file: BsdfFile, cells: Mask, factor: float) -> BsdfFile:
-    """The file with cells (P, T, H, W) multiplied."""
+    """Return the file with cells (P, T, H, W) multiplied by a factor."""
     scale = np.where(cells, factor, 1.0).astype(np.float32)
     return replace(file, spectra=file.spectra * scale[:, :, None])
 
@@ -63,31 +66,31 @@ Degrade = Callable[[BsdfFile, float], BsdfFile]
 
 
 def _zeroed(file: BsdfFile, share: float) -> BsdfFile:
-    """Cells are lost and hold exact zeros, though they count as measured."""
+    """Set lost cells to exact zeros, though they count as measured."""
     return _times(file, lost_cells(file, share), 0.0)
 
 
 def _masked(file: BsdfFile, share: float) -> BsdfFile:
-    """Cells are lost and marked; they hold half their value: a fault that an instrument noted."""
+    """Mark lost cells and halve their values, like a fault that an instrument noted."""
     lost = lost_cells(file, share)
     valid = goniometer.pack_valid(file.measured_mask & ~lost, (3, 1))
     return _times(replace(file, version=(3, 1), valid=valid), lost, 0.5)
 
 
 def middle_of_family(bed: TestBed) -> list[BsdfFile]:
-    """The six members of the family whose roughness is not an extreme one."""
+    """Return the six members of the family whose roughness is not an extreme one."""
     return [
         bed.file(alpha, COLOURS[k], named(alpha, k)) for alpha in ALPHAS[1:3] for k in range(len(COLOURS))
     ]
 
 
 def _of_whole_files(bed: TestBed) -> Manifold:
-    """The manifold of the six."""
+    """Return the manifold of the six whole files."""
     return bed.cached("six", lambda: bed.fit(middle_of_family(bed), "material"))
 
 
 def _degraded(bed: TestBed, degrade: Degrade, severity: float) -> Manifold:
-    """The manifold of the six, every file degraded."""
+    """Return the manifold of the six, with every file degraded."""
     key = ("six", degrade.__name__, severity)
     return bed.cached(
         key, lambda: bed.fit([degrade(file, severity) for file in middle_of_family(bed)], "material")
@@ -95,7 +98,7 @@ def _degraded(bed: TestBed, degrade: Degrade, severity: float) -> Manifold:
 
 
 def _predicted(degrade: Degrade, t: float, bed: TestBed, severity: float) -> Measurement:
-    """On the line between two materials of a library of degraded files, beside the same of whole files."""
+    """Measure a prediction between two degraded materials, against that between the whole ones."""
     model = _degraded(bed, degrade, severity)
     x = model.between(*_PAIR, t)
     clipped = ClippedBRDF(model.predict(x))
@@ -107,7 +110,7 @@ def _predicted(degrade: Degrade, t: float, bed: TestBed, severity: float) -> Mea
 
 
 def _embedded(degrade: Degrade, bed: TestBed, severity: float) -> Measurement:
-    """A degraded file embedded in a library of whole files, beside the same file whole."""
+    """Measure a degraded file embedded in a library of whole files, against the whole file."""
     model, file = _of_whole_files(bed), bed.file(MIDDLE, COLOURS[1])
     found = locate(model, degrade(file, severity))
     whole = bed.cached("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
@@ -115,7 +118,7 @@ def _embedded(degrade: Degrade, bed: TestBed, severity: float) -> Measurement:
 
 
 def _fitted(degrade: Degrade, bed: TestBed, severity: float) -> Measurement:
-    """Roughness of a Principled BSDF fitted to a degraded file, beside the same file whole, as a ratio less 1."""
+    """Measure the roughness of a Principled BSDF fitted to a degraded file, over that of the whole file, less 1."""
     file = bed.file(MIDDLE)
     whole = bed.cached("fitted", lambda: fit_bsdf(file))
     found = fit_bsdf(degrade(file, severity))
@@ -141,7 +144,7 @@ def _unmeasured(key: str, concerns: str, degrade: Degrade, advice: str) -> Mode:
 
 
 def _albedo_error(found: BRDF, truth: BRDF, theta_i: float) -> float:
-    """Largest relative error over bands of the directional albedo at an incidence in radians."""
+    """Return the largest relative error over bands of the directional albedo at an incidence in radians."""
     wi = from_spherical(theta_i, 0.0)
     wo, measure = mirrored_quadrature(wi)
     is_light = measure @ truth.eval_cos(wi, wo)
@@ -160,7 +163,7 @@ def _grazing_prediction(bed: TestBed, degrees: float) -> Measurement:
 
 
 def _lobe_error(found: BRDF, truth: BRDF) -> float:
-    """Relative error over outgoing directions, each as wide as the lobe is there, the worst of three incidences."""
+    """Return the relative error over outgoing directions, weighted by the lobe, the worst of three incidences."""
     errors = []
     for theta_i in np.deg2rad([0.0, 30.0, 60.0]):
         wi = from_spherical(theta_i, 0.0)
@@ -174,7 +177,7 @@ def _sharp_file(bed: TestBed, alpha: float) -> Measurement:
 
 
 def _coarse(file: BsdfFile, nodes: float) -> BsdfFile:
-    """The file measured on a grid of that many nodes per axis, if it is one of every second member of the family."""
+    """Measure every second member of the family on a grid of that many nodes per axis; return others unchanged."""
     alpha, colour = file.name.split("_")[1:]
     if (ALPHAS.index(float(alpha)) + int(colour)) % 2:
         return file
@@ -182,7 +185,7 @@ def _coarse(file: BsdfFile, nodes: float) -> BsdfFile:
 
 
 def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
-    """The file with values of so many bits fewer than single precision has."""
+    """Return the file with values of `bits` fewer bits than single precision."""
     unit = np.uint32(1 << int(bits))
     stored = np.ascontiguousarray(file.spectra).view(np.uint32)
     return replace(file, spectra=((stored + unit // 2) & ~(unit - np.uint32(1))).view(np.float32))
@@ -193,7 +196,7 @@ Change = Callable[[Path, float], None]
 
 
 def _after_change(change: Change, bed: TestBed, severity: float) -> Measurement:
-    """A prediction half way between two materials after a change of the library, beside that before."""
+    """Measure a prediction halfway between two materials after a change of the library, against that before."""
 
     def make() -> Path:
         model = bed.fit(middle_of_family(bed), "material")
@@ -232,7 +235,7 @@ def _remove(folder: Path, count: float) -> None:
 
 
 def _materials(library: Library) -> list[str]:
-    """Names of the materials, those that predictions are between first."""
+    """Return the names of the materials, those that predictions lie between first."""
     return [*_PAIR, *(name for name in library.names if name not in _PAIR)]
 
 

@@ -56,7 +56,7 @@ _SENSORS_DEG = (
 
 
 def _pairs(grid: RusinkiewiczGrid) -> Pairs:
-    """Direction pairs all over the hemisphere, dense around the mirror direction."""
+    """Return direction pairs all over the hemisphere, dense around the mirror direction."""
     wi, wo, above = grid.directions()
     keep = above & (np.minimum(wi[:, 2], wo[:, 2]) > _STEEP)
     return wi[keep], wo[keep]
@@ -72,26 +72,29 @@ def _old_instrument() -> Pairs:
 
 
 def _values(family: BsdfFamily, values: Mapping[str, Any], pairs: Pairs, n_bands: int = 3) -> Array:
-    """f_cos (M, B) of a BSDF."""
+    """Return f_cos (M, B) of a BSDF."""
     whole = evaluator(family, *pairs, n_bands)
     return whole.values(whole.layout.join(values))[0]
 
 
 def _samples(values: Mapping[str, Any], pairs: Pairs, noise: float = 0.0, floor: float = 0.0) -> FitSamples:
-    """Samples of a Principled BSDF, with Gaussian noise: a share of the value, and a floor in 1/sr."""
+    """Return samples of a Principled BSDF, with Gaussian noise: a share of the value, and a floor in 1/sr."""
     f = _values(principled(values), values, pairs) / pairs[1][:, 2:]
     f = np.maximum(f + (noise * f + floor) * np.random.default_rng(3).standard_normal(f.shape), 0.0)
     return FitSamples.from_arrays(*pairs, f)
 
 
 def _error(found: FitResult, values: Mapping[str, Any]) -> float:
-    """Relative error of a fitted BSDF over all directions."""
+    """Return the relative error of a fitted BSDF over all directions."""
     truth = _values(principled(values), values, _DENSE)
     return relative_error(truth, _values(found.family, found.values, _DENSE), np.sqrt(_DENSE[0][:, 2]))
 
 
 def _messages(found: FitResult, *kinds: str) -> tuple[str, ...]:
-    """Notes of a fit of some kinds, that it did not converge, and every value that the samples do not determine."""
+    """Return a fit's notes of some kinds, and its undetermined values.
+
+    Failure to converge is noted as well.
+    """
     notes = [note for note in found.notes if any(kind in note for kind in kinds)]
     notes += ["not converged"] * (not found.minima[0].converged)
     return (*notes, *(f"{s.name}: {s}" for s in found.statements if s.state != DETERMINED))
@@ -105,7 +108,7 @@ def _minima(method: str, bed: TestBed, n_free: float) -> Measurement:
 
 
 def _roughness(method: str, truth: Mapping[str, Any], bed: TestBed, n_pairs: float) -> Measurement:
-    """Error of the roughness from the directions of an old instrument, or from many."""
+    """Measure the error of the roughness from the directions of an old instrument, or from many."""
     pairs = next(p for p in (_old_instrument(), _DENSE, _DENSER) if len(p[0]) == n_pairs)
     found = fit_bsdf(_samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05)
     error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
@@ -120,7 +123,10 @@ def _few(bed: TestBed, n_pairs: float) -> Measurement:
 
 
 def _incidences(bed: TestBed, count: float) -> Measurement:
-    """All around the mirror direction of a few incidences; a single one is at 45 degrees."""
+    """Measure a fit to all directions around the mirror directions of a few incidences.
+
+    A single incidence is at 45 degrees.
+    """
     wi, wo = [], []
     for degrees in np.linspace(10.0, 80.0, int(count)) if count > 1 else [45.0]:
         incident = from_spherical(np.deg2rad(degrees), 0.0)
@@ -131,13 +137,13 @@ def _incidences(bed: TestBed, count: float) -> Measurement:
 
 
 def _fit_to(wi: Array, wo: Array) -> Measurement:
-    """A fit to some direction pairs, judged at all."""
+    """Measure a fit to some direction pairs, judged at all."""
     found = fit_bsdf(_samples(_TRUTH, (wi, wo)))
     return Measurement(_error(found, _TRUTH), _messages(found, "ambiguous", "not determined"))
 
 
 def _unreached(brdf: Callable[[float], BRDF], bed: TestBed, severity: float) -> Measurement:
-    """The residual of a fit of a material that its parameters cannot represent."""
+    """Measure the residual of a fit of a material that its parameters cannot represent."""
     found = fit_bsdf(replace(from_brdf(brdf(severity)), is_isotropic=True))  # the default for other sources
     ends = [s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))]
     kinds = ("diffuse", "does not fit", *(["end of the range"] * bool(ends)))
@@ -154,12 +160,12 @@ def _mirror(alpha: float) -> BRDF:
 
 
 def brushed(ratio: float) -> BRDF:
-    """A metal of roughness 0.05 across, and that many times as rough along."""
+    """Return a metal of roughness 0.05 across, and `ratio` times as rough along."""
     return _metal(0.05 * ratio, 0.05)
 
 
 def _colour(method: str, bed: TestBed, width: float) -> Measurement:
-    """Distance of a fitted colour from that of a narrow band of reflectance around 530 nm."""
+    """Measure the distance of a fitted colour from that of a narrow band of reflectance around 530 nm."""
     nm = np.linspace(400.0, 700.0, 31)
     bands = Bands(tuple(nm))
     green = 0.02 + 0.9 * np.exp(-(((nm - 530.0) / width) ** 2))

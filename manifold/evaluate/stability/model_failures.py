@@ -32,12 +32,12 @@ KINDS = ("material", "blend")
 
 
 def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
-    """A measured plastic that is not in the family."""
+    """Return a measured plastic that is not in the family."""
     return MeasuredBRDF(bed.file(alpha, COLOURS[1]))
 
 
 def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
-    """Error of a prediction of the held-out plastic over that of the nearest material of the family."""
+    """Return the error of a prediction of the held-out plastic over that of the nearest material of the family."""
     truth = held_out(bed)
     nearest = bed.cached(
         "error of the nearest", lambda: min(bed.error(MeasuredBRDF(file), truth) for file in bed.family)
@@ -46,19 +46,19 @@ def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
 
 
 def _held_out_in(bed: TestBed, model: Manifold) -> Measurement:
-    """The held-out plastic, embedded in a model."""
+    """Measure the held-out plastic, embedded in a model."""
     truth = held_out(bed)
     brdf, messages = bed.embed(model, truth)
     return Measurement(in_error_of_nearest(bed, brdf), messages)
 
 
 def _of_kinds(trial: Callable[[str, TestBed, float], Measurement]) -> dict[str, Trial]:
-    """A trial for each kind of manifold."""
+    """Return a trial for each kind of manifold."""
     return {kind: partial(trial, kind) for kind in KINDS}
 
 
 def _fitted(files: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
-    """The held-out plastic in a model of each kind, fitted to files that depend on the severity."""
+    """Return trials of the held-out plastic in models of each kind, fitted to files that depend on the severity."""
     return _of_kinds(partial(_fitted_to, files))
 
 
@@ -72,7 +72,7 @@ def _fitted_to(
 
 
 def _rescaled(kind: str, bed: TestBed, length_scale: float) -> Measurement:
-    """The held-out plastic at its latent, under a length scale that the latents were not fitted for."""
+    """Measure the held-out plastic at its latent, under a length scale for which the latents were not fitted."""
     truth, fitted = held_out(bed), bed.model(kind)
     known = fitted.embed(truth)
     kernel = replace(fitted.space.kernel, length_scale=length_scale)
@@ -82,7 +82,7 @@ def _rescaled(kind: str, bed: TestBed, length_scale: float) -> Measurement:
 
 
 def _with_prior(kind: str, bed: TestBed, length_scale: float) -> Measurement:
-    """The held-out plastic under a length scale that the prior keeps the latents from following."""
+    """Measure the held-out plastic under a length scale that the prior keeps the latents from following."""
     return _held_out_in(bed, bed.fit(bed.family, kind, prior=1.0, length_scale=length_scale))
 
 
@@ -94,7 +94,7 @@ def _with_noise(kind: str, bed: TestBed, power: float) -> Measurement:
 
 
 def _with_copies(bed: TestBed, count: float) -> list[BsdfFile]:
-    """The family, and copies of one member."""
+    """Return the family, and copies of one member."""
     return [*bed.family, *(replace(bed.family[4], name=f"copy_{k}") for k in range(int(count)))]
 
 
@@ -123,7 +123,7 @@ def _in_dimensions(kind: str, bed: TestBed, count: float) -> Measurement:
 
 
 def _sharper(kind: str, bed: TestBed, ratio: float) -> Measurement:
-    """A lobe sharper than any of the library, by a factor of roughness."""
+    """Measure a lobe sharper than any of the library, by a factor of roughness."""
     truth = held_out(bed, ALPHAS[0] / ratio)
     brdf, messages = bed.embed(bed.model(kind), truth)
     return Measurement(bed.ball_difference(brdf, truth), messages)
@@ -133,7 +133,7 @@ def _sharper(kind: str, bed: TestBed, ratio: float) -> Measurement:
 
 
 def _requested(bed: TestBed, reflectance: float) -> list[Measurement]:
-    """A grey of a reflectance, requested of every structure."""
+    """Measure a grey of a reflectance, requested of every structure."""
     model = bed.model("blend")
     requested = np.full(model.bands.count, reflectance)
     found = []
@@ -156,7 +156,7 @@ Places = Callable[[TestBed, float], Iterator[tuple[PredictedBRDF, tuple[str, ...
 def _from_outermost(
     kind: str, mapping: str, bed: TestBed, distance: float
 ) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
-    """From the outermost material in each of several directions further in that direction."""
+    """Yield predictions beyond the outermost material in each of several directions."""
     model = bed.model(kind, mapping)
     angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
     for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
@@ -165,14 +165,14 @@ def _from_outermost(
 
 
 def _brighter(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
-    """At materials' own structures, in colours moved up."""
+    """Yield predictions at materials' own structures, in brighter colours."""
     model = bed.model("blend")
     for x, colours in zip(model.X[::3], model.space.own_colours[::3], strict=True):
         yield predict(model, x, colours + distance * model.space.kernel.length_scale)
 
 
 def _outside(places: Places, bed: TestBed, distance: float) -> list[Measurement]:
-    """Differences between the balls of predictions and of the nearest plastic, wherever its latent would be."""
+    """Measure differences between the balls of predictions and of the nearest plastic at any latent."""
     return [
         Measurement(bed.ball_difference_to_plastics(brdf), messages)
         for brdf, messages in places(bed, distance)
@@ -180,14 +180,14 @@ def _outside(places: Places, bed: TestBed, distance: float) -> list[Measurement]
 
 
 def _across(ratio: float) -> tuple[str, str, float]:
-    """Two members of the family, as far apart in roughness as a ratio, and the roughness halfway."""
+    """Return two members of the family, whose roughness differs by a ratio, and the roughness halfway."""
     rough = ALPHAS[-1]
     smooth = min(ALPHAS, key=lambda alpha: abs(rough / alpha - ratio))
     return named(smooth, 1), named(rough, 1), float(np.sqrt(smooth * rough))
 
 
 def _on_the_map(kind: str, bed: TestBed, a: str, b: str, t: float) -> BRDF:
-    """What lies between two materials on a map."""
+    """Return the prediction between two materials on a map."""
     model = bed.model(kind)
     return model.predict(model.between(a, b, t))
 
@@ -197,7 +197,7 @@ def _on_the_walk(bed: TestBed, a: str, b: str, t: float) -> BRDF:
 
 
 def _on_the_way(walk: Callable[[TestBed, str, str, float], BRDF], bed: TestBed, ratio: float) -> Measurement:
-    """The best of nine places on the way from one material to another, beside the plastic halfway."""
+    """Measure the best of nine places on the way from one material to another, against the plastic halfway."""
     a, b, middle = _across(ratio)
     truth = held_out(bed, middle)
     ends = [MeasuredBRDF(file) for file in bed.family if file.name in (a, b)]
@@ -213,7 +213,7 @@ _SEARCHES = ("dls", "l-bfgs")
 
 
 def _gram(bed: TestBed) -> Array:
-    """Inner products of the family, in the order of its models."""
+    """Return inner products of the family, in the order of its models."""
     names = [file.name for file in bed.family]
     order = [names.index(name) for name in bed.model("material").names]
     return bed.data.gram(_MAPPING)[np.ix_(order, order)]
@@ -224,7 +224,7 @@ def _fit(bed: TestBed, S: Array, optimizer: str, start: Array | None = None) -> 
 
 
 def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
-    """The held-out plastic, embedded in a manifold with these latents of the family."""
+    """Measure the held-out plastic, embedded in a manifold with these latents of the family."""
     truth = held_out(bed)
     space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
     brdf, messages = bed.embed(in_space(bed.model("material"), space), truth)
@@ -235,14 +235,14 @@ def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
 
 
 def _from_start(optimizer: str, bed: TestBed, scale: float) -> Measurement:
-    """A fit from principal components that are disturbed by a standard deviation."""
+    """Measure a fit from principal components that are disturbed by a standard deviation."""
     S = _gram(bed)
     start = pca_start(centre_gram(S), 2) + scale * np.random.default_rng(0).normal(size=(len(S), 2))
     return _held_out_by(bed, _fit(bed, S, optimizer, start))
 
 
 def _again(optimizer: str, bed: TestBed, change: float) -> Measurement:
-    """The same library, its materials in another order and their values changed a little: how far latents move."""
+    """Measure how far latents move if the library's order and values change a little."""
     S, rng = _gram(bed), np.random.default_rng(0)
     first = bed.cached(("fit", optimizer), lambda: _fit(bed, S, optimizer).embedding_)
     order, scale = rng.permutation(len(S)), 1.0 + change * rng.normal(size=len(S))
@@ -256,7 +256,7 @@ def _again(optimizer: str, bed: TestBed, change: float) -> Measurement:
 
 
 def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
-    """The held-out plastic from the weights of a kernel without observation noise."""
+    """Measure the held-out plastic from the weights of a kernel without observation noise."""
     model, truth = bed.model("material"), held_out(bed)
     x = bed.cached("latent of the held-out plastic", lambda: model.embed(truth).latent)
     weights = GaussianProcess(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]

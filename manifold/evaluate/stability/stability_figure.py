@@ -26,7 +26,7 @@ _LEAST = 1e-3  # share of the limit: smaller errors are drawn here
 
 
 def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
-    """Error over its limit against severity. Above 1 it is too much: then something has to be said."""
+    """Draw the error over its limit against severity; above 1 a message is required."""
     shown = [mode for mode in modes if any(row.mode == mode.key for row in made.rows)]
     columns = min(_COLUMNS, len(shown))
     n_rows = -(-len(shown) // columns)
@@ -78,7 +78,10 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
 
 
 def _height(error: float | None, limit: float) -> float:
-    """Error over its limit, within what is drawn; NaN where there is no error. Of a limit of 0, all or nothing."""
+    """Return the error over its limit, within the drawn range; NaN without an error.
+
+    A limit of 0 gives the lowest or the highest value.
+    """
     if error is None:
         return float("nan")
     if limit == 0.0:
@@ -87,7 +90,7 @@ def _height(error: float | None, limit: float) -> float:
 
 
 def _key(made: Stability) -> list[Line2D]:
-    """A legend of the markers, with the number of trials of each."""
+    """Return a legend of the markers, with the number of trials of each."""
     outcomes = [one.outcome for row in made.rows for one in row.results]
     handles = [
         _handle(

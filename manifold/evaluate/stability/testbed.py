@@ -48,7 +48,7 @@ _GRID = RusinkiewiczGrid(24, 12, 8)
 
 
 def plastic(alpha: float, colour: Sequence[float] = GREY) -> Plastic:
-    """A member of the family: GGX roughness alpha, diffuse reflectance per band."""
+    """Return a member of the family: GGX roughness alpha, diffuse reflectance per band."""
     return Plastic(GGX.isotropic(alpha), _ETA, np.array(colour), BANDS)
 
 
@@ -73,13 +73,13 @@ class TestBed:
         self._folder.cleanup()
 
     def cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """The cached result of `make` for a key."""
+        """Return the cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
 
     def file(self, alpha: float, colour: Sequence[float] = GREY, name: str = "held_out") -> BsdfFile:
-        """A member of the family as the goniometer measures it."""
+        """Return a member of the family as the goniometer measures it."""
         key = ("file", alpha, tuple(colour))
         return replace(self.cached(key, lambda: goniometer.measure(plastic(alpha, colour), name)), name=name)
 
@@ -91,7 +91,7 @@ class TestBed:
         )
 
     def library(self, files: Sequence[BsdfFile]) -> Path:
-        """A new library of files."""
+        """Write a new library of files."""
         folder = Path(mkdtemp(dir=self._folder.name))
         for file in files:
             write_bsdf(folder / f"{file.name}_spec.bsdf", file)
@@ -99,13 +99,13 @@ class TestBed:
         return folder / "library.zarr"
 
     def fit(self, files: Sequence[BsdfFile], kind: str, **settings: Any) -> Manifold:
-        """A manifold of a new library of files; of one library for all where they are the family."""
+        """Fit a manifold to a new library of files; the family's library is shared."""
         is_family = len(files) == len(self.family) and all(map(operator.is_, files, self.family))
         path = self.cached("library", lambda: self.library(files)) if is_family else self.library(files)
         return Manifold.fit(Library.open(path), Settings(kind=kind, **settings), calibrate=False)
 
     def model(self, kind: str, mapping: str = "cube-root") -> Manifold:
-        """The manifold of the family; do not change it."""
+        """Return the manifold of the family, which must not be changed."""
         return self.cached(("model", kind, mapping), lambda: self.fit(self.family, kind, mapping=mapping))
 
     @cached_property
@@ -119,17 +119,20 @@ class TestBed:
         return _GRID.pairs()
 
     def error(self, found: BRDF, truth: BRDF) -> float:
-        """Relative error, weighted by both cosines."""
+        """Return the relative error, weighted by both cosines."""
         wi, wo = self.pairs.wi, self.pairs.wo
         return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
 
     def ball_difference(self, found: BRDF, truth: BRDF, *, is_turned: bool = True) -> float:
-        """Mean CIEDE2000 between two materials of the family's bands; turned, in a light that no diagnostic uses."""
+        """Return the mean CIEDE2000 between two materials of the family's bands.
+
+        A turned light is one that no diagnostic uses.
+        """
         ball = ball_colours.ball(turned_deg=180.0 * is_turned)
         return ball.difference(found.eval(ball.wi, ball.wo), truth.eval(ball.wi, ball.wo), BANDS)
 
     def embed(self, model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
-        """The prediction of a manifold for a new material, and its diagnostics."""
+        """Return the prediction of a manifold for a new material, and its diagnostics."""
         found = model.embed(material)
         brdf, messages = predict(model, found.latent, found.colours)
         errors = Errors(self.ball_difference(brdf, material, is_turned=False), linear=found.relative_error)
@@ -137,7 +140,10 @@ class TestBed:
 
     @cached_property
     def _plastics(self) -> list[tuple[Array, Array]]:
-        """Of many roughnesses, on the ball: f of the black plastic, and what a white base adds to it, (P, B) each."""
+        """Return f of the black plastic on the ball, and the part that a white base adds, (P, B) each.
+
+        There is one pair per roughness.
+        """
         ball = ball_colours.ball()
         black_and_white = (
             [plastic(alpha, [c] * BANDS.count).eval(ball.wi, ball.wo) for c in (0.0, 1.0)]
@@ -146,7 +152,10 @@ class TestBed:
         return [(black, white - black) for black, white in black_and_white]
 
     def ball_difference_to_plastics(self, found: BRDF) -> float:
-        """Mean CIEDE2000 between a material's ball and that of the nearest plastic of any roughness and colour."""
+        """Return the mean CIEDE2000 between a material's ball and that of the nearest plastic.
+
+        The plastic may have any roughness and colour.
+        """
         ball = ball_colours.ball()
         f, light = found.eval(ball.wi, ball.wo), ball.light
         nearest = []
@@ -161,7 +170,7 @@ class TestBed:
 
 
 def in_space(model: Manifold, space: LatentSpace) -> Manifold:
-    """A manifold of the same materials with other latents, or another kernel on them."""
+    """Return a manifold of the same materials with other latents, or another kernel on them."""
     settings = replace(model.settings, length_scale=space.kernel.length_scale, mu=space.kernel.mu)
     return Manifold(model.materials, space, settings, {})
 
@@ -169,7 +178,10 @@ def in_space(model: Manifold, space: LatentSpace) -> Manifold:
 def predict(
     model: Manifold, x: Array, colours: Array | None = None, residual: float = 0.0
 ) -> tuple[PredictedBRDF, tuple[str, ...]]:
-    """The prediction of a manifold at a latent, and its diagnostics; `residual` as in `diagnostics`."""
+    """Predict at a latent of a manifold; return the BRDF and its diagnostics.
+
+    `residual` is that of `diagnostics`.
+    """
     brdf = model.predict(x, colours)
     is_extrapolation = bool(model.is_extrapolation(x, colours))
     return brdf, diagnostics.of_prediction(is_extrapolation, plausibility(brdf), residual)

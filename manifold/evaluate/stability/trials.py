@@ -129,12 +129,12 @@ class Row:
 
     @property
     def is_wrong(self) -> bool:
-        """Whether any trial was silently wrong."""
+        """Return whether any trial was silently wrong."""
         return any(one.outcome == WRONG for one in self.results)
 
     @property
     def is_false_alarm(self) -> bool:
-        """Whether the harmless end was warned of, or refused."""
+        """Return whether the harmless end was warned of, or refused."""
         return self.results[0].outcome in (WARNED, REFUSED)
 
 
@@ -169,7 +169,7 @@ class Stability:
         )
 
     def to_json(self, modes: Sequence[Mode]) -> dict[str, Any]:
-        """Plain values, with what the modes are; numbers that are not finite become None."""
+        """Return plain values, with descriptions of the modes; numbers that are not finite become None."""
         tried = {row.mode for row in self.rows}
         known = {
             "silently_wrong": len(self.wrong),
@@ -190,7 +190,7 @@ class Stability:
 
 
 def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]:
-    """The modes named, in the order of the catalogue; all where none is."""
+    """Return the named modes, in the order of the catalogue; all if none is named."""
     known = Registry("failure mode", ((mode.key, mode) for mode in modes))
     wanted = [known[name] for name in only]
     return tuple(mode for mode in modes if not only or mode in wanted)
@@ -213,7 +213,7 @@ def run_modes(modes: Sequence[Mode], workers: Executor | None = None) -> Stabili
 
 
 def _run_method(task: tuple[Mode, str], bed: TestBed | None = None) -> Row:
-    """Results of a method; raises RendererError where it cannot run on this machine."""
+    """Return the results of a method. Raises RendererError if it cannot run on this machine."""
     mode, method = task
     bed = bed or _bed_of_worker()
     results = tuple(run_trial(mode, method, bed, severity) for severity in mode.severities)
@@ -226,8 +226,9 @@ def _bed_of_worker() -> TestBed:
 
 
 def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialResult:
-    """Run a method at a severity and classify it by its errors and its messages; an exception that is not one of this
-    package's errors counts as silently wrong.
+    """Run a method at a severity and classify it by its errors and its messages.
+
+    An exception that is not one of this package's errors counts as silently wrong.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -44,20 +44,20 @@ _BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
 @cache
 def ball_coordinates() -> Array:
-    """Coordinates of the pairs that light a ball in the judged lights, see `residual.coordinates`."""
+    """Return coordinates of the pairs that light a ball in the judged lights, see `residual.coordinates`."""
     lights = panel.judged()
     return coordinates(lights.wi, lights.wo)
 
 
 @cache
 def grid_coordinates() -> Array:
-    """Coordinates of the encoding grid, whatever the azimuths of its half vectors, see `residual.coordinates`."""
+    """Return coordinates of the encoding grid, for any azimuths of half vectors, see `residual.coordinates`."""
     grid = encoding_pairs()
     return coordinates(grid.wi, grid.wo)
 
 
 def shown_shares(names: Sequence[str], weights: Array) -> tuple[tuple[str, float], ...]:
-    """The materials of a mixture that are shown, with their weights (N,), largest first; one without any is black."""
+    """Return the materials of a mixture that are shown, with their weights (N,), largest first; none means black."""
     order = np.argsort(-weights, kind="stable")[:_MOST_SHOWN]
     shown = tuple((names[m], float(weights[m])) for m in order if weights[m] > _LEAST_SHOWN * weights.sum())
     return shown or (("black", 1.0),)
@@ -139,7 +139,7 @@ class LibraryAtoms:
 
     @property
     def n_grid(self) -> int:
-        """How many pairs are the grid's."""
+        """Return the number of pairs of the grid."""
         return len(self.grid.wi)
 
     @property
@@ -149,7 +149,7 @@ class LibraryAtoms:
 
     @property
     def in_values(self) -> LibraryAtoms:
-        """The same materials as atoms of values."""
+        """Return the materials as atoms of values."""
         return replace(self, is_linear=True)
 
     @property
@@ -178,17 +178,17 @@ class LibraryAtoms:
 
     @property
     def n_measured(self) -> int:
-        """How many atoms, the first ones, are of materials of the library."""
+        """Return the number of atoms, the first ones, that belong to materials of the library."""
         return len(self.names) * len(self.atom_bands)
 
     def usable(self, prior: Array) -> Mask:
-        """Which are atoms of the library, of coats of some prior weight (B, n), or the Lambertian: (n,)."""
+        """Return a mask (n,) of atoms of the library, of coats with some prior weight (B, n), and of the Lambertian."""
         totals = np.bincount(self.material_of, prior.mean(axis=0))
         totals[: len(self.names)] = totals[-1] = np.inf
         return np.asarray(totals[self.material_of] > _LEAST_COAT)
 
     def without(self, material: int) -> LibraryAtoms:
-        """The atoms of all materials but one of the library."""
+        """Return the atoms of all materials but one of the library."""
         rows = np.flatnonzero(self.material_of[self.mixed] != material)
         left = replace(
             self,
@@ -201,20 +201,20 @@ class LibraryAtoms:
         return left
 
     def in_atom_bands(self) -> LibraryAtoms:
-        """The same atoms, of a library that has their bands only."""
+        """Return the atoms of a library that has only their bands."""
         same = replace(self, bands=self.band_axis)
         same.__dict__["gram"] = self.gram
         return same
 
     def at(self, wi: Array, wo: Array) -> Array:
-        """Atoms at direction pairs (P, 3): cube roots, or f in 1/sr, shape (n, P)."""
+        """Return atoms at direction pairs (P, 3): cube roots, or f in 1/sr, shape (n, P)."""
         return self._at(Pairs(wi, wo))
 
     def _at(self, pairs: Pairs) -> Array:
         return self._from_roots(_roots_at(self.materials, pairs), pairs)
 
     def _from_roots(self, roots: Array, pairs: Pairs) -> Array:
-        """From cube roots of bands and Lambertian at P pairs, shape (n, P)."""
+        """Return atoms from cube roots of bands and Lambertian at P pairs, shape (n, P)."""
         if not self.is_linear:
             return roots
         measured = roots[: self.n_measured]
@@ -233,7 +233,10 @@ class LibraryAtoms:
         return lights.of(self._from_roots(self.ball, lights).T).T
 
     def gloss(self, angles_deg: Sequence[float]) -> Array:
-        """Means of atoms over the apertures of gloss meters at G angles: cube roots, or f in 1/sr, shape (n, G)."""
+        """Return means of atoms over the apertures of gloss meters at G angles, shape (n, G).
+
+        They are cube roots, or f in 1/sr.
+        """
         means = np.empty((len(self), len(angles_deg)))
         for k, meter in enumerate(map(gloss_meter, angles_deg)):
             atoms = self._at(meter).T
@@ -241,7 +244,7 @@ class LibraryAtoms:
         return means
 
     def predicted(self, weights: Array, bands: Bands | None = None) -> PredictedBRDF:
-        """The BRDF of weights (B, n) of atoms in some bands, those of the library by default."""
+        """Return the BRDF of weights (B, n) of atoms in some bands, those of the library by default."""
         m, measured = len(self.mixed) - 1, self.n_measured
         powers = range(m, m + (len(self.dictionary.exponents) - 1) * measured, measured)
         no_coats = np.zeros((len(weights), m - measured))
@@ -253,7 +256,7 @@ class LibraryAtoms:
 
 
 def dielectric_coats(bands: Bands) -> dict[str, Plastic]:
-    """Rough dielectrics over a diffuse base by name, from sharp to dull; their bands differ in the base alone.
+    """Return rough dielectrics over a diffuse base by name, from sharp to dull; only their bases vary with the band.
 
     A mixture of the bands of one has a base of any colour under the highlight that Fresnel's equations give.
     """
@@ -268,6 +271,6 @@ def dielectric_coats(bands: Bands) -> dict[str, Plastic]:
 
 
 def _roots_at(materials: Sequence[BRDF], pairs: Pairs) -> Array:
-    """Cube roots of atoms and, last, of the Lambertian of albedo 1 at direction pairs, shape (n + 1, P)."""
+    """Return cube roots of atoms and, last, of the Lambertian of albedo 1 at direction pairs, shape (n + 1, P)."""
     roots = np.ascontiguousarray(roots_at(materials, pairs))
     return np.vstack([roots, LAMBERTIAN.lobes.cube_roots(pairs.wi, pairs.wo)])

@@ -68,19 +68,19 @@ class Wanted:
 
     @classmethod
     def parse(cls, text: str) -> Wanted:
-        """Of `30`, `+10` or `-10`; a sign makes it relative."""
+        """Parse `30`, `+10` or `-10`; a sign makes it relative."""
         if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)", text.strip()):
             raise UsageError(f"found '{text}', expected a number such as 30, or +10 or -10 for a change")
         return cls(float(text), text.strip()[0] in "+-")
 
     def of(self, present: float) -> float:
-        """The absolute value, where a material has one at present."""
+        """Return the absolute value for a material's present one."""
         return present + self.value if self.is_relative else self.value
 
 
 @dataclass(frozen=True)
 class Attributes:
-    """What a material should be; None or no entry where it should stay as it is.
+    """The attributes that a material should have; None or no entry keeps the present one.
 
     Attributes:
         gloss: gloss units at 20, 60 or 85 degrees.
@@ -94,7 +94,7 @@ class Attributes:
     hue: Wanted | None = None
 
     def lch(self, present: Array) -> Array:
-        """Lightness, chroma and hue in degrees asked for, where those of a material are (3,)."""
+        """Return the requested lightness, chroma and hue in degrees for a material's present ones (3,)."""
         wanted = (self.lightness, self.chroma, self.hue)
         lightness, chroma, hue = (
             now if w is None else w.of(now) for w, now in zip(wanted, present, strict=True)
@@ -106,7 +106,7 @@ class Attributes:
         return np.array([lightness, chroma, hue % 360.0])
 
     def units(self, present: Mapping[float, float]) -> dict[float, float]:
-        """Gloss units asked for by angle in degrees, where those of a material are some."""
+        """Return the requested gloss units by angle in degrees for a material's present ones."""
         units = {angle: self.gloss[angle].of(now) for angle, now in present.items()}
         for angle, asked in units.items():
             if (fault := gloss_fault(angle, asked)) is not None:
@@ -125,7 +125,7 @@ class Attributes:
         chroma: str | None = None,
         hue: str | None = None,
     ) -> Attributes | None:
-        """Of texts such as `60=40` for gloss and `+10` for the others; None where all are missing."""
+        """Parse texts such as `60=40` for gloss and `+10` for the others; return None if all are missing."""
         given = {}
         for text in gloss:
             angle, _, units = text.rpartition("=")
@@ -164,7 +164,7 @@ class Adjusted:
         )
 
     def reached_by(self, brdf: EvaluableBRDF, units: Mapping[float, float]) -> Adjusted:
-        """The same with what a BRDF has, of which gloss units by angle in degrees were asked."""
+        """Return the result with a BRDF's attributes, for which gloss units by angle in degrees were requested."""
         wanted, found = self.lch[0], lab_of(brdf)
         gloss = {angle: (units[angle], reached) for angle, reached in gloss_units(brdf, units).items()}
         difference = float(delta_e_2000_lab(_from_lch(wanted), found))
@@ -172,7 +172,7 @@ class Adjusted:
 
     @property
     def shortfalls(self) -> tuple[str, ...]:
-        """What could not be reached, in sentences."""
+        """Return sentences on the attributes that could not be reached."""
         shortfalls = [
             f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} asked; nothing near it in this colour "
             "has that gloss"
@@ -191,7 +191,7 @@ class Adjusted:
             warnings.warn(shortfall, NotReachedWarning, stacklevel=3)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         lch = [dict(zip(("lightness", "chroma", "hue_deg"), one, strict=True)) for one in self.lch]
         known = {
             "latent": None if self.place.is_step(self.colours) else self.place.latent,
@@ -204,7 +204,7 @@ class Adjusted:
 
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
-    """The place on a map of blends and the colours nearest to a material at x that have some attributes.
+    """Find the place on a map of blends and the colours nearest to a material at x that have some attributes.
 
     >>> adjust(model, "syn_card_brown", Attributes({60.0: Wanted(40.0)}, hue=Wanted(30.0)))  # doctest: +SKIP
     """
@@ -225,7 +225,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
 
 
 def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -> Readings:
-    """A colour (3,), CIELAB under D65 in the geometry 45/0, and gloss units by angle, as readings of a material.
+    """Return a colour (3,), CIELAB under D65 at 45/0, and gloss units by angle, as readings of a material.
 
     The spectrum is the smoothest of that colour, as colours have no other.
     """
@@ -236,7 +236,7 @@ def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -
 
 
 def lab_of(brdf: EvaluableBRDF) -> Array:
-    """CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
+    """Return the CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
     return lab_of_factor(factor_of(brdf), brdf.bands)
 
 
@@ -263,11 +263,14 @@ class _Search:
         return decoder_at(pairs, model.space, model.materials, model.settings)
 
     def colours(self, x: Array, factor: Array) -> Array:
-        """Colours (B,) at which a place x (Q,) has a reflectance factor (B,) in the geometry 45/0."""
+        """Return colours (B,) at which a place x (Q,) has a reflectance factor (B,) in the geometry 45/0."""
         return self._space.colours_of(x, factor, self._reflectometer, np.array([np.pi]))[0]
 
     def nearest(self, start: Array, factor: Array, units: Mapping[float, float]) -> Array:
-        """The place nearest to a start (Q,) with gloss units by angle in degrees, in the colour of a factor (B,)."""
+        """Return the place nearest to a start (Q,) with gloss units by angle in degrees.
+
+        Its colour is that of a reflectance factor (B,).
+        """
         if not units:
             return start
 
@@ -297,7 +300,7 @@ class _Search:
 
 
 def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
-    """A reflectance factor (B,) brought to a colour (3,) by smooth gains, as near to what it was as they are to 1."""
+    """Bring a reflectance factor (B,) to a colour (3,) by smooth gains that are as near to 1 as possible."""
     primaries = np.eye(3) if bands.is_rgb else srgb_spectra(bands)
     base = np.maximum(factor, _LEAST_REFLECTANCE)
 
@@ -311,17 +314,17 @@ def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
 
 
 def factor_of(brdf: EvaluableBRDF) -> Array:
-    """Reflectance factor (B,) of the geometry 45/0."""
+    """Return the reflectance factor (B,) of the geometry 45/0."""
     return np.pi * brdf.eval(_LIGHT, _NORMAL)
 
 
 def lab_of_factor(factor: Array, bands: Bands) -> Array:
-    """CIELAB (3,) under D65 of a reflectance factor (B,)."""
+    """Return the CIELAB (3,) under D65 of a reflectance factor (B,)."""
     return to_lab(to_xyz(factor, bands), xyz_weights(bands).sum(axis=0))
 
 
 def _to_lch(lab: Array) -> Array:
-    """Lightness, chroma, hue in degrees."""
+    """Return lightness, chroma, hue in degrees."""
     return np.array([lab[0], np.hypot(lab[1], lab[2]), np.rad2deg(np.arctan2(lab[2], lab[1])) % 360.0])
 
 
@@ -351,7 +354,7 @@ class Found:
     distance: float
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return plain(vars(self) | {"gloss": {f"{a:g}": units for a, units in self.gloss.items()}})
 
 
@@ -362,7 +365,7 @@ def find(
     lab: ArrayLike | None = None,
     gloss: Mapping[float, float] = MappingProxyType({}),
 ) -> list[Found]:
-    """The materials of a library, those first that look most like another, or are nearest to a colour and gloss.
+    """Return a library's materials, ordered by their resemblance to another, or to a colour and gloss.
 
     BRDFs are compared as balls in the judged lights of `colour.panel`; readings at their geometries, in which case
     materials without gloss near it may be listed. `lab` is in the geometry 45/0 under D65, shape (3,), None for any;
@@ -390,7 +393,7 @@ def find(
 
 
 def _difference_from(sought: BRDF | Readings) -> Callable[[BRDF], float]:
-    """CIEDE2000 of BRDFs from another, as balls, or from readings at their geometries."""
+    """Return a function for the CIEDE2000 of BRDFs from another, as balls, or from readings at their geometries."""
     if isinstance(sought, Readings):
         return _from_readings(sought)
     lights = panel.judged()

@@ -74,7 +74,7 @@ class ColourSample:
     gloss: Mapping[float, float]
 
     def made_of(self) -> dict[str, Any]:
-        """What its content depends on, plain values."""
+        """Return all that the content depends on, as plain values."""
         return {"lab": list(self.lab), "gloss": {f"{angle:g}": units for angle, units in self.gloss.items()}}
 
 
@@ -110,7 +110,7 @@ class Coated:
 
     @property
     def rows(self) -> dict[str, object]:
-        """What a table says of it, by label: words, and lists of words."""
+        """Return the rows of its table, by label: words, and lists of words."""
         return {
             "made": f"a dielectric coat (alpha {self.alpha:.3g}, index {self.index:.3g}) over a diffuse base",
             "colour": f"L,a,b {', '.join(f'{v:.1f}' for v in self.lab)} ({DAYLIGHT}, 45/0), "
@@ -123,7 +123,7 @@ class Coated:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         known = {
             "path": self.path,
             "sample": self.sample.name,
@@ -144,7 +144,9 @@ class Coated:
 
 
 def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Plastic, float]:
-    """The coat over a Lambertian nearest to a colour (CIELAB, 45/0, D65; (3,)) and gloss units by angle, and its alpha.
+    """Return the coat over a Lambertian nearest to a colour and gloss units by angle, and its alpha.
+
+    The colour is CIELAB at 45/0 under D65, (3,).
 
     Its index stays near 1.5 unless the gloss asks for another.
     """
@@ -158,7 +160,7 @@ def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Pla
 
 
 def gloss_misfits(units: Array, wanted: Mapping[float, float]) -> Array:
-    """Differences of logarithms from gloss units (G,) by angle, in steps of what counts as reached."""
+    """Return differences of logarithms from gloss units (G,) by angle, in units of the accepted difference."""
     logs = [np.log(np.maximum(some, LEAST_GLOSS)) for some in (units, list(wanted.values()))]
     return np.asarray((logs[0] - logs[1]) / _ROUNDING)
 
@@ -234,7 +236,7 @@ def complete(
 
 
 def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> list[str]:
-    """What was not reached, in sentences."""
+    """Return sentences on the values that were not reached."""
     notes = [
         f"gloss at {angle:g} degrees: {gloss[angle]:.3g} reached, {asked:.3g} asked; no dielectric coat of this colour "
         "has it: metals have more, and --mixture looks among the library's materials"
@@ -252,7 +254,7 @@ def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> l
 
 
 def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library: Library) -> Errors[float]:
-    """Errors of coats that have the colour and gloss of a library's materials; in the library's cache."""
+    """Return errors of coats with the colour and gloss of a library's materials; cached in the library."""
     axes = (__version__, library.content_hash, atoms.names, angles_deg)
     key = hashlib.sha256(f"coats {axes}".encode()).hexdigest()
     return cached(library, key, lambda: _calibrated(atoms, angles_deg)).at(np.ones(2))
@@ -321,7 +323,7 @@ def read_colours(
 
 
 def _lab_of_header(path: Path, head: list[str] | None, viewing: Viewing | None) -> tuple[list[int], Viewing]:
-    """The columns of L, a and b, and the light and observer that they are seen by."""
+    """Return the columns of L, a and b, and the light and observer of these values."""
     if head is None:
         return [1, 2, 3], viewing or DAYLIGHT
     columns = column_heads.lab_columns(head, viewing)
@@ -351,19 +353,19 @@ class RecoatedBRDF(WrappedBRDF):
         self._old, self._new, self._strength = old, new, strength
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., B)."""
+        """Return f in 1/sr, shape (..., B)."""
         f = np.maximum(self._brdf.eval(wi, wo), 0.0)
         return exchanged(f, _parts(self._old, wi, wo), _parts(self._new, wi, wo), self._strength)
 
 
 def _parts(coat: Plastic, wi: Array, wo: Array) -> tuple[Array, Array]:
-    """What the surface of a coat reflects and what comes from below it, in 1/sr, each (..., B)."""
+    """Return the light reflected by the surface of a coat, and the light from below it, in 1/sr, each (..., B)."""
     surface = coat.boundary.eval(wi, wo)
     return surface, coat.eval(wi, wo) - surface
 
 
 def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], strength: Array) -> Array:
-    """Values f >= 0 of a material with a new coat instead of an old one, in 1/sr, shape (..., B).
+    """Return values f >= 0 of a material with a new coat instead of an old one, in 1/sr, shape (..., B).
 
     What the old coat's base explains of them changes as the base does, also where that was black. The rest, the
     highlight, changes as the surface does: it is taken away in proportion, and added as strongly, at most `strength`
@@ -387,7 +389,7 @@ def _highlight(
 
 
 def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
-    """A material with another coat, of some gloss units above 0 by angle in degrees, that keeps its colour at 45/0.
+    """Return a material with a coat of other gloss units above 0 by angle in degrees, and its old colour at 45/0.
 
     The present coat is the one over a Lambertian that has the material's gloss at 20, 60 and 85 degrees.
     """

@@ -122,7 +122,7 @@ class Completion:
         )  # fmt: skip
 
     def as_written(self, brdf: BRDF) -> Completion:
-        """The same with the errors of a file that it was written to."""
+        """Return the completion with the errors of a file that it was written to."""
         f, read, nm = (
             brdf.eval(self.readings.wi, self.readings.wo),
             self.readings.gloss,
@@ -161,7 +161,7 @@ class Completion:
         return self._at(self.atoms.ball, ball_coordinates())
 
     def _at(self, roots: Array, where: Array) -> Array:
-        """f where atoms have cube roots (n + 1, P), at coordinates (P, 3)."""
+        """Return f at coordinates (P, 3), at which atoms have cube roots (n + 1, P)."""
         return np.asarray((self.weights @ roots * self.residual.at(where)).T ** 3)
 
     @property
@@ -267,7 +267,7 @@ class Completion:
         return self.hypotheses.spread(self.hypotheses.weights @ self.atoms.directions, self.atoms.weights)
 
     def spread_at(self, wi: Array, wo: Array) -> Array:
-        """Standard deviation of hypotheses about f at direction pairs (P, 3), relative to their mean, shape (P,)."""
+        """Return the relative standard deviation of hypotheses about f at direction pairs (P, 3), shape (P,)."""
         probability, weights = self.hypotheses.probability, self.hypotheses.weights
         curves = (weights @ self.atoms.at(wi, wo)) ** 3
         mean = probability @ curves
@@ -319,7 +319,7 @@ class Completion:
 
 
 def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: Mask | None = None) -> Array:
-    """Weights v >= 0 of atoms in every band that fit the readings, and differ little from prior weights: (B, n + 1).
+    """Return weights v >= 0 of atoms in every band that fit the readings and stay near prior weights: (B, n + 1).
 
     They minimise `sum_p w (v g - t)^2 / |t|^2 + keep (v - s) G (v - s)`: cube roots g of atoms and t of the material at
     readings of weights w, prior s (B, n + 1), and G (n + 1, n + 1), inner products of atoms averaged over all
@@ -340,7 +340,7 @@ def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: Ma
 
 
 def _usable(readings: Readings) -> Readings:
-    """The measured readings of positive weight above the horizon."""
+    """Return the measured readings of positive weight above the horizon."""
     is_usable = (readings.wi[:, 2] > 1e-3) & (readings.wo[:, 2] > 1e-3)
     is_usable &= readings.measured.any(axis=1) & (readings.weights > 0.0)
     if not np.nansum(np.maximum(readings.values[is_usable], 0.0)) > 0.0:
@@ -352,13 +352,13 @@ def _usable(readings: Readings) -> Readings:
 
 
 def _mean_roots(readings: Readings) -> Array:
-    """Cube roots of the mean over bands at every reading, shape (P,)."""
+    """Return cube roots of the mean over bands at every reading, shape (P,)."""
     mean = np.nanmean(np.maximum(readings.values, 0.0), axis=1)
     return np.asarray(np.cbrt(np.maximum(mean, 0.0)))
 
 
 def for_library(readings: Readings, bands: Bands) -> Readings:
-    """Readings that a library of some bands can complete: linear sRGB for an RGB library, spectra for any.
+    """Return readings that a library of some bands can complete: linear sRGB for an RGB library, spectra for any.
 
     Three narrow bands become spectra, see `colour.narrow_bands`.
     """
@@ -378,12 +378,12 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
 
 
 def bands_of(readings: Readings, bands: Bands) -> Bands:
-    """Those of what is completed from readings: of a library, or of spectra that its colours are less than."""
+    """Return the bands of a completion: those of the library, or of the spectra that an RGB library completes."""
     return readings.bands if bands.is_rgb else bands
 
 
 def in_srgb(readings: Readings) -> Readings:
-    """Readings whose spectra, if they are such, are converted to linear sRGB under D65."""
+    """Convert spectra of readings to linear sRGB under D65; return other readings unchanged."""
     nm = readings.wavelengths_nm
     if nm is None:
         return readings
@@ -398,7 +398,7 @@ def in_srgb(readings: Readings) -> Readings:
 
 
 def _without_gaps(values: Array, nm: Array) -> Array:
-    """Spectra (P, B) with gaps between measured bands interpolated; unmeasured ends stay NaN."""
+    """Interpolate gaps between measured bands of spectra (P, B); unmeasured ends stay NaN."""
     filled = values.copy()
     for row in filled:
         known = np.isfinite(row)
@@ -408,7 +408,7 @@ def _without_gaps(values: Array, nm: Array) -> Array:
 
 
 def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
-    """Weights (B_r, n) at the bands of readings, interpolated to all B bands of a library; constant outside."""
+    """Interpolate weights (B_r, n) at the bands of readings to all B bands of a library; constant outside."""
     if bands.wavelengths_nm is None or readings.wavelengths_nm is None:
         return weights
     used = np.flatnonzero(weights.any(axis=0))
@@ -420,7 +420,7 @@ def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
 
 
 def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
-    """First and last wavelength of the readings in nm, where the library's range is larger; else None."""
+    """Return the first and last wavelength of the readings in nm if the library's range is larger; else None."""
     nm, of_library = readings.wavelengths_nm, bands.wavelengths_nm
     if nm is None or of_library is None:
         return None

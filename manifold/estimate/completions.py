@@ -64,12 +64,12 @@ class Completed:
 
     @property
     def residual(self) -> float:
-        """Of the readings, in cube roots: root mean square, or that of gloss if it is larger."""
+        """Return the residual of the readings in cube roots: root mean square, or that of gloss if it is larger."""
         return self.completion.residual_of_readings
 
     @property
     def rows(self) -> dict[str, object]:
-        """What a table says of it, by label: words, and lists of words."""
+        """Return the rows of its table, by label: words, and lists of words."""
         found = self.completion
         rows: dict[str, object] = {
             "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
@@ -104,12 +104,12 @@ class Completed:
         return rows
 
     def _beside(self, ciede2000: float) -> str:
-        """What stands beside an error that is less than measurements of the sample differ."""
+        """Return a remark on an error that is smaller than the differences between measurements of the sample."""
         between = self.completion.readings.between
         return "" if between is None or ciede2000 > between.ciede2000 else " (less than measurements differ)"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         made = self.completion
         known = {
             "path": self.path,
@@ -240,7 +240,7 @@ _kept: dict[tuple[Path, str], LibraryAtoms] = {}  # of the library that was used
 
 
 def atoms_of(library: Library) -> LibraryAtoms:
-    """The atoms of a library, kept for the next sample."""
+    """Return the atoms of a library, cached for the next sample."""
     key = library.path, library.content_hash
     if key not in _kept:
         _kept.clear()
@@ -266,7 +266,7 @@ def colour_under_d65(lab: Array, viewing: Viewing) -> Array:
 
 
 def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
-    """Gloss units by angle in degrees, of texts such as `60=12.5`."""
+    """Parse texts such as `60=12.5` into gloss units by angle in degrees."""
     found: dict[float, float] = {}
     for text in texts:
         angle, is_pair, units = text.partition("=")
@@ -285,7 +285,7 @@ def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
 
 
 def uncertainty(made: Completion) -> dict[str, Any]:
-    """Standard deviation of f over hypotheses, relative, in the plane of incidence, direction by direction."""
+    """Return the relative standard deviation of f over hypotheses, in the plane of incidence, by direction."""
     profiles: dict[str, list[float]] = {}
     for incidence in _PROFILE_INCIDENCES_DEG:
         wi = from_spherical(np.deg2rad(incidence), np.pi)
@@ -303,5 +303,5 @@ def _describe(made: Completion) -> str:
 
 
 def file_name(readings: Readings) -> str:
-    """The default name of a completed material's file: that of the sample."""
+    """Return the default name of a completed material's file: that of the sample."""
     return f"{safe_name(readings.name)}.bsdf"

@@ -42,7 +42,7 @@ class Calibration:
     def leave_out(
         cls, method: Callable[[int], tuple[Errors[float], Array]], materials: Iterable[int]
     ) -> Calibration:
-        """Of errors and indicators (2,) that a method finds for materials by their numbers, from the others."""
+        """Make a calibration from errors and indicators (2,) that a method finds for left-out materials."""
         errors, indicators = zip(*map(method, materials), strict=True)
         found = Errors.of_several(errors)
         return cls(Errors(found.ball, found.cube_root, found.linear), np.array(indicators))
@@ -52,7 +52,7 @@ class Calibration:
         return f"<Calibration: {len(self.indicators)} materials left out, medians: {medians}>"
 
     def expected(self, completion: Completion) -> Errors[float]:
-        """Expected errors of a completion from these directions.
+        """Return the expected errors of a completion from these directions.
 
         Logarithms of errors are linear in those of the indicators, with non-negative slopes. As for predictions, at
         least half of the left-out errors are below the expected one, and 90 % below twice that. Where the residual is
@@ -62,11 +62,11 @@ class Calibration:
         return self.at(indicators_of(completion)).beside(Errors(ball=completion.colour_error))
 
     def at(self, indicators: Array) -> Errors[float]:
-        """Expected errors of what has these indicators (2,)."""
+        """Return the expected errors for some indicators (2,)."""
         return Errors(*self._line(indicators, np.ones(len(self.indicators), bool)).tolist())
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
-        """A note if the residual of the readings is larger than that of every left-out material."""
+        """Return a note if the residual of the readings is larger than that of every left-out material."""
         residual = float(indicators_of(completion)[0])
         if not self.is_beyond(residual):
             return ()
@@ -82,7 +82,7 @@ class Calibration:
         return float(self.indicators[:, 0].max())
 
     def is_beyond(self, residual: float) -> bool:
-        """Whether a residual is larger than that of every left-out material, by more than `_MARGIN`."""
+        """Return whether a residual is larger than that of every left-out material, by more than `_MARGIN`."""
         return residual > _MARGIN * self.largest_residual
 
     @property
@@ -96,7 +96,7 @@ class Calibration:
         return np.column_stack([getattr(self.errors, kind) for kind in _KINDS])
 
     def _line(self, indicators: Array, known: Array) -> Array:
-        """Expected ball, cube-root and linear error (3,) at indicators (2,), from some materials (N,)."""
+        """Return expected ball, cube-root and linear errors (3,) at indicators (2,), from some materials (N,)."""
         x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.indicators, self._table))
         centre, level = x.mean(axis=0), y.mean(axis=0)
         scale = x.std(axis=0) + 1e-6
@@ -111,7 +111,7 @@ class Calibration:
 
 
 def indicators_of(completion: Completion) -> Array:
-    """Indicators of its error, shape (2,): residual of readings, spread of hypotheses.
+    """Return the indicators of its error, shape (2,): residual of readings, spread of hypotheses.
 
     The residual is that of the completion, root mean square, or of the mixtures that it was made from if they differ
     more from what was read.
@@ -135,7 +135,7 @@ def calibrate(atoms: LibraryAtoms, readings: Readings, library: Library | None =
 
 
 def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> Calibration:
-    """The calibration of a key in the cache of a library; made, and kept there, where there is none."""
+    """Return the calibration of a key in the cache of a library; a missing one is made and stored there."""
     kept = library.cache_get(key) or {}
     shapes = {name: array.shape[1:] for name, array in kept.items()}
     if shapes == {"errors": (len(_KINDS),), "indicators": (2,)} and len(kept["errors"]) == len(
@@ -148,7 +148,7 @@ def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> 
 
 
 def _cache_key(atoms: LibraryAtoms, readings: Readings, library: Library) -> str:
-    """A hash of all that a calibration depends on: the library, the instrument's geometry and bands, this program."""
+    """Return a hash of all that a calibration depends on: library, geometry and bands of the instrument, program."""
     axes = (
         atoms.names,
         atoms.coats,
@@ -176,7 +176,7 @@ def _calibrated(atoms: LibraryAtoms, readings: Readings) -> Calibration:
 def leave_out(
     atoms: LibraryAtoms, m: int, at_readings: Array, readings: Readings, at_gloss: Array | None = None
 ) -> Completion:
-    """Material m completed from all others in the bands of the atoms, from readings without noise.
+    """Complete material m from all others in the bands of the atoms, from readings without noise.
 
     It is read in those of these bands that are nearest to the readings' only, so that errors of extrapolation to other
     bands count. Cube roots of atoms at the readings have shape (n + 1, P), at their gloss (n + 1, G); of the readings,
@@ -198,7 +198,7 @@ def leave_out(
 
 
 def _nearest(bands: Bands, to: Bands) -> Mask:
-    """Which bands (B,) are the nearest to one of others; all where one of both is linear sRGB."""
+    """Return a mask of the bands (B,) that are nearest to one of others; all if either is linear sRGB."""
     if bands.wavelengths_nm is None or to.wavelengths_nm is None:
         return np.ones(bands.count, bool)
     apart = np.abs(np.subtract.outer(to.wavelengths_nm, bands.wavelengths_nm))
@@ -206,7 +206,7 @@ def _nearest(bands: Bands, to: Bands) -> Mask:
 
 
 def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Errors[float]:
-    """Errors of f predicted for material m in the bands of the atoms; unknown where it is not finite.
+    """Return errors of f predicted for material m in the bands of the atoms; unknown if f is not finite.
 
     f is predicted on the grid, shape (P_g, B_s), and at the pairs that light a ball in the judged lights, (P_b, B_s).
     """

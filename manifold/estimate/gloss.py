@@ -30,7 +30,7 @@ _GLASS_INDEX = 1.567
 
 @cache
 def gloss_meter(angle_deg: float) -> Picture:
-    """What a gloss meter at one of `GLOSS_ANGLES_DEG` collects: one sum, in gloss units."""
+    """Return the measurement of a gloss meter at one of `GLOSS_ANGLES_DEG`: one sum, in gloss units."""
     if angle_deg not in RECEPTORS_DEG:
         raise UsageError(f"gloss at {angle_deg:g} degrees, expected 20, 60 or 85 (ISO 2813)")
     theta = np.deg2rad(angle_deg)
@@ -43,18 +43,18 @@ def gloss_meter(angle_deg: float) -> Picture:
 
 
 def black_glass(angle_deg: float) -> float:
-    """The share of the light that polished black glass reflects, 100 gloss units."""
+    """Return the share of the light that polished black glass reflects, 100 gloss units."""
     cosine = np.array([np.cos(np.deg2rad(angle_deg))])
     return float(fresnel_dielectric(cosine, np.array([_GLASS_INDEX]))[0, 0])
 
 
 def value_of_unit(angle_deg: float) -> float:
-    """The mean of f over the receptor, in 1/sr, that makes one gloss unit."""
+    """Return the mean of f over the receptor, in 1/sr, that makes one gloss unit."""
     return 1.0 / float(gloss_meter(angle_deg).light.sum())
 
 
 def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_DEG) -> dict[float, float]:
-    """Gloss units of a BRDF, by its luminance, at some incidences in degrees.
+    """Return gloss units of a BRDF, by its luminance, at some incidences in degrees.
 
     Files hold highlights as wide as the goniometer resolved: the gloss of what is polished comes out too low.
     """
@@ -66,7 +66,7 @@ def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_
 
 
 def gloss_differences(made: Array, read: Array) -> Array:
-    """Relative differences of cube roots between units of gloss and what was read within a unit, shape (G,)."""
+    """Return relative differences of cube roots from read gloss units, within one unit of these, shape (G,)."""
     nearest = np.clip(made, np.maximum(read - 1.0, 0.0), read + 1.0)
     root, near = np.cbrt(made), np.cbrt(nearest)
     return np.asarray(np.abs(root - near) / np.maximum(np.maximum(root, near), np.finfo(float).tiny))
@@ -75,7 +75,7 @@ def gloss_differences(made: Array, read: Array) -> Array:
 def _aperture(
     theta: float, phi: float, size_deg: tuple[float, float], nodes: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Directions (P, 3) to the cells of a rectangular aperture around one direction, and their solid angles (P,)."""
+    """Return directions (P, 3) to cells of a rectangular aperture around a direction, and solid angles (P,)."""
     centre = from_spherical(theta, phi)
     across = np.array([0.0, 1.0, 0.0])
     x, y = (

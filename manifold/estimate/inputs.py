@@ -52,7 +52,7 @@ class Sample:
         return " and ".join(str(path) for path, _ in self.parts)
 
     def made_of(self) -> dict[str, Any]:
-        """What its content depends on, plain values."""
+        """Return all that the content depends on, as plain values."""
         return {"parts": [[file_sha256(path), name] for path, name in self.parts], "note": self.note}
 
 
@@ -62,12 +62,12 @@ def is_readings(path: Path) -> bool:
 
 
 def safe_name(name: str) -> str:
-    """The name of a file for that of a sample."""
+    """Return a name for the file of a sample."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "sample"
 
 
 def find_samples(sources: Iterable[Path]) -> list[Sample]:
-    """The samples in instruments' files, of folders, too; readings of one by several instruments are put together.
+    """Return the samples in instruments' files and folders; readings of one sample by several instruments are merged.
 
     Files are of one sample where it has one name in them and instruments differ. Where one instrument has read a name
     twice, they may be two samples, and stay apart, named by their files.
@@ -98,7 +98,7 @@ def find_samples(sources: Iterable[Path]) -> list[Sample]:
 
 
 class _Part(NamedTuple):
-    """What one file says of a sample; `sample` is its name where the file has several."""
+    """One file's part of a sample; `sample` is its name if the file has several."""
 
     path: Path
     sample: str | None
@@ -109,7 +109,7 @@ class _Part(NamedTuple):
 
 
 def _only_incidence_deg(record: registry.Record) -> float | None:
-    """The incidence of readings that have one, in degrees; None of others."""
+    """Return the incidence of readings that have one, in degrees; None for others."""
     if (
         not isinstance(record, Readings)
         or len(record) == 1
@@ -120,7 +120,7 @@ def _only_incidence_deg(record: registry.Record) -> float | None:
 
 
 def _in_samples(parts: list[_Part]) -> list[Sample]:
-    """The samples of files in which the names agree."""
+    """Return the samples of files in which the names agree."""
     name = parts[0].name
     if len(parts) == 1:
         return [Sample(safe_name(name), (parts[0][:2],))]
@@ -157,7 +157,7 @@ class Input:
         return str(self.source) if self.sample is None else f"{self.source}: {self.sample}"
 
     def made_of(self) -> dict[str, Any]:
-        """What its content depends on, plain values."""
+        """Return all that the content depends on, as plain values."""
         source = self.source
         if isinstance(source, FileSource):
             return {"file": file_sha256(source.path), "sample": self.sample}
@@ -174,31 +174,29 @@ class Input:
 
 @lru_cache
 def _sha256(path: Path, changed_ns: int) -> str:
-    """Of a model, which may be that of many places."""
+    """Return the hash of a model, cached because many places may share it."""
     return file_sha256(path)
 
 
 def is_rgl(path: Path) -> bool:
-    """Whether a file is named as one of the RGL database, or begins like one."""
+    """Return whether a file has the suffix of the RGL database, or begins like one of its files."""
     return path.suffix == ".bsdf" or begins_with(path, MAGIC)
 
 
 def is_rendered(path: Path) -> bool:
-    """Whether a file is named as an RGL file or a fit."""
+    """Return whether a file has the suffix of an RGL file or a fit."""
     return path.suffix == ".bsdf" or path.name.endswith(FIT)
 
 
 def is_many(sources: Sequence[MaterialSource]) -> bool:
-    """Whether sources are several, or a folder or library, which stands for several."""
+    """Return whether sources are several, or a folder or library, which stands for several."""
     return len(sources) > 1 or any(isinstance(one, FileSource) and one.path.is_dir() for one in sources)
 
 
 def find_inputs(
     sources: Iterable[MaterialSource], is_wanted: Callable[[Path], bool] = is_rgl, *, samples: bool = False
 ) -> list[Input]:
-    """The materials of sources, none read yet: wanted files of folders at every depth, and, if asked, all of their
-    samples.
-    """
+    """Return the materials of sources, unread: wanted files of folders at every depth, and, if asked, all samples."""
     found: list[Input] = []
     for source in sources:
         if isinstance(source, PlaceSource):
@@ -312,7 +310,7 @@ def _columns(path: Path, cells: list[str]) -> list[str]:
 
 
 def _axis(column: str) -> int | None:
-    """Index of the coordinate in a column, from 0."""
+    """Return the index of the coordinate in a column, from 0."""
     if column in ("x", "y", "z"):
         return "xyz".index(column)
     found = re.fullmatch(r"x([1-9]\d?)", column)
@@ -320,7 +318,7 @@ def _axis(column: str) -> int | None:
 
 
 def _row(columns: list[str], cells: list[str]) -> dict[str, str]:
-    """The cells that are filled, by column."""
+    """Return the cells that are filled, by column."""
     if any(cells[len(columns) :]):
         raise UsageError(
             f"found {len(cells)} cells, expected {len(columns)}; put cells with commas in quotes"

@@ -63,7 +63,10 @@ class CalibratedInstrument:
 
     @property
     def colours(self) -> list[tuple[str, list[float]]]:
-        """Of every sample CIEDE2000 (D65/2) to the reference, before and after the correction, left out; or NaN."""
+        """Return every sample's CIEDE2000 (D65/2) to the reference, before and after the correction.
+
+        The correction leaves the sample out; unknown values are NaN.
+        """
         colours = self.correction.colours
         if len(self.samples) == 1:
             colours = colours.mean(axis=0, keepdims=True)
@@ -96,7 +99,7 @@ class CalibratedInstrument:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the correction is good for, in sentences."""
+        """Return sentences on the range and quality of the correction."""
         notes, n_samples = [], len(self.samples)
         if self.left_out:
             apart = first_few(self.left_out, 6, "; ", " (--json lists them)")
@@ -118,7 +121,7 @@ class CalibratedInstrument:
         return tuple(notes)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; None for an error that could not be measured."""
+        """Return plain values; None for an error that could not be measured."""
         known = {
             "path": self.path,
             "ciede2000": dict(self.colours),
@@ -129,8 +132,9 @@ class CalibratedInstrument:
 
 
 def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:
-    """The correction of an instrument by another, from their readings (reference, other) of samples, all in the same
-    bands.
+    """Learn the correction of an instrument by another, from their readings (reference, other) of samples.
+
+    All readings of an instrument have the same bands.
     """
     pairs = [(in_daylight(reference), in_daylight(other)) for reference, other in pairs]
     for pair in pairs[1:]:
@@ -165,7 +169,7 @@ def correct_colours(readings: Readings, correction: ColourCorrection) -> Reading
 
 
 def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrection | None]:
-    """Readings of one sample by two instruments, in the bands of the first, and the colour correction that was learned.
+    """Merge readings of one sample by two instruments, in the bands of the first; also return the correction.
 
     The reference is a spectrophotometer, to whose colours the other is corrected: a goniometer, in the same bands,
     which leave nothing to correct (None), or in three.
@@ -186,7 +190,9 @@ def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrect
 
 
 def between_measurements(parts: Sequence[Readings]) -> Between | None:
-    """How far measurements of one sample differ beyond what each repeats; None where no two share a direction pair.
+    """Return the differences between measurements of one sample beyond their repeatability.
+
+    None if no two share a direction pair.
 
     Parts are in the same bands, each of one file or instrument. Source: Mandel & Paule 1970; over all pairs of
     directions with one between-measurement variance.
@@ -216,7 +222,7 @@ def between_measurements(parts: Sequence[Readings]) -> Between | None:
 
 
 def _shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
-    """Values of another instrument (S, 3) and of the reference (S, B) where both read a sample."""
+    """Return values of another instrument (S, 3) and of the reference (S, B) at shared directions."""
     if other.bands.count != _CAMERA_BANDS:
         raise BandMismatchError(
             f"{other.name}: {other.bands}, expected three bands, to be corrected by the {reference.bands} of "
@@ -228,7 +234,7 @@ def _shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
 
 
 def _interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
-    """Values of an isotropic sample interpolated at direction pairs (P, 3): (P, B), NaN outside its readings' hull."""
+    """Interpolate values of an isotropic sample to direction pairs (P, 3): (P, B), NaN outside its readings' hull."""
     known = readings.measured.all(axis=1)
     at, roots = _coordinates(readings.wi[known], readings.wo[known]), np.cbrt(readings.values[known])
     _, first = np.unique(at.round(4), axis=0, return_index=True)
@@ -245,19 +251,19 @@ def _interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _triangulation(points: bytes) -> Delaunay:
-    """The triangulation of points (K, 3), float64: an instrument reads all samples at the same directions."""
+    """Return the triangulation of points (K, 3), float64, cached because all samples share their directions."""
     return Delaunay(np.frombuffer(points).reshape(-1, 3))
 
 
 def _coordinates(wi: Array, wo: Array) -> Array:
-    """Half and difference angles of an isotropic, reciprocal BRDF: `sqrt(theta_h)`, theta_d by phi_d; (P, 3)."""
+    """Return half and difference angles of an isotropic, reciprocal BRDF: `sqrt(theta_h)`, theta_d by phi_d; (P, 3)."""
     theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
     folded = np.abs(np.mod(phi_d + 0.5 * np.pi, np.pi) - 0.5 * np.pi)  # [0, pi / 2]
     return np.column_stack([np.sqrt(theta_h), theta_d * np.cos(folded), theta_d * np.sin(folded)])
 
 
 def _joined(reference: Readings, other: Readings) -> Readings:
-    """The readings of both, weighted so that those of the reference count at least as much as the other's together."""
+    """Join the readings of both; those of the reference weigh at least as much as all the other's."""
     share = max(len(other) / len(reference), 1.0)
     return replace(
         reference,
@@ -281,8 +287,9 @@ def read(
     gloss: Mapping[float, float] = MappingProxyType({}),
     unit: str | None = None,
 ) -> tuple[Readings, ColourCorrection | None]:
-    """Readings of one sample from its files, and the colour correction that was learned from two instruments' files, if
-    any.
+    """Read one sample from its files, with the colour correction that was learned from two instruments' files.
+
+    The correction is None if there was none to learn.
 
     The instrument whose colours are right stands first. `correction`, a file of `manifold calibrate`, is applied to
     readings in three bands; `gloss`, in units by angle in degrees, goes before that of the files; `unit` is of values
@@ -303,7 +310,7 @@ def read(
 def read_sample(
     sample: Sample, correction: Path | None = None, gloss: Mapping[float, float] = MappingProxyType({})
 ) -> tuple[Readings, ColourCorrection | None]:
-    """The same of a sample that was found in files, see `inputs.find_samples`."""
+    """Read a sample that was found in files, see `inputs.find_samples`; return readings and correction like `read`."""
     readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
     merged, learned = _merged(readings, correction, gloss)
     return merged if sample.note is None else merged.with_note(sample.note), learned
@@ -362,7 +369,7 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
 
 
 def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Readings]], list[str]]:
-    """Readings of the samples that have the same name in the files of two paths, and why each other one has no pair."""
+    """Return pairs of readings of samples with the same name under two paths, and reasons for the others."""
     if reference == other:
         raise UsageError(f"{reference} is named twice, expected the reference's and another instrument's")
     first, second = _samples_in(reference), _samples_in(other)
@@ -393,7 +400,7 @@ class _Held(NamedTuple):
 
 
 def _samples_in(path: Path) -> dict[str, list[_Held]]:
-    """Readings in a file, or in the files of a folder, by the names of their samples."""
+    """Return readings in a file, or in the files of a folder, by the names of their samples."""
     held: dict[str, list[_Held]] = {}
     files = find_files([path], is_readings, "readings file") if path.is_dir() else [path]
     for file in progress.each(files, str):

@@ -55,7 +55,7 @@ class Determined(NamedTuple):
 
 @dataclass(frozen=True)
 class LampPlan:
-    """Where to hold a lamp.
+    """Recommended positions of a lamp.
 
     Attributes:
         alone: what one picture determines, beside those there are, by its lamp's angle.
@@ -66,14 +66,14 @@ class LampPlan:
     next: tuple[Determined, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return plain({"alone": self.alone, "next": self.next})
 
 
 def plan_lamps(
     library: LibraryAtoms | Path, count: int, known: Sequence[Observation] | None = None
 ) -> LampPlan:
-    """The lamps that make the expected error of the ball least, chosen one after the other.
+    """Return the lamps that minimise the expected error of the ball, chosen one after the other.
 
     The library may be its atoms of values; known are the rows of pictures there are, channel by channel, if any.
     """
@@ -98,7 +98,7 @@ def plan_lamps(
 def determined(
     atoms: LibraryAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None
 ) -> Determined:
-    """What pictures under far lamps at angles from the camera determine; args as of `plan_lamps`."""
+    """Return the errors to expect from pictures under far lamps at angles from the camera; see `plan_lamps`."""
     pictures = [_rows(atoms, angle) for angle in angles_deg]
     if known is not None:
         level = float(np.mean(known[0].weights))
@@ -131,7 +131,7 @@ def determined(
 
 @lru_cache(maxsize=len(ANGLES_DEG))
 def _rows(atoms: LibraryAtoms, angle_deg: float) -> list[Observation]:
-    """Pixels of atoms in a picture under one lamp, channel by channel."""
+    """Return pixels of atoms in a picture under one lamp, channel by channel."""
     across = _WITHIN * (2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0)
     x, y = (grid.ravel() for grid in np.meshgrid(across, across))
     inside = np.hypot(x, y) < _WITHIN

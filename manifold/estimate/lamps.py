@@ -63,7 +63,7 @@ class Lamp:
 
     @classmethod
     def towards(cls, vector: Array, distance: float = np.inf, colour: Array | None = None) -> Lamp:
-        """A lamp in a direction (3,) of any length."""
+        """Return a lamp in a direction (3,) of any length."""
         vector = np.asarray(vector, dtype=np.float64)
         length = float(np.linalg.norm(vector))
         if not (np.isfinite(length) and length > 0.0):
@@ -141,7 +141,7 @@ def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
 
 
 def _lamp_columns(path: Path, heads: list[str]) -> tuple[int | None, list[int]]:
-    """The column of pictures' names, or None, and those of X, Y, Z and intensities, of a header."""
+    """Return the column of pictures' names, or None, and those of X, Y, Z and intensities, of a header."""
     words = [head.strip().lower() for head in heads]
     numbers = [*_AXES, *(_INTENSITIES if "r" in words else [w for w in ("intensity",) if w in words])]
     unknown = set(words) - set(numbers) - set(_OF_PICTURE)
@@ -154,7 +154,7 @@ def _lamp_columns(path: Path, heads: list[str]) -> tuple[int | None, list[int]]:
 def _lamp_cells(
     cells: list[str], head: tuple[int | None, list[int]] | None
 ) -> tuple[str, list[float | None]]:
-    """The picture's name, empty where there is none, and the numbers of a line."""
+    """Return the picture's name, empty if there is none, and the numbers of a line."""
     if head is None:
         cells = with_whole_name(cells, 4) if number(cells[0]) is None else ["", *cells]
         return cells[0], [number(cell) for cell in cells[1:]]
@@ -166,12 +166,12 @@ def _lamp_cells(
 
 
 def _picture_name(text: str) -> str:
-    """The name of a file at the end of a path of any system."""
+    """Return the name of a file at the end of a path of any system."""
     return text.replace("\\", "/").rpartition("/")[2].strip()
 
 
 def _in_order(path: Path, lamps: Mapping[str, Lamp], pictures: Sequence[str]) -> list[Lamp]:
-    """The lamps of pictures; names may differ in case and in the suffix, where that tells them apart."""
+    """Return the lamps of pictures; names may differ in case, and in the suffix if that is unambiguous."""
     by_stem = {Path(name).stem.casefold(): lamp for name, lamp in lamps.items()}
     missing = [name for name in pictures if Path(name).stem.casefold() not in by_stem]
     if missing or len(by_stem) < len(lamps):
@@ -183,7 +183,7 @@ def _in_order(path: Path, lamps: Mapping[str, Lamp], pictures: Sequence[str]) ->
 
 
 def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[Array, Array, Array]:
-    """Direction pairs that light blocks, and the light from there, as `pixels.direction_pairs` has them.
+    """Return direction pairs that light blocks, and the light from there, as `pixels.direction_pairs` does.
 
     A block's value is the mean over `SAMPLES` of its points, each lit by every lamp from one point of its disc.
     """
@@ -197,7 +197,7 @@ def lamp_pairs(blocks: Blocks, camera: Camera, lamps: Sequence[Lamp]) -> tuple[A
 
 
 def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tuple[Array, Array]:
-    """Directions (..., 3) in frames of the surface to points of a lamp's disc, and irradiance from there (..., 3).
+    """Return directions (..., 3) in frames of the surface to points of a lamp's disc, and irradiance (..., 3).
 
     Normals of points of the ball are in the world, (..., 3), frames there (..., 3, 3), the lamp in the camera's frame;
     u is in [0, 1), (..., 2).
@@ -222,7 +222,7 @@ def lit(normal: Array, frame: Array, camera: Camera, lamp: Lamp, u: Array) -> tu
 
 
 def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, margin: float) -> Array:
-    """A ball under lamps, whose colours are left out, as its camera sees it, black beside it: (size, size, B).
+    """Render a ball under lamps without their colours, as its camera sees it, black beside it: (size, size, B).
 
     The margin around the ball is in radii.
     """
@@ -243,7 +243,7 @@ def lamp_picture(brdf: BRDF, camera: Camera, lamps: Sequence[Lamp], size: int, m
 
 
 def unwrapped(photograph: Photograph, circle: Circle, camera: Camera) -> Array:
-    """The environment that a mirror ball shows a far camera, by latitude and longitude, shape (H, 2 H, 3).
+    """Return the environment that a mirror ball shows a far camera, by latitude and longitude, shape (H, 2 H, 3).
 
     What lies straight behind the ball is taken from its rim; what was not seen of the photograph is black.
     """
@@ -263,7 +263,7 @@ def unwrapped(photograph: Photograph, circle: Circle, camera: Camera) -> Array:
 
 
 def clipped_spots(photograph: Photograph, circle: Circle) -> tuple[Lamp, ...]:
-    """Lamps where a mirror ball's photograph is clipped, as bright as the camera's largest value, the largest first.
+    """Return lamps for clipped spots of a mirror ball's photograph, as bright as the largest value, largest first.
 
     Their strength is `Lamp.colour` relative to a white diffuser that faces them; their true one is more.
     """

@@ -36,7 +36,7 @@ _LOBES = (0.1, 0.35)  # alphas from which the fit starts
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """What photographs of one ball say of their light.
+    """The estimated light of photographs of one ball.
 
     Attributes:
         circle: the outline, alike in all.
@@ -55,7 +55,7 @@ class Probe:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was found, and how well, in sentences."""
+        """Return sentences on the estimated lamps and outline, with their uncertainties."""
         shown = "; ".join(
             f"{lamp} +- {off:.1f} degrees" for lamp, off in zip(self.lamps, self.lamp_deg, strict=True)
         )
@@ -65,7 +65,7 @@ class Probe:
 def find_light(
     photographs: Sequence[Photograph], circle: Circle | None = None, distance: float = np.inf
 ) -> Probe:
-    """The outline of a ball that stays where it is, and the one lamp of every photograph; photographs are of one size.
+    """Estimate a fixed ball's outline, and the one lamp of every photograph; photographs have one size.
 
     A circle that is known nearly is refined; lamps are `distance` radii from the middle of the ball.
     """
@@ -84,7 +84,7 @@ def find_light(
 
 
 def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tuple[str, ...]:
-    """A doubt about a lamp that was given: the ball looks lit from elsewhere.
+    """Return a doubt about a given lamp if the ball looks lit from elsewhere.
 
     Of materials that are no sum of a diffuse part and a highlight a picture alone says nothing, nor of near lamps.
     """
@@ -104,7 +104,10 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
 
 
 def _fit_to(photographs: Sequence[Photograph], circle: Circle, distance: float) -> tuple[_Pixels, _Fit]:
-    """The best fit of several starts near an outline; of many pictures, some say all but the lamps of the others."""
+    """Return the best fit of several starts near an outline.
+
+    If there are many pictures, some determine everything except the others' lamps.
+    """
     chosen = evenly_spaced(len(photographs), _TOGETHER)
     some = [photographs[k] for k in chosen]
     coarse, pixels = (_Pixels.of(some, circle, distance, side) for side in _SIDES)
@@ -138,7 +141,7 @@ class _Pixels:
 
     @classmethod
     def of(cls, photographs: Sequence[Photograph], circle: Circle, distance: float, side: int) -> _Pixels:
-        """Evenly spaced pixels within the outline, each a mean over its neighbourhood."""
+        """Return evenly spaced pixels within the outline, each a mean over its neighbourhood."""
         step = max(2.0 * circle.radius / side, 1.0)
         across = np.arange(-circle.radius, circle.radius, step)
         x, y = (grid.ravel() for grid in np.meshgrid(across, across))
@@ -174,7 +177,10 @@ class _Pixels:
         )
 
     def lamps(self) -> list[Array]:
-        """Directions of the lamps (P, 3) where the brightest pixels are a highlight, and where they face the lamp."""
+        """Return directions of the lamps (P, 3), in two versions.
+
+        They take the brightest pixels as a highlight, or as facing the lamp.
+        """
         n = self._normals(np.zeros(3))
         bright = np.array(
             [
@@ -187,7 +193,7 @@ class _Pixels:
         return [mirrored, bright]
 
     def _normals(self, shift: Array) -> Array:
-        """Normals (M, 3) of a far camera's pixels for an outline that is moved and grown by shares of its radius."""
+        """Return normals (M, 3) of a far camera's pixels for an outline moved and grown by shares of its radius."""
         radius = self.circle.radius * (1.0 + shift[2])
         x = (self.columns - self.circle.x - shift[0] * self.circle.radius) / radius
         y = (self.circle.y - self.rows - shift[1] * self.circle.radius) / radius
@@ -200,7 +206,7 @@ class _Pixels:
         return x[:3], x[3:7], x[7 : 7 + 2 * P].reshape(P, 2), x[7 + 2 * P :]
 
     def predicted(self, x: Array) -> Array:
-        """Cube roots (P, M) of an outline (3), a material (4), lamps (P, 2) and gains (P)."""
+        """Return cube roots (P, M) of an outline (3), a material (4), lamps (P, 2) and gains (P)."""
         shift, (diffuse, flatness, specular, log_alpha), slopes, gains = self._split(x)
         n = self._normals(shift)
         lamps = _directions(slopes)
@@ -221,13 +227,13 @@ class _Pixels:
         return np.asarray(np.cbrt(shading * falloff * np.exp(gains) + 1e-6).T)
 
     def start(self, lamps: Array, alpha: float) -> Array:
-        """Parameters from directions of lamps (P, 3) and roughness."""
+        """Return parameters from directions of lamps (P, 3) and roughness."""
         return np.concatenate(
             [np.zeros(3), [0.0, 0.0, -3.0, np.log(alpha)], _slopes(lamps).ravel(), np.zeros(len(lamps))]
         )
 
     def fitted(self, start: Array) -> _Fit:
-        """The fit from some parameters."""
+        """Fit from some parameters."""
         P, M = self.roots.shape
         scale = np.sqrt(_INDEPENDENT / M) / _NOISE
 
@@ -252,12 +258,12 @@ class _Pixels:
         return _Fit(found.x, float(found.cost), (found.jac.T @ found.jac).toarray())
 
     def _off(self, x: Array) -> Array:
-        """What is predicted of cube roots less what was seen, of clipped pixels what is too dark: (P, M)."""
+        """Return predicted less observed cube roots (P, M); clipped pixels count only if the prediction is darker."""
         off = self.predicted(x) - self.roots
         return np.where(self.is_seen, np.where(self.is_clipped, np.minimum(off, 0.0), off), 0.0)
 
     def with_others(self, fit: _Fit, chosen: Indices) -> _Fit:
-        """A fit of some pictures, with lamp and gain of every other one, whose outline and material are theirs."""
+        """Return a fit of some pictures with lamp and gain of every other one, which share its outline and material."""
         P, n = len(self.roots), len(chosen)
         x, curvature = np.zeros(7 + 3 * P), np.zeros((7 + 3 * P, 7 + 3 * P))
         own = np.concatenate([np.arange(7), *(7 + 2 * chosen[:, None] + [0, 1]), 7 + 2 * P + chosen]).astype(
@@ -283,7 +289,7 @@ class _Pixels:
         return _Fit(x, cost, curvature)
 
     def probe(self, fit: _Fit, paths: Sequence[Path]) -> Probe:
-        """What a fit says."""
+        """Return the estimate of a fit."""
         shift, _, slopes, gains = self._split(fit.x)
         residual = np.sqrt(
             np.sum(self._off(fit.x) ** 2, axis=1)
@@ -311,7 +317,7 @@ class _Pixels:
 
 
 def _directions(slopes: Array) -> Array:
-    """Unit vectors (P, 3) of the halves of their angles from the camera, stereographic: (P, 2)."""
+    """Return unit vectors (P, 3) from the halves of their angles from the camera, stereographic: (P, 2)."""
     square = np.sum(slopes**2, axis=1, keepdims=True) / 4.0
     return np.hstack([slopes / (1.0 + square), (1.0 - square) / (1.0 + square)])
 

@@ -67,7 +67,7 @@ class Mixtures:
 
     @classmethod
     def fitted(cls, X: Array, y: Array, material_of: Indices, n_library: int | None = None) -> Mixtures:
-        """All mixtures of atoms, with the scale and Lambertian of each that are of largest posterior density.
+        """Fit all mixtures of atoms, with the scale and Lambertian of each that have the largest posterior density.
 
         X (n + 1, R) is what atoms and, last, the Lambertian were seen to be, and y (R,) what was seen, whitened: errors
         have variance 1. `material_of` and `n_library` are as of `posterior`.
@@ -87,7 +87,9 @@ class Mixtures:
         return cls(first, second, share, scale, lambertian, log_prior, misfit, len(X) - 1, log_prior)
 
     def weighed(self, count: float, norm: Array, exponent: float) -> Mixtures:
-        """The same with posterior probabilities: the likelihood is Student's t, divided by a power of the norm.
+        """Return the mixtures with posterior probabilities.
+
+        The likelihood is Student's t, divided by a power of the norm.
 
         Errors are relative: a mixture as dark as possible would be the best, if what it misses did not count as light,
         too. The misfit is the sum of `count` independent errors; the squared norm (H,) > 0 is that of the mixtures over
@@ -103,7 +105,7 @@ class Mixtures:
         return np.exp(self.log_posterior)
 
     def of(self, values: Array) -> Array:
-        """A linear functional of the mixtures, from that of atoms and Lambertian (n + 1,): shape (H,)."""
+        """Return a linear functional of the mixtures, from that of atoms and Lambertian (n + 1,): shape (H,)."""
         of_pair = self.share * values[self.first] + (1.0 - self.share) * values[self.second]
         return self.scale * of_pair + self.lambertian * values[-1]
 
@@ -113,7 +115,7 @@ class Mixtures:
         return self.scale**2 * aa + 2.0 * self.scale * self.lambertian * al + self.lambertian**2 * ll
 
     def weights(self, chosen: Indices) -> Array:
-        """Weights of atoms and Lambertian in h of the mixtures, shape (h, n + 1)."""
+        """Return weights of atoms and Lambertian in h of the mixtures, shape (h, n + 1)."""
         weights, k = np.zeros((len(chosen), self.n_atoms + 1)), np.arange(len(chosen))
         weights[k, self.first[chosen]] += self.scale[chosen] * self.share[chosen]
         weights[k, self.second[chosen]] += self.scale[chosen] * (1.0 - self.share[chosen])
@@ -121,7 +123,7 @@ class Mixtures:
         return weights
 
     def most_probable(self, count: int) -> Indices:
-        """The mixtures of the largest probability, at most `count`, most probable first."""
+        """Return the mixtures of the largest probability, at most `count`, most probable first."""
         count = min(count, len(self.log_posterior))
         some = np.sort(np.argpartition(-self.log_posterior, count - 1)[:count])
         return some[np.argsort(-self.log_posterior[some], kind="stable")]
@@ -142,8 +144,9 @@ class Hypotheses:
     mean: Array
 
     def spread(self, roots: Array, importance: Array | float = 1.0) -> float:
-        """Standard deviation over directions of some importance (P,), relative to the mean, from cube roots there (H,
-        P).
+        """Return the standard deviation over directions, relative to the mean, from cube roots there (H, P).
+
+        Directions have an importance (P,).
         """
         mean = self.probability @ roots
         variance = self.probability @ (roots - mean) ** 2
@@ -152,14 +155,14 @@ class Hypotheses:
 
 
 def material_prior(N: int, n_library: int | None = None) -> Array:
-    """Probabilities of N materials before anything is read, of which all but the first n are coats: shape (N,)."""
+    """Return prior probabilities of N materials, of which all but the first n are coats: shape (N,)."""
     n = N if n_library is None else n_library
     coated = COATED if n < N else 0.0
     return np.repeat([(1.0 - coated) / n, coated / max(N - n, 1)], [n, N - n])
 
 
 def log_prior_of(first: Indices, second: Indices, prior: Array) -> Array:
-    """Logarithms of prior probabilities of mixtures of two of N materials, or of one where both are the same: (H,).
+    """Return logarithms of prior probabilities of mixtures of two of N materials, or of one for equal indices: (H,).
 
     Those of one material have its prior (N,), see `material_prior`, times `LIKE_ONE` together. Those of two have the
     rest: measured ones their share of it, the others the share of coats, most of which are of two coats: a highlight
@@ -176,12 +179,14 @@ def log_prior_of(first: Indices, second: Indices, prior: Array) -> Array:
 
 
 def log_likelihood(misfit: Array, count: float) -> Array:
-    """Log density of Student's t up to a constant, at the sum of `count` squared errors over their variance."""
+    """Return the log density of Student's t up to a constant, at the sum of `count` standardised squared errors."""
     return np.asarray(-0.5 * (_FREEDOM + count) * np.log1p(misfit / _FREEDOM))
 
 
 def _products(inner: Array, first: Indices, second: Indices, share: Array) -> tuple[Array, Array, float]:
-    """Inner products of mixtures `x g_i + (1 - x) g_j` with themselves (H,), with the Lambertian (H,), and its own.
+    """Return inner products of mixtures `x g_i + (1 - x) g_j`, (H,), and with the Lambertian, (H,).
+
+    The third value is the Lambertian's own.
 
     From those of atoms and, last, the Lambertian, shape (n + 1, n + 1).
     """
@@ -192,7 +197,7 @@ def _products(inner: Array, first: Indices, second: Indices, share: Array) -> tu
 
 @lru_cache(maxsize=4)
 def atom_pairs(N: int, per_material: int) -> tuple[Indices, Indices, Array]:
-    """Indices and shares of all mixtures: each atom alone, and every pair in every share."""
+    """Return indices and shares of all mixtures: each atom alone, and every pair in every share."""
     of = np.repeat(np.arange(N), per_material)
     i, j = np.triu_indices(len(of), 1)
     is_one = of[i] == of[j]
@@ -207,7 +212,7 @@ def atom_pairs(N: int, per_material: int) -> tuple[Indices, Indices, Array]:
 
 
 def two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:
-    """x, y >= 0 that minimise `aa x^2 + 2 ab x y + bb y^2 - 2 (a x + b y)`, problem by problem."""
+    """Return x, y >= 0 that minimise `aa x^2 + 2 ab x y + bb y^2 - 2 (a x + b y)`, problem by problem."""
     determinant = aa * bb - ab**2
     x, y = (a * bb - b * ab) / determinant, (b * aa - a * ab) / determinant
     x, y = np.where(y < 0.0, a / aa, x), np.maximum(y, 0.0)
@@ -248,12 +253,12 @@ class ReadingRoots:
     where: Array
 
     def part(self, bands: Indices, readings: Mask) -> ReadingRoots:
-        """Some bands, by index, at some readings, by mask."""
+        """Return some bands, by index, at some readings, by mask."""
         material = self.material[bands][:, readings]
         return ReadingRoots(self.atoms[:, readings], material, self.weights[readings], self.where[readings])
 
     def whitened(self) -> tuple[Array, Array]:
-        """Atoms (n + 1, C) and material (B, C): their differences are independent and of variance 1.
+        """Return atoms (n + 1, C) and material (B, C) whose differences are independent and have variance 1.
 
         C is the number of readings, or of averages of those that share a cell.
         """
@@ -294,7 +299,7 @@ class GlossReadings:
 
     @classmethod
     def of(cls, readings: Readings, atoms: Array) -> GlossReadings:
-        """The gloss of a material, with that of atoms as cube roots (n + 1, G)."""
+        """Return the gloss of a material, with that of atoms as cube roots (n + 1, G)."""
         unit = np.array([value_of_unit(angle) for angle in readings.gloss])
         mean = unit * list(readings.gloss.values())
         theta = np.deg2rad(list(readings.gloss), dtype=float)
@@ -302,16 +307,19 @@ class GlossReadings:
         return cls(atoms, np.cbrt(mean), luminance(np.eye(readings.bands.count), readings.bands), where, unit)
 
     def misfit(self, weights: Array, level: float) -> float:
-        """Squared error of weights (B, n + 1) over its variance; `level`: root mean square of the other readings."""
+        """Return the squared error of weights (B, n + 1) over its variance.
+
+        `level` is the root mean square of the other readings.
+        """
         variance = (NOISE**2 + MODEL_ERROR**2) * (self.roots**2 + level**2)
         return float(np.sum((self._luminous(weights @ self.atoms) - self.roots) ** 2 / variance))
 
     def differences(self, roots: Array) -> Array:
-        """Relative differences of cube roots in bands, shape (B, G), from what was read within a gloss unit: (G,)."""
+        """Return relative differences of cube roots (B, G) from the read values, within a gloss unit: (G,)."""
         return gloss_differences(self._luminous(roots) ** 3 / self.unit, self.roots**3 / self.unit)
 
     def scaled(self, roots: Array) -> Array:
-        """Cube roots in bands, shape (B, G), scaled to have the luminance that was read."""
+        """Scale cube roots in bands, shape (B, G), to the luminance that was read."""
         return np.asarray(roots * self.roots / np.maximum(self._luminous(roots), np.finfo(float).tiny))
 
     def _luminous(self, roots: Array) -> Array:
@@ -321,7 +329,7 @@ class GlossReadings:
 def posterior(
     read: ReadingRoots, gram: Array, material_of: Indices, n_library: int | None = None
 ) -> Mixtures:
-    """Posterior probabilities of mixtures of two atoms, given readings of a material in one band.
+    """Return posterior probabilities of mixtures of two atoms, given readings of a material in one band.
 
     The likelihood is Student's t in cube roots, with residuals that are correlated at nearby directions; its heavy
     tails keep several mixtures probable where none fits the readings. It is divided by the fifth power of the mixture's
@@ -347,7 +355,7 @@ def band_mixtures(
     gloss: GlossReadings | None = None,
     n_library: int | None = None,
 ) -> Hypotheses:
-    """Posterior probabilities of mixtures of two materials, given readings in B bands.
+    """Return posterior probabilities of mixtures of two materials, given readings in B bands.
 
     The highlight of a coat is white and that of a metal coloured: single bands say more than their mean about which
     materials the readings resemble.
@@ -389,7 +397,7 @@ def band_mixtures(
 
 
 def _of_different_materials(mixtures: Mixtures, material_of: Indices) -> Indices:
-    """The most probable mixtures, one for every pair of materials and shares of them."""
+    """Return the most probable mixtures, one for every pair of materials and shares of them."""
     seen: dict[tuple[int, int, float], int] = {}
     for k in mixtures.most_probable(_CONSIDERED).tolist():
         i, j = int(material_of[mixtures.first[k]]), int(material_of[mixtures.second[k]])
@@ -403,7 +411,7 @@ def _of_different_materials(mixtures: Mixtures, material_of: Indices) -> Indices
 
 
 def _fit_bands(X: Array, y: Array, structure: Array, material_of: Indices) -> tuple[Array, float]:
-    """Weights (b, n + 1) in some bands of the atoms of a mixture's materials, and their misfit."""
+    """Fit weights (b, n + 1) in some bands of the atoms of a mixture's materials; also return their misfit."""
     totals = np.bincount(material_of, structure)
     used = np.flatnonzero((totals[material_of] > 0.0) | (material_of == material_of[-1]))
     share = (material_of[used] == np.flatnonzero(totals[:-1] > 0.0)[:, None]) / _ALIKE

@@ -48,11 +48,11 @@ class Photograph:
 
     @property
     def factor(self) -> int:
-        """By how much to reduce it to what outlines and lamps are sought in."""
+        """Return the factor of reduction at which outlines and lamps are searched."""
         return max(1, max(self.values.shape[:2]) // _SEARCHED)
 
     def reduced(self, factor: int) -> Photograph:
-        """The same so many times smaller, where one pixel of a square was clipped as clipped."""
+        """Downsample by `factor`; a block is clipped if any of its pixels is."""
         if factor == 1:
             return self
         clipped = reduced(self.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0
@@ -60,7 +60,7 @@ class Photograph:
 
 
 def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
-    """A photograph, see `colour.pictures.read_picture`; `is_linear`: whatever kind of file it is."""
+    """Read a photograph, see `colour.pictures.read_picture`; with `is_linear`, values of any file are linear."""
     picture = read_picture(path)
     height, width = picture.values.shape[:2]
     if min(height, width) < _LEAST_SIZE:
@@ -80,7 +80,7 @@ def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
 
 
 def reduced(values: Array, factor: int) -> Array:
-    """Means of squares of pixels; NaN where one of them is."""
+    """Return means of squares of pixels; NaN if one of them is."""
     if factor == 1:
         return values
     H, W = (n // factor * factor for n in values.shape[:2])
@@ -99,11 +99,11 @@ class Circle:
         return f"{self.x:.1f},{self.y:.1f},{self.radius:.1f}"
 
     def scaled(self, factor: float) -> Circle:
-        """The same in a picture of so many times the size."""
+        """Return the circle in a picture of `factor` times the size."""
         return Circle(factor * self.x, factor * self.y, factor * self.radius)
 
     def contains(self, x: Array, y: Array, rim: float) -> Mask:
-        """Which places, right and up of the centre in radii, lie within a share of the radius."""
+        """Return whether places, right and up of the centre in radii, lie within a share of the radius."""
         return np.asarray(x * x + y * y < rim**2)
 
     def require_inside(self, photograph: Photograph) -> None:
@@ -121,7 +121,7 @@ class Circle:
 
     @classmethod
     def parse(cls, text: str) -> Circle:
-        """A circle of `X,Y,R`, or the outline of an upright cylinder, of `X,Y,R,H`."""
+        """Parse a circle from `X,Y,R`, or the outline of an upright cylinder from `X,Y,R,H`."""
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
@@ -136,9 +136,7 @@ class Circle:
 
 @dataclass(frozen=True)
 class Cylinder(Circle):
-    """The outline of an upright cylinder, of which so many pixels of the height are used, half of them above the
-    centre.
-    """
+    """The outline of an upright cylinder, with `height` pixels used, half of them above the centre."""
 
     height: float
 
@@ -146,12 +144,12 @@ class Cylinder(Circle):
         return f"{super().__str__()},{self.height:.1f}"
 
     def contains(self, x: Array, y: Array, rim: float) -> Mask:
-        """As of circles."""
+        """Return whether places, right and up of the centre in radii, lie within a share of radius and height."""
         return np.asarray((np.abs(x) < rim) & (np.abs(y) < 0.5 * self.height / self.radius))
 
 
 def outside(photograph: Photograph, circle: Circle) -> float:
-    """Share of the area of a circle that lies outside a photograph."""
+    """Return the share of the area of a circle that lies outside a photograph."""
     across = np.linspace(-circle.radius, circle.radius, _ANGLES)
     x, y = np.meshgrid(circle.x + across, circle.y + across)
     within = np.hypot(x - circle.x, y - circle.y) <= circle.radius
@@ -177,7 +175,7 @@ class Outline(NamedTuple):
 
 
 def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
-    """Where a ball's outline may be in photographs of one size, the likeliest first.
+    """Return possible outlines of a ball in photographs of one size, the likeliest first.
 
     It is sought in their maximum, which no terminator cuts where lamps differ.
     """
@@ -192,7 +190,7 @@ def outlines_in(photographs: Sequence[Photograph]) -> list[Outline]:
 
 
 def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tuple[str, ...]:
-    """A doubt about an outline that was given for photographs of one size: edges near it that lie on another circle."""
+    """Return a doubt about a given outline of photographs of one size if edges near it lie on another circle."""
     shown, factor = _display(photographs)
     grey, given = _grey(shown), circle.scaled(1.0 / factor)
     edges = _through_edges(grey, given)
@@ -207,7 +205,7 @@ def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tu
 
 
 def _display(photographs: Sequence[Photograph]) -> tuple[Array, int]:
-    """The maximum of photographs in display values, and how many times smaller it is."""
+    """Return the maximum of photographs in display values, and the factor by which it is reduced."""
     factor = photographs[0].factor
     shown = np.max([np.nan_to_num(one.reduced(factor).values) for one in photographs], axis=0)
     return encode_srgb(shown / max(float(np.quantile(shown, _BRIGHT)), np.finfo(float).tiny)), factor
@@ -218,7 +216,7 @@ def _grey(display: Array) -> Array:
 
 
 def find_outlines(display: Array, where: str) -> list[Outline]:
-    """The most pronounced circular edge of a picture of display values in [0, 1] (H, W, 3), in two versions.
+    """Return the most pronounced circular edge of a picture of display values in [0, 1] (H, W, 3), in two versions.
 
     Gradients vote for centres along their direction, radius by radius; the best is refined to parts of a pixel. Of a
     ball that is lit from one side that is drawn to the terminator: the other version passes through the strongest edges
@@ -262,7 +260,7 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
 
 
 def _through_edges(grey: Array, circle: Circle) -> Circle:
-    """The circle through the strongest edges on rays around another, robust against those far from it."""
+    """Return the circle through the strongest edges on rays around another, robust against outliers."""
     for span in _SPANS:
         x, y, gradient, _ = _rays(grey, circle, span)
         at = gradient.argmax(axis=0)
@@ -281,14 +279,14 @@ def _through_edges(grey: Array, circle: Circle) -> Circle:
 
 
 def _share_of_edges(grey: Array, circle: Circle) -> float:
-    """Of the strongest edges on rays, how much lies on a circle."""
+    """Return the share of the strongest edges on rays that lies on a circle."""
     _, _, gradient, radii = _rays(grey, circle, _SPANS[0])
     near = np.abs(radii / circle.radius - 1.0) < _ON_IT
     return float(gradient[near].max(axis=0).sum() / max(gradient.max(axis=0).sum(), np.finfo(float).tiny))
 
 
 def _rays(grey: Array, circle: Circle, span: float) -> tuple[Array, Array, Array, Array]:
-    """Points x, y (R, A) on rays near a circle, the strength of edges across them there, and their radii (R,)."""
+    """Return points x, y (R, A) on rays near a circle, the strength of edges across them there, and radii (R,)."""
     angle = 2.0 * np.pi * np.arange(2 * _ANGLES) / (2 * _ANGLES)
     radii = np.arange((1.0 - span) * circle.radius, (1.0 + span) * circle.radius, 0.5)
     x = circle.x - 0.5 + radii[:, None] * np.cos(angle)
@@ -298,7 +296,7 @@ def _rays(grey: Array, circle: Circle, span: float) -> tuple[Array, Array, Array
 
 
 def _refined(grey: Array, coarse: Circle, scale: float) -> tuple[float, Circle]:
-    """Share of the outline that is an edge, and a circle at full resolution near a coarse one."""
+    """Return the share of the outline that is an edge, and a circle at full resolution near a coarse one."""
     angle = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
 
     def contrast(circle: Array, width: float) -> Array:

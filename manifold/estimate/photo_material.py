@@ -108,7 +108,7 @@ class PhotoMaterial:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the light cannot tell, and whether light and photographs go together, in sentences."""
+        """Return sentences on parts that the light cannot determine, and on the agreement of light and photographs."""
         notes = self.unlit
         if self.strength > 0.0:
             notes += (
@@ -138,7 +138,7 @@ class PhotoMaterial:
         return shown_shares(names, totals / max(totals.sum(), np.finfo(float).tiny))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         known = {
             "exposure": self.exposure,
             "residual": self.residual,
@@ -162,7 +162,7 @@ def find_material(
     each: bool = False,
     library: Library | None = None,
 ) -> PhotoMaterial:
-    """The material that explains photographs, and readings in linear sRGB and gloss, if there are any, together.
+    """Find the material that explains photographs, with readings in linear sRGB and gloss if there are any.
 
     At least one is a photograph, and all are by one camera; for `to_bands` see `photographs.band_matrix`. Their
     exposure is relative to the light; None finds the one that the library's materials, and what else was seen, make
@@ -216,7 +216,7 @@ def strength_of_spots(
     sums: Sequence[tuple[Array, Array | float]],
     exposure: float | None,
 ) -> float:
-    """How many times brighter than where the camera clipped them the spots of a light are: what explains pixels best.
+    """Return how many times brighter than its clipped value a light's spots are, from the best fit of the pixels.
 
     For sums of the pixels of sightings in this light see `Sighting.sums`; an exposure of None is not known.
     """
@@ -236,7 +236,7 @@ def strength_of_spots(
 
 
 def _joined(per_picture: Sequence[Sequence[Observation]], gains: Array) -> list[Observation]:
-    """Rows of all pictures, divided by their gains (P,), channel by channel."""
+    """Join the rows of all pictures, divided by their gains (P,), channel by channel."""
     return [
         Observation.joined(
             [rows[c].scaled(float(gain)) for rows, gain in zip(per_picture, gains, strict=True)]
@@ -246,7 +246,7 @@ def _joined(per_picture: Sequence[Sequence[Observation]], gains: Array) -> list[
 
 
 def _gains(per_picture: Sequence[Sequence[Observation]], weights: Array) -> Array:
-    """By how much pictures are brighter than weights (C, n) say, their geometric mean being 1: (P,)."""
+    """Return the ratios of pictures to the predictions of weights (C, n), with geometric mean 1: (P,)."""
     gains = []
     for rows in per_picture:
         products = squares = 0.0
@@ -263,7 +263,7 @@ def _gains(per_picture: Sequence[Sequence[Observation]], weights: Array) -> Arra
 def _together(
     pictures: Sequence[Observation], exposure: float, beside: Sequence[Observation | None]
 ) -> list[Observation]:
-    """Photographs under an exposure, and what else was seen in every channel."""
+    """Join photographs under an exposure with the other observations in every channel."""
     return [
         rows.scaled(exposure) if other is None else rows.scaled(exposure).beside(other)
         for rows, other in zip(pictures, beside, strict=True)
@@ -271,7 +271,7 @@ def _together(
 
 
 def _of_readings(atoms: LibraryAtoms, readings: Readings, channel: int, pixels: Observation) -> Observation:
-    """Readings of one channel beside pixels: each counts as much as a hundredth of these.
+    """Return readings of one channel beside pixels; each counts as much as a hundredth of these.
 
     They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
     """
@@ -288,7 +288,7 @@ def _of_readings(atoms: LibraryAtoms, readings: Readings, channel: int, pixels: 
 def _of_gloss(
     atoms: LibraryAtoms, gloss: Mapping[float, float], made: Array, pixels: Observation
 ) -> list[Observation]:
-    """Gloss in every channel, of the colour that weights (3, n) make it; each counts as much as a reading."""
+    """Return gloss in every channel, of the colour that weights (3, n) give it; each counts as much as a reading."""
     means, unit = atoms.gloss(tuple(gloss)), np.array([value_of_unit(angle) for angle in gloss])
     read = unit * list(gloss.values())
     of_channels = np.maximum(made @ means, np.finfo(float).tiny)
@@ -307,7 +307,7 @@ def probable_exposure(
     beside: Sequence[Observation | None],
     usable: Mask | None = None,
 ) -> float:
-    """The exposure at which the library's usable materials (n,) best explain photographs and what else was observed.
+    """Return the exposure at which the library's usable materials (n,) best explain the observations.
 
     It is the posterior mean of its logarithm. The prior is that of how bright they are in these pixels, none brighter
     than white. The ratio of highlights to what is beside them says the rest, and counts little: many mixtures have it.
@@ -335,7 +335,7 @@ def probable_exposure(
 def indicators(
     atoms: LibraryAtoms, channels: Sequence[Observation], weights: Array, priors: Sequence[Hypotheses]
 ) -> Array:
-    """Residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
+    """Return residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
     residuals = [rows.relative.error(w) for rows, w in zip(channels, weights, strict=True)]
     grid = atoms.on_grid[:, ::_GRID_STRIDE]
     spreads = [prior.spread(np.cbrt(prior.weights @ grid)) for prior in priors]
@@ -345,7 +345,7 @@ def indicators(
 def calibrated(
     atoms: LibraryAtoms, channels: Sequence[Observation], is_exposure_free: bool = False
 ) -> Calibration:
-    """Errors of the library's materials, each found by the others in the same pixels under the same light.
+    """Measure errors of the library's materials, each estimated from the others in the same pixels and light.
 
     Where the exposure is free, pixels alone say theirs, as they say that of the photographs.
     """
@@ -363,7 +363,7 @@ def calibrated(
 
 
 def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:
-    """The three atoms of a material of the library that stand for the channels of a camera."""
+    """Return the three atoms of a material of the library that correspond to the channels of a camera."""
     axis = atoms.band_axis
     nm = axis.wavelengths_nm
     if nm is None:
@@ -374,7 +374,7 @@ def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:
 def _cache_key(
     atoms: LibraryAtoms, channels: Sequence[Observation], library: Library, is_exposure_free: bool
 ) -> str:
-    """A hash of all that a calibration depends on: the library, what pixels see of it, this program."""
+    """Return a hash of all that a calibration depends on: the library, the pixels' weights of it, this program."""
     digest = hashlib.sha256(
         f"photo in lights {__version__} {library.content_hash} {atoms.coats} {is_exposure_free}".encode()
     )
@@ -385,19 +385,19 @@ def _cache_key(
 
 
 def _clipping(rows: Observation) -> float:
-    """The value at which the camera clipped pixels."""
+    """Return the value at which the camera clipped pixels."""
     return float(rows.seen[rows.is_bound].min()) if rows.is_bound.any() else np.inf
 
 
 def seen_instead(rows: Observation, seen: Array) -> Observation:
-    """The same pixels of another material, clipped at the same level."""
+    """Return the pixels of another material, clipped at the same level."""
     level = _clipping(rows)
     is_bound = (seen >= level) & (np.arange(len(seen)) < len(seen) - rows.n_beside)
     return replace(rows, seen=np.where(is_bound, level, seen), is_bound=is_bound)
 
 
 def errors_of(atoms: LibraryAtoms, own: Indices, weights: Array) -> Errors[float]:
-    """Errors of weights (3, n) against three atoms `own`."""
+    """Return the errors of weights (3, n) against three atoms `own`."""
     truth, made = atoms.on_grid[own].T, (weights @ atoms.on_grid).T
     balls = [srgb_to_xyz(np.clip(ball.T, 0.0, 1.0)) for ball in (atoms.on_ball[own], weights @ atoms.on_ball)]
     return panel.judged().compare(*balls) | Errors.of_values(truth, made)  # cosines are in the values
@@ -406,8 +406,7 @@ def errors_of(atoms: LibraryAtoms, own: Indices, weights: Array) -> Errors[float
 def estimate(
     atoms: LibraryAtoms, channels: Sequence[Observation], usable: Mask | None = None
 ) -> tuple[Array, list[Hypotheses]]:
-    """Weights of usable atoms of values, never negative, that explain C channels, (C, n), and mixtures of each as
-    prior.
+    """Return weights (C, n) of usable atoms, never negative, that explain C channels, and mixtures of each as prior.
 
     That is of pixels alone: readings of a kind of material that the library lacks would choose a wrong one.
     """
@@ -426,8 +425,7 @@ def estimate(
 
 
 def pixel_posterior(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Mixtures:
-    """Posterior probabilities of mixtures of two of the usable atoms (n,) that are `mixed`, given pixels in one
-    channel.
+    """Return posterior probabilities of mixtures of two usable atoms (n,) that are `mixed`, given one channel's pixels.
 
     As `posterior` has it for readings; mixtures and errors are of values, and those of bounds that hold are none.
     """
@@ -449,7 +447,7 @@ def pixel_posterior(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Mix
 
 
 def pixel_mixtures(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Hypotheses:
-    """The most probable of the mixtures of `pixel_posterior`, in one channel."""
+    """Return the most probable of the mixtures of `pixel_posterior`, in one channel."""
     mixtures = pixel_posterior(atoms, rows, usable)
     best = mixtures.most_probable(_COUNT)
     probability = mixtures.probability[best] / mixtures.probability[best].sum()

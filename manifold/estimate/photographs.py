@@ -80,7 +80,7 @@ class FromPhotographs:
 
     @property
     def rows(self) -> dict[str, object]:
-        """What a table says of it, by label: words, and lists of words."""
+        """Return the rows of its table, by label: words, and lists of words."""
         material, place = self.material, self.located
         rows: dict[str, object] = {
             "photographs": [
@@ -105,7 +105,7 @@ class FromPhotographs:
         return rows | {label: path for label, path in files.items() if path is not None}
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         photographs = [
             {
                 "path": ball.photograph.path,
@@ -217,7 +217,7 @@ def locate(
 
 
 def _stages(picture: Path | None, request: PhotoRequest) -> Stages:
-    """Stages of the work, whose picture can be drawn."""
+    """Return the stages of the work, after a check that its picture can be drawn."""
     if picture is not None:
         figures.require_writable(picture)
         if request.has_cylinder:
@@ -242,7 +242,7 @@ def _found(
     gloss: Mapping[float, float],
     stages: Stages,
 ) -> tuple[tuple[SeenBall, ...], PhotoMaterial, tuple[str, ...]]:
-    """What was seen, the material, and notes."""
+    """Return the observations, the material, and notes."""
     stages.begin("reading pictures")
     balls = see(request)
     responses = (
@@ -286,7 +286,7 @@ def _found(
 
 
 def _agreement(brdf: PredictedBRDF, readings: Readings | None, gloss: Mapping[float, float]) -> list[str]:
-    """How far a material is from what was given beside its photographs, in sentences."""
+    """Return sentences on a material's distance from the values given beside its photographs."""
     notes = []
     if readings is not None:
         made, seen = np.cbrt(brdf.eval(readings.wi, readings.wo)), np.cbrt(np.maximum(readings.values, 0.0))
@@ -337,7 +337,7 @@ def draw_residuals(
 
 
 def _cropped(values: Array, circle: Circle) -> Array:
-    """The square around a circle, nearest pixels, NaN beyond the picture: shape (_SIZE, _SIZE, C)."""
+    """Return the square around a circle, nearest pixels, NaN beyond the picture: shape (_SIZE, _SIZE, C)."""
     across = (1.0 + _MARGIN) * circle.radius * (2.0 * (np.arange(_SIZE) + 0.5) / _SIZE - 1.0)
     rows, columns = (np.floor(centre + across).astype(int) for centre in (circle.y, circle.x))
     inside = [(at >= 0) & (at < n) for at, n in zip((rows, columns), values.shape, strict=False)]
@@ -348,7 +348,7 @@ def _cropped(values: Array, circle: Circle) -> Array:
 def residual_figure(
     names: Sequence[str], seen: Sequence[Array], predicted: Sequence[Array], errors: Sequence[Array]
 ) -> Figure:
-    """A row for every photograph: as it was taken, as it is predicted, and the difference.
+    """Draw a row for every photograph: the photograph, its prediction, and the difference.
 
     The first two are linear sRGB (H, W, 3); errors are CIEDE2000, NaN where nothing was compared, (H, W).
     """
@@ -368,12 +368,12 @@ def residual_figure(
 
 
 def srgb_responses(bands: Bands) -> Array:
-    """Responses (3, B) of linear sRGB to reflectances in B bands under D65; the identity for RGB bands."""
+    """Return responses (3, B) of linear sRGB to reflectances in B bands under D65; the identity for RGB bands."""
     return np.eye(3) if bands.is_rgb else xyz_to_srgb(xyz_weights(bands)).T
 
 
 def read_responses(path: Path, bands: Bands) -> Array:
-    """Responses (3, B) of a camera to reflectances under D65, 1 for a perfect diffuser.
+    """Read the responses (3, B) of a camera to reflectances under D65, 1 for a perfect diffuser.
 
     The file is text of wavelengths and three sensitivities, see `formats.spectra.read_spectrum`.
     """
@@ -392,7 +392,7 @@ def read_responses(path: Path, bands: Bands) -> Array:
 
 
 def band_matrix(library: Library, names: tuple[str, ...], responses: Array) -> Array:
-    """The matrix (B, 3) from channels of a camera to the bands of a library, by Wiener estimation.
+    """Return the matrix (B, 3) from channels of a camera to the bands of a library, by Wiener estimation.
 
     Deviations from a flat spectrum are linear in those of the channels, both relative to the mean of these: a neutral
     colour stays neutral. Learned from the library's named materials, off their highlights, and from measured
@@ -407,7 +407,7 @@ def band_matrix(library: Library, names: tuple[str, ...], responses: Array) -> A
 
 
 def wiener_matrix(spectra: Array, responses: Array) -> Array:
-    """The same from spectra (n, B) and responses (3, B)."""
+    """Return the Wiener matrix (B, 3) from spectra (n, B) and responses (3, B)."""
     seen = spectra @ responses.T
     level = np.maximum(seen.mean(axis=1, keepdims=True), 1e-4)
     x, y = seen / level - 1.0, spectra / level - 1.0

@@ -24,7 +24,7 @@ _DARK = 1e-3
 
 
 def reading_at(readings: Readings, wi: Array, wo: Array) -> int | None:
-    """Index of the measured reading at a direction pair of an isotropic, reciprocal sample; None if there is none."""
+    """Return the index of the measured reading at a direction pair of an isotropic, reciprocal sample, or None."""
     apart = np.linalg.norm(coordinates(readings.wi, readings.wo) - coordinates(wi, wo), axis=-1)
     apart[~readings.measured.any(axis=1)] = np.inf
     nearest = int(np.argmin(apart))
@@ -32,7 +32,7 @@ def reading_at(readings: Readings, wi: Array, wo: Array) -> int | None:
 
 
 def colour_of(readings: Readings, reading: int | None) -> Array:
-    """Linear sRGB under D65 of a reading, (3,), a white diffuser being 1; NaN where it has gaps, or there is none."""
+    """Return the linear sRGB under D65 of a reading, (3,), 1 for a white diffuser; NaN for gaps or no reading."""
     if reading is None:
         return np.full(3, np.nan)
     readings = in_daylight(readings)
@@ -40,7 +40,7 @@ def colour_of(readings: Readings, reading: int | None) -> Array:
 
 
 def odd_picture(labels: tuple[str, ...], factors: Array) -> str | None:
-    """Which of J pictures does not belong to the readings, and why; None where all do.
+    """Return a reason why one of J pictures does not belong to the readings; None if all do.
 
     Factors are of each picture's mean over the colour of its reading, (J, 3); NaN where there is none.
     """
@@ -56,7 +56,7 @@ def odd_picture(labels: tuple[str, ...], factors: Array) -> str | None:
 
 
 def with_picture_colours(readings: Readings) -> Readings:
-    """Readings and, at the geometries of their pictures where there is no spectrum, one of the picture's colour.
+    """Return readings with those of pictures' colours added at geometries that lack a spectrum.
 
     The factor between pictures and readings is the median over those pictures that have one. A spectrum is that of the
     reading of the nearest colour, changed as the picture differs from it.

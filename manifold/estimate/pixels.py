@@ -55,7 +55,7 @@ class Environment:
 
     @classmethod
     def of(cls, image: Array) -> Environment:
-        """From a picture by latitude and longitude of any resolution, shape (H, W, C)."""
+        """Return the environment of a picture by latitude and longitude of any resolution, shape (H, W, C)."""
         image = np.asarray(image, dtype=np.float64)
         lights.require_light(image)
         size = _ROWS * _PARTS
@@ -63,7 +63,7 @@ class Environment:
         return cls(np.ascontiguousarray(resized))
 
     def at(self, directions: Array) -> tuple[Array, Indices]:
-        """Radiance (..., C) from world directions (..., 3), and the index of the fine pixel, cell by cell, (...)."""
+        """Return the radiance (..., C) from world directions (..., 3), and the index of the fine pixel."""
         size = _ROWS * _PARTS
         row = np.minimum(
             (np.arccos(np.clip(directions[..., 2], -1.0, 1.0)) / np.pi * size).astype(int), size - 1
@@ -82,7 +82,7 @@ class Environment:
 
     @cached_property
     def _solid_angles(self) -> Array:
-        """Of the fine pixels of every row, in sr."""
+        """Return the solid angles of the fine pixels of every row, in sr."""
         size = _ROWS * _PARTS
         edges = np.cos(np.pi * np.arange(size + 1) / size)
         return (edges[:-1] - edges[1:]) * np.pi / size
@@ -93,13 +93,13 @@ class Environment:
         return _direction(np.arange(2 * _ROWS**2), np.full(2 * _ROWS**2, 0.5), np.full(2 * _ROWS**2, 0.5))
 
     def cell_probabilities(self, normals: Array) -> Array:
-        """Probabilities of cells, proportional to the light that falls from them on normals (K, 3): (K, cells)."""
+        """Return probabilities of cells, proportional to their light on normals (K, 3): (K, cells)."""
         cosines = np.maximum(normals @ self._centres.T, 0.0) + 0.02  # normals of a block differ
         product = cosines * self._power.sum(axis=1)
         return product / product.sum(axis=1, keepdims=True)
 
     def sample(self, probabilities: Array, u: Array) -> Array:
-        """Directions of variates u (K, S, 3) in [0, 1) with cells of probabilities (K, cells): shape (K, S, 3)."""
+        """Return directions of variates u (K, S, 3) in [0, 1) with cells of probabilities (K, cells): (K, S, 3)."""
         cumulative = np.cumsum(probabilities, axis=1)
         cell = np.empty(u.shape[:2], dtype=int)
         for k, row in enumerate(cumulative):
@@ -115,7 +115,7 @@ class Environment:
         return _direction(cell, (row + np.clip(rest, 0.0, 1.0)) / _PARTS, (column + u[..., 2]) / _PARTS)
 
     def density(self, probabilities: Array, pixel: Indices) -> Array:
-        """Density in 1/sr of samples in fine pixels (K, S) for probabilities of cells (K, cells): shape (K, S)."""
+        """Return the density in 1/sr of samples in fine pixels (K, S) for probabilities of cells (K, cells): (K, S)."""
         cell, part = np.divmod(pixel, _PARTS**2)
         share = self._power / np.maximum(self._power.sum(axis=1, keepdims=True), 1e-300)
         row = (cell // (2 * _ROWS)) * _PARTS + part // _PARTS
@@ -123,7 +123,7 @@ class Environment:
 
 
 def _direction(cell: Indices, down: Array, right: Array) -> Array:
-    """World directions at a place within cells, from their upper left corner, 0 to 1."""
+    """Return world directions at a place within cells, from their upper left corner, 0 to 1."""
     row, column = np.divmod(cell, 2 * _ROWS)
     theta, azimuth = np.pi * (row + down) / _ROWS, np.pi * (column + right) / _ROWS
     s = np.sin(theta)
@@ -131,7 +131,7 @@ def _direction(cell: Indices, down: Array, right: Array) -> Array:
 
 
 def _resized(image: Array, count: int, axis: int) -> Array:
-    """Means over `count` equal parts of an axis."""
+    """Return means over `count` equal parts of an axis."""
     n = image.shape[axis]
     total = np.concatenate([np.zeros_like(image.take([0], axis)), np.cumsum(image, axis)], axis)
     at = np.linspace(0.0, n, count + 1)
@@ -169,9 +169,7 @@ class Blocks:
 
 
 def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Blocks:
-    """The blocks of a ball, or of a cylinder, in a photograph; where there are more than ten of it, each has fewer
-    blocks.
-    """
+    """Return the blocks of a ball, or of a cylinder, in a photograph; more than ten have fewer blocks each."""
     path = photograph.path
     is_cylinder = isinstance(circle, Cylinder)
     if is_cylinder:
@@ -222,7 +220,7 @@ def _require_curved(photograph: Photograph, cylinder: Circle) -> None:
 
 
 def _squares(roots: Array, seen: Mask, side: int, most: int) -> list[tuple[int, int, int]]:
-    """Row, column and side of squares that hold seen pixels: up to so many, those that vary most are split first."""
+    """Return row, column and side of at most `most` squares of seen pixels; the most varied are split first."""
     heap: list[tuple[float, int, int, int]] = []
 
     def push(r: int, c: int, s: int) -> None:
@@ -244,7 +242,7 @@ def _squares(roots: Array, seen: Mask, side: int, most: int) -> list[tuple[int, 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a camera that looks at the middle of the ball stands.
+    """The position of a camera that looks at the middle of the ball.
 
     Attributes:
         turn_deg: azimuth of what lies straight ahead, in the environment, from its first column to the right.
@@ -267,14 +265,18 @@ class Camera:
         )
 
     def cylinder(self, x: Array) -> tuple[Array, Array]:
-        """The same of an upright cylinder that a far, level camera sees, x within 1 right of its middle, in radii."""
+        """Return normals and directions to a far, level camera of an upright cylinder.
+
+        Points lie at x within 1 to the right of its middle, in radii.
+        """
         right, _, towards = self.axes
         normal = x[..., None] * right + np.sqrt(np.maximum(1.0 - x * x, 0.0))[..., None] * towards
         return normal, np.broadcast_to(towards, normal.shape)
 
     def surface(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Normals (..., 3), and directions (..., 3) to the camera, of points right and up of the centre, in radii,
-        within 1.
+        """Return normals (..., 3) and directions (..., 3) to the camera, of points right and up of the centre.
+
+        They are in radii, within 1.
         """
         right, up, towards = self.axes
         flat = x[..., None] * right + y[..., None] * up
@@ -291,8 +293,9 @@ class Camera:
 def direction_pairs(
     blocks: Blocks, camera: Camera, environment: Environment, samples: int = SAMPLES
 ) -> tuple[Array, Array, Array]:
-    """Direction pairs that light blocks, wi to the camera and wo to the light, (K, S, 3), and the light from there, (K,
-    S, C).
+    """Return direction pairs that light blocks, wi to the camera and wo to the light, (K, S, 3), and the light.
+
+    The light from there is (K, S, C).
 
     They are in frames of the surface; light is radiance times cosine over density: the value of a block is the sum of
     light times f.
@@ -322,7 +325,7 @@ def direction_pairs(
 
 
 def sampled_surface(blocks: Blocks, camera: Camera, samples: int) -> tuple[Array, Array, Array]:
-    """Normals and directions to the camera at points of blocks, (K, S, 3), and variates (K, S, 5).
+    """Return normals and directions to the camera at points of blocks, (K, S, 3), and variates (K, S, 5).
 
     The first and last of these chose the points; the others are free.
     """
@@ -340,19 +343,19 @@ def sampled_surface(blocks: Blocks, camera: Camera, samples: int) -> tuple[Array
 
 
 def _half_vectors(u: Array, v: Array) -> Array:
-    """Half vectors whose elevation grows with a power of u: dense around the normal, where mirrors reflect."""
+    """Return half vectors whose elevation grows with a power of u: dense around the normal, where mirrors reflect."""
     return from_spherical(0.5 * np.pi * u**_POWER, 2.0 * np.pi * v)
 
 
 def _half_density(cos_theta_h: Array) -> Array:
-    """Density of `_half_vectors` in 1/sr."""
+    """Return the density of `_half_vectors` in 1/sr."""
     theta = np.maximum(np.arccos(np.clip(cos_theta_h, -1.0, 1.0)), 1e-7)
     slope = _POWER * 0.5 * np.pi * (2.0 * theta / np.pi) ** (1.0 - 1.0 / _POWER)  # derivative of theta by u
     return np.where(theta < 0.5 * np.pi, 1.0 / (slope * np.sin(theta) * 2.0 * np.pi), 0.0)
 
 
 def frames(normal: Array) -> Array:
-    """Orthonormal frames (..., 3, 3) whose last row is the normal."""
+    """Return orthonormal frames (..., 3, 3) whose last row is the normal."""
     helper = np.where(np.abs(normal[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     tangent = normalize(np.cross(helper, normal))
     return np.stack([tangent, np.cross(normal, tangent), normal], axis=-2)
@@ -361,7 +364,7 @@ def frames(normal: Array) -> Array:
 def block_sums(
     values: Callable[[Array, Array], Array], wi: Array, wo: Array, light: Array, at_once: int = 16384
 ) -> Array:
-    """Pixels of n BRDFs: sums of their values (n, P) over the P direction pairs of every block, shape (n, C, K)."""
+    """Return pixels of n BRDFs: sums of values (n, P) over the P direction pairs of every block, shape (n, C, K)."""
     K, S = light.shape[:2]
     per = max(1, at_once // S)
     parts = []

@@ -128,7 +128,7 @@ def predict(
 
 
 def _describe(model: Manifold, place: Place, chosen: ChosenColour, physical: bool) -> str:
-    """The description in a predicted file."""
+    """Return the description in a predicted file."""
     origin = (
         "a synthetic corpus" if model.materials.is_synthetic else f"{len(model.names)} measured materials"
     )
@@ -215,7 +215,7 @@ def _read(material: Path | str | MaterialSource) -> BsdfFile:
 
 
 def _written(found: _R, source: BsdfFile, output: Path, how: str, options: OutputOptions) -> _R:
-    """A reconstruction of a material that is written, or refused, with the plausibility of its file."""
+    """Write a reconstruction, or refuse it; return it with the plausibility of its file."""
     clipped = ClippedBRDF(found.brdf)
     written = write_output(
         output,

@@ -103,7 +103,7 @@ def write_calibration(path: Path, made: CalibratedInstrument) -> None:
 
 
 def balls(brdf: BRDF) -> Section:
-    """The ball of a material in the studio and under a sun."""
+    """Return the ball of a material in the studio and under a sun."""
     if backend.is_available():
         studio = images.tone_map(render_material(brdf, RenderSettings(size=_BALL)))
     else:
@@ -130,7 +130,7 @@ def write_index(path: Path, made: Sequence[tuple[str, str, str, str]]) -> None:
 
 
 def _of_colours(made: Completion) -> list[Section]:
-    """Readings beside the completion: a figure over angles, spectra, and a table."""
+    """Return readings beside the completion: a figure over angles, spectra, and a table."""
     if made.colours is None or made.colour_misfits is None:
         return []
     read, found = made.colours
@@ -166,7 +166,10 @@ def _of_colours(made: Completion) -> list[Section]:
 
 
 def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
-    """CIELAB (P, 3) of readings and completion over aspecular angles, a line per incidence; None out of the plane."""
+    """Draw CIELAB (P, 3) of readings and completion over aspecular angles, a line per incidence.
+
+    None if they lie out of the plane.
+    """
     incidences = np.round(angles[:, 0])
     in_plane = np.isfinite(angles[:, 3])
     common = [i for i in np.unique(incidences[in_plane]) if np.sum(in_plane & (incidences == i)) > 1]
@@ -194,7 +197,7 @@ def _colour_figure(angles: Array, read: Array, found: Array) -> Figure | None:
 
 
 def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
-    """Reflectance factors of readings and completion (P, B), in 1/sr, at some geometries, evenly chosen."""
+    """Draw reflectance factors of readings and completion (P, B), in 1/sr, at some geometries, evenly chosen."""
     from manifold.plots.figures import new_figure
 
     figure = new_figure(8.5, 3.0)
@@ -213,7 +216,7 @@ def _spectra_figure(readings: Readings, found: Array, angles: Array) -> Figure:
 
 
 def angles_of(wi: Array, wo: Array) -> Array:
-    """Elevations of incidence and outgoing, azimuth from the mirror side, aspecular angle; degrees, (P, 4).
+    """Return elevations of incidence and outgoing, azimuth from the mirror side, aspecular angle; degrees, (P, 4).
 
     The aspecular angle is counted from the mirror direction towards the light; NaN out of the plane of incidence.
     """
@@ -225,7 +228,7 @@ def angles_of(wi: Array, wo: Array) -> Array:
 
 
 def flop_index(angles: Array, lab: Array) -> float | None:
-    """How much darker a coating is away from the highlight; None without its angles. Source: Alman 1987."""
+    """Return how much darker a coating is away from the highlight; None without its angles. Source: Alman 1987."""
     lightness = []
     for wanted in _FLOP_DEG:
         near = (np.abs(angles[:, 0] - 45.0) < 1.0) & (np.abs(angles[:, 3] - wanted) < 1.0)
@@ -237,7 +240,7 @@ def flop_index(angles: Array, lab: Array) -> float | None:
 
 
 def gloss(brdf: BRDF, read: Mapping[float, float] = MappingProxyType({})) -> Section:
-    """Gloss units of a material, beside those that were read, by angle in degrees."""
+    """Return gloss units of a material, beside those that were read, by angle in degrees."""
     found = gloss_units(brdf, GLOSS_ANGLES_DEG)
     return Section(
         "Gloss (ISO 2813)",

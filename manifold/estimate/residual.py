@@ -44,7 +44,7 @@ class ResidualFactors:
     strength: Array
 
     def at(self, where: Array) -> Array:
-        """Factors, from 1/2 to 2, at coordinates (M, 3); shape (B, M)."""
+        """Return factors, from 1/2 to 2, at coordinates (M, 3); shape (B, M)."""
         change = np.empty((len(self.strength), len(where)))
         for start in range(0, len(where), _BLOCK):
             rows = slice(start, start + _BLOCK)
@@ -63,7 +63,7 @@ class AdjustedBRDF(WrappedBRDF):
         self._factors = factors
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B); arguments and errors as in the wrapped BRDF."""
+        """Return f in 1/sr, shape (..., B); arguments and errors as in the wrapped BRDF."""
         f = self._brdf.eval(wi, wo)
         wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
         factors = self._factors.at(coordinates(wi.reshape(-1, 3), wo.reshape(-1, 3)))
@@ -71,7 +71,7 @@ class AdjustedBRDF(WrappedBRDF):
 
 
 def coordinates(wi: Array, wo: Array) -> Array:
-    """Coordinates of direction pairs (P, 3) in units of the correlation length, shape (P, 3).
+    """Return coordinates of direction pairs (P, 3) in units of the correlation length, shape (P, 3).
 
     Square root of the half vector's elevation, difference angle, and difference of the directions' cosines: pairs at
     which isotropic, reciprocal, bilaterally symmetric materials have the same value have the same coordinates.
@@ -87,8 +87,9 @@ def coordinates(wi: Array, wo: Array) -> Array:
 def residual_factors(
     measured: Array, predicted: Array, where: Array, weights: Array, repeatability: float
 ) -> ResidualFactors:
-    """Factors by which cube roots (B, P) measured at some coordinates (P, 3) differ from their prediction; NaN: no
-    reading.
+    """Return the factors by which measured cube roots (B, P) at coordinates (P, 3) differ from their prediction.
+
+    NaN marks missing readings.
 
     They meet the readings, of some weights (P,), within the repeatability of these, the relative standard deviation of
     a value that is read again, a third of which is that of its root; or within what neighbours scatter if that is more.
@@ -118,12 +119,14 @@ def residual_factors(
 
 
 def _with_own(a: Array, b: Array) -> Array:
-    """Covariance of the residuals at coordinates (C, 3) and (M, 3): what neighbours share, and what they do not."""
+    """Return the covariance of the residuals at coordinates (C, 3) and (M, 3): shared and own parts."""
     return covariance(a, b) + NOISE * covariance(a / _OWN, b / _OWN)
 
 
 def _noise(residual: Array, weights: Array, sums: Array, totals: Array, repeatability: float) -> float:
-    """Variance of the noise of readings, that of readings within a cell if it is larger, as a share of the residual's.
+    """Return the variance of readings' noise as a share of the residual's.
+
+    It is that of readings within a cell if that is larger.
 
     Residual and weights are of readings (B, P), sums and totals of both over the cells (B, C).
     """
@@ -135,13 +138,16 @@ def _noise(residual: Array, weights: Array, sums: Array, totals: Array, repeatab
 
 
 def covariance(a: Array, b: Array) -> Array:
-    """Covariance of the residuals at coordinates (C, 3) and (M, 3), of variance 1; shape (C, M)."""
+    """Return the covariance of the residuals at coordinates (C, 3) and (M, 3), of variance 1; shape (C, M)."""
     square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)))
 
 
 def cells(where: Array) -> Indices:
-    """Cell of each of the coordinates (P, 3), shape (P,): half a length wide, wider where there were more than 256."""
+    """Return the cell of each of the coordinates (P, 3), shape (P,).
+
+    Cells are half a length wide, or wider if there were more than 256.
+    """
     width = _CELL
     while True:
         _, cell = np.unique(np.floor(where / width), axis=0, return_inverse=True)

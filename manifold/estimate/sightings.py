@@ -91,7 +91,7 @@ class PhotoRequest:
 
     @property
     def has_cylinder(self) -> bool:
-        """Whether an outline is that of a cylinder."""
+        """Return whether an outline is that of a cylinder."""
         return any(isinstance(Circle.parse(text), Cylinder) for text in self.circles)
 
 
@@ -111,18 +111,18 @@ class Sighting:
 
     @cached_property
     def pairs(self) -> tuple[Array, Array, Array]:
-        """See `pixels.direction_pairs`."""
+        """Return the direction pairs that light the blocks; see `pixels.direction_pairs`."""
         if not isinstance(self.light, Environment):
             return lamp_pairs(self.blocks, self.camera, self.light)
         return direction_pairs(self.blocks, self.camera, self.light, SAMPLES)
 
     def sums(self, atoms: LibraryAtoms) -> tuple[Array, Array | float]:
-        """Pixels of atoms under the light, and under the spots: (n, C, K) each; 0 without these."""
+        """Return pixels of atoms under the light, and under the spots: (n, C, K) each; 0 without spots."""
         of_spots = lamp_pairs(self.blocks, self.camera, self.spots) if self.spots else None
         return block_sums(atoms.at, *self.pairs), block_sums(atoms.at, *of_spots) if of_spots else 0.0
 
     def rows(self, sums: Array) -> list[Observation]:
-        """What each channel saw of atoms, whose pixels are sums (n, C, K).
+        """Return each channel's observation of atoms, whose pixels are sums (n, C, K).
 
         Small blocks count more than their share of pixels: highlights are small.
         """
@@ -148,7 +148,7 @@ class SeenBall:
 
     @property
     def lamps(self) -> tuple[Lamp, ...]:
-        """Of the light; none of an environment."""
+        """Return the lamps of the light; none for an environment."""
         return () if isinstance(self.sighting.light, Environment) else tuple(self.sighting.light)
 
 
@@ -204,7 +204,7 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
 def _under_lamps(
     request: PhotoRequest, photographs: Sequence[Photograph], circles: Sequence[str]
 ) -> list[SeenBall]:
-    """Balls under lamps that are given, or found."""
+    """Return balls under lamps that are given or estimated."""
     camera, notes = Camera(distance=request.distance), tuple[str, ...]()
     if request.elevation_deg or any(request.turns_deg):
         raise UsageError("--turn and --elevation go with --light; lamps are in the camera's frame")
@@ -246,7 +246,7 @@ def _under_lamps(
 
 
 def _found_at(request: PhotoRequest) -> float | None:
-    """Distance of lamps that are to be found, in radii of the ball, far where none is given; None of given lamps."""
+    """Return the distance of lamps to be estimated, in radii of the ball, far by default; None for given lamps."""
     if not any(text.partition(",")[0] == "found" for text in request.lamps):
         return None
     _, _, distance = request.lamps[0].partition(",")
@@ -262,7 +262,7 @@ def _found_at(request: PhotoRequest) -> float | None:
 
 
 def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
-    """A photograph relative to a white diffuser that faces its lamp, by a grey card that faces the camera."""
+    """Return a photograph relative to a white diffuser that faces its lamp, by a grey card that faces the camera."""
     try:
         x, y, width, height, reflectance = (float(part) for part in grey.split(","))
     except ValueError:
@@ -286,14 +286,14 @@ def _balanced(photograph: Photograph, grey: str, lamp: Lamp) -> Photograph:
 
 
 def _without_dark(photographs: Sequence[Photograph], dark: Photograph) -> list[Photograph]:
-    """Photographs less one that was taken without light."""
+    """Subtract a photograph that was taken without light."""
     if any(one.values.shape != dark.values.shape for one in photographs):
         raise UsageError(f"{dark.path}: of another size than the photographs, expected the same camera")
     return [replace(one, values=np.maximum(one.values - dark.values, 0.0)) for one in photographs]
 
 
 def _outline_of(photographs: Sequence[Photograph], given: str) -> tuple[Circle, tuple[str, ...]]:
-    """The outline of the ball in photographs of one size, given or the likeliest, and doubts about the latter."""
+    """Return the given or likeliest outline of the ball in photographs of one size, and doubts about the latter."""
     if given:
         circle = Circle.parse(given)
         if not isinstance(circle, Cylinder):
@@ -304,7 +304,7 @@ def _outline_of(photographs: Sequence[Photograph], given: str) -> tuple[Circle, 
 
 
 def _with_doubts(balls: Sequence[SeenBall], given: Sequence[str]) -> tuple[SeenBall, ...]:
-    """Balls with doubts about the outlines that were given."""
+    """Return balls with doubts about the outlines that were given."""
     return tuple(
         replace(ball, notes=ball.notes + given_outline_notes([ball.photograph], ball.circle))
         if text and not isinstance(ball.circle, Cylinder)
@@ -320,7 +320,7 @@ def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
 
 
 def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
-    """An environment by its file or name, as a picture and for sampling, and notes."""
+    """Return an environment by its file or name, as a picture and for sampling, and notes."""
     notes: tuple[str, ...] = ()
     if name in ENVIRONMENTS and not Path(name).is_file():
         image = environment(name, 256).astype(float)
@@ -345,7 +345,7 @@ def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
 def _around(
     text: str, camera: Camera, is_linear: bool
 ) -> tuple[Array, Environment, tuple[str, ...], Sequence[Lamp]]:
-    """The environment that a photographed mirror ball shows: as a picture, for sampling, notes, and clipped spots."""
+    """Return a photographed mirror ball's environment: as a picture, for sampling, notes, and clipped spots."""
     name, _, given = (text, "", "") if Path(text).is_file() else text.rpartition("@")
     path = Path(name or text)
     photograph = read_photograph(path, is_linear)
@@ -363,7 +363,7 @@ def _around(
 
 
 def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
-    """Highlights that no lamp shows, in a sentence."""
+    """Return a sentence on highlights that no lamp shows."""
     most = np.zeros(len(_DIFFERENCES_DEG) - 1)
     for sighting in sightings:
         wi, wo, light = sighting.pairs

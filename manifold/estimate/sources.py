@@ -32,7 +32,7 @@ class FileSource:
 
     @property
     def name(self) -> str:
-        """Of the material, by the file's."""
+        """Return the name of the material, from the file's."""
         return material_name(self.path)
 
     def __str__(self) -> str:
@@ -65,7 +65,7 @@ class PlaceSource:
 
     @property
     def name(self) -> str:
-        """Of what is predicted, for files."""
+        """Return the name of predicted files."""
         return "predicted"
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ MaterialSource = FileSource | LibrarySource | PlaceSource
 
 
 def parse_source(text: str, model: Path, library: Path | None = None) -> MaterialSource:
-    """What a text means: a file, else a material of the library, else a folder, else a place on the map.
+    """Parse a text: a file, else a material of the library, else a folder, else a place on the map.
 
     A place is coordinates with commas between, or `FROM:TO:T`. The model need not exist for files; the library is
     another, or the model's, if it was moved.
@@ -113,7 +113,10 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
 
 
 def read_source(source: MaterialSource) -> BsdfFile:
-    """The RGL file of a source, turned as it was measured; a prediction is measured by the virtual goniometer."""
+    """Return the RGL file of a source, turned as it was measured.
+
+    Predictions are measured by the virtual goniometer.
+    """
     if isinstance(source, FileSource):
         return read_bsdf(source.path)
     if isinstance(source, LibrarySource):
@@ -125,7 +128,7 @@ def read_source(source: MaterialSource) -> BsdfFile:
 
 
 def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
-    """The place of a source on a map; what is not among its materials is located by its values (`Manifold.embed`)."""
+    """Return the place of a source on a map; other materials are located by their values (`Manifold.embed`)."""
     if isinstance(source, LibrarySource) and source.name in model.names:
         return model.place(source.name)
     if isinstance(source, FileSource | LibrarySource):
@@ -138,7 +141,7 @@ def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
 
 @contextmanager
 def source_file(source: MaterialSource) -> Iterator[Path]:
-    """The path of a file that holds a source, which is temporary unless the source is a file."""
+    """Yield the path of a file that holds a source, which is temporary unless the source is a file."""
     if isinstance(source, FileSource):
         yield source.path
         return
@@ -157,7 +160,7 @@ def source_file(source: MaterialSource) -> Iterator[Path]:
 
 
 def _names(model: Path, library: Path | None) -> tuple[Path, tuple[str, ...]]:
-    """The library that names are looked up in, and its names."""
+    """Return the library in which names are looked up, and its names."""
     from manifold.library.store import Library
 
     if library is None:

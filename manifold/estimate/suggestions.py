@@ -43,13 +43,13 @@ class Deviations:
     noise: Array
 
     def variance_reduction(self, wanted: Array) -> Array:
-        """By how much each candidate reduces the variance of values that deviate by (H, W), shape (D, W)."""
+        """Return how much each candidate reduces the variance of values that deviate by (H, W), shape (D, W)."""
         variance = np.sum(self.at_candidates**2, axis=0) + self.noise
         # A black completion deviates by nothing.
         return np.asarray((self.at_candidates.T @ wanted) ** 2 / (variance + np.finfo(float).tiny)[:, None])
 
     def after(self, reading: Array, noise: float) -> Deviations:
-        """The deviations given a reading, at which they are (H,) now."""
+        """Return the deviations given a reading, at which they are (H,) now."""
         variance = float(reading @ reading)
         if variance == 0.0:
             return self
@@ -61,8 +61,9 @@ class Deviations:
 
 
 def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
-    """The readings that reduce the expected errors most, chosen greedily: indices of candidates in order, shape
-    (count,).
+    """Return the candidates whose readings reduce the expected errors most, chosen greedily.
+
+    They are indices in order, shape (count,).
 
     The errors are the root mean square over all directions and the mean over the pixels of a ball of their standard
     deviation. The product of the first and the cube of the second is minimised. Unknowns are independent of each other,
@@ -80,7 +81,7 @@ def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
 
 
 def _log_errors(unknowns: Sequence[Deviations]) -> Array:
-    """Logarithm of the product of both errors after each reading, shape (D,)."""
+    """Return the logarithm of the product of both errors after each reading, shape (D,)."""
     all_variance = sum(
         np.sum(u.everywhere**2) - u.variance_reduction(u.everywhere).sum(axis=1) for u in unknowns
     )
@@ -116,7 +117,7 @@ class Suggested:
 def suggest(
     library: LibraryAtoms | Path, count: int, known: Completion | None = None, instrument: str | None = None
 ) -> Suggested:
-    """The directions that reduce the expected error most, chosen greedily.
+    """Return the directions that reduce the expected error most, chosen greedily.
 
     Args:
         library: of measured materials, or its atoms.
@@ -133,7 +134,7 @@ def suggest(
 
 
 def directions_left(count: int, readings: Readings | None, instrument: str | None) -> tuple[Array, Array]:
-    """Directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3)."""
+    """Return directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3)."""
     wi, wo = all_directions() if instrument is None else DIRECTIONS[instrument]()
     total, of = len(wi), f" of {instrument}" if instrument else ""
     if readings is not None:
@@ -150,7 +151,7 @@ def directions_left(count: int, readings: Readings | None, instrument: str | Non
 def readings_to_take(
     atoms: LibraryAtoms, at: Array, where: Array, count: int, known: Completion | None = None
 ) -> Indices:
-    """Indices of the candidates to read next, in order, shape (count,).
+    """Return indices of the candidates to read next, in order, shape (count,).
 
     Hypotheses are those of the completion so far; before the first reading they are the atoms, equally probable. See
     `next_readings` for the three unknowns. Candidates have cube roots of atoms (n + 1, D), and coordinates (D, 3), see
@@ -178,7 +179,7 @@ def readings_to_take(
 
 
 def _structure(atoms: LibraryAtoms, weights: Array, probability: Array, at: Array) -> Deviations:
-    """Deviations of hypotheses with weights (H, n + 1) from their mean."""
+    """Return deviations of hypotheses with weights (H, n + 1) from their mean."""
     root = np.sqrt(probability)[:, None]
     on_grid = weights @ atoms.directions[:, : atoms.n_grid] * np.sqrt(atoms.weights[: atoms.n_grid])
     candidates = weights @ at
@@ -189,7 +190,7 @@ def _structure(atoms: LibraryAtoms, weights: Array, probability: Array, at: Arra
 
 
 def _colours(atoms: LibraryAtoms, at: Array, square: Array, taken: Array, taken_square: Array) -> Deviations:
-    """Deviations of bands from the mean over the bands of their material, given the T readings that were taken.
+    """Return deviations of bands from the mean over the bands of their material, given the T readings taken.
 
     Cube roots of atoms are (n + 1, D) at the candidates and (n + 1, T) at the readings; the expected squares of the
     material's there (D,) and (T,).
@@ -208,7 +209,7 @@ def _colours(atoms: LibraryAtoms, at: Array, square: Array, taken: Array, taken_
 
 
 def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> Deviations:
-    """Residuals of all hypotheses, relative to cube roots and correlated as in `residual`, given the readings taken.
+    """Return residuals of all hypotheses, relative to cube roots and correlated as in `residual`, given the readings.
 
     Candidates have coordinates (D, 3), readings (T, 3); expected cube roots are `level` (D,), and (P_b,) at pairs that
     light a ball.
@@ -235,23 +236,23 @@ def _residual(where: Array, taken: Array, level: Array, mean_on_ball: Array) -> 
 
 
 def _noise(square: Array, share: float) -> Array:
-    """Variance of the noise of cube roots whose expected squares are (D,)."""
+    """Return the variance of the noise of cube roots whose expected squares are (D,)."""
     return np.asarray(share**2 * (square + _DARK**2 * square.mean()))
 
 
 def _pixels(roots: Array) -> Array:
-    """Cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): shape (h, K)."""
+    """Return cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): (h, K)."""
     return np.asarray(np.cbrt(np.minimum(panel.judged().of(np.maximum(roots, 0.0).T ** 3).T, 1.0)))
 
 
 def _mean_roots(atoms: LibraryAtoms, roots: Array) -> Array:
-    """Cube roots of the mean over the bands of each atom's material, from those of measured atoms (n, P): (n, P)."""
+    """Return cube roots of the mean over the bands of each atom's material, from those of measured atoms (n, P)."""
     shape = len(atoms.names), len(atoms.atom_bands), roots.shape[1]
     return np.asarray(np.cbrt((roots**3).reshape(shape).mean(axis=1)).repeat(shape[1], axis=0))
 
 
 def all_directions() -> tuple[Array, Array]:
-    """Elevations from 0 to 80 degrees by 10, azimuths by 30: wi (D, 3) and wo (D, 3)."""
+    """Return pairs at elevations from 0 to 80 degrees by 10, azimuths by 30: wi (D, 3) and wo (D, 3)."""
     return _product(np.arange(0, 81, 10), np.arange(0, 81, 10), np.arange(0, 181, 30))
 
 
@@ -268,7 +269,10 @@ DIRECTIONS = Registry("instrument", [("ma-t12", geometry_ma_t12), ("mini-diff", 
 
 
 def _product(incidences_deg: Indices, elevations_deg: Indices, azimuths_deg: Indices) -> tuple[Array, Array]:
-    """Pairs of these angles that a receiver does not hide; where one is the normal, one azimuth. wi has 180 degrees."""
+    """Return pairs of these angles that a receiver does not hide; pairs with the normal have one azimuth.
+
+    wi has an azimuth of 180 degrees.
+    """
     theta_i, theta_o, phi = (
         a.ravel() for a in np.meshgrid(incidences_deg, elevations_deg, azimuths_deg, indexing="ij")
     )
@@ -280,7 +284,7 @@ def _product(incidences_deg: Indices, elevations_deg: Indices, azimuths_deg: Ind
 
 
 def _are_read(wi: Array, wo: Array, read_wi: Array, read_wo: Array) -> Mask:
-    """Which pairs were read, or their reverses, up to a turn about the normal: bool (D,)."""
+    """Return a mask of pairs that were read, or their reverses, up to a turn about the normal: bool (D,)."""
 
     def invariants(a: Array, b: Array) -> Array:
         return np.column_stack([a[:, 2], b[:, 2], np.sum(a * b, axis=1)])

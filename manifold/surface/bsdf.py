@@ -39,7 +39,7 @@ def _refuse(properties: Any) -> Any:
 
 
 def _plugin_class(mi: Any, variant: str) -> Any:
-    """The class for a variant: Mitsuba's base classes exist once per variant."""
+    """Return the class for a variant, because Mitsuba's base classes exist once per variant."""
     is_spectral = "spectral" in variant
 
     class SurfaceBSDF(mi.BSDF):  # type: ignore[misc]

@@ -51,7 +51,7 @@ class Surface:
     pictures: SurfacePictures
 
     def lit(self, lamp: Array, mean: Array) -> Array:
-        """A picture under another lamp, linear sRGB, shape (H, W, 3).
+        """Render a picture under another lamp, linear sRGB, shape (H, W, 3).
 
         Args:
             lamp: unit vector towards it, shape (3,); NaN for diffuse light.
@@ -82,7 +82,7 @@ class Surface:
 
 
 def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = None) -> Surface:
-    """The surface that explains pictures best: Gaussian priors, robust to glints and cast shadows.
+    """Estimate the surface that explains pictures best, with Gaussian priors, robust to glints and cast shadows.
 
     Args:
         pictures: three or more under lamps.
@@ -136,7 +136,7 @@ def _fitted(
 
 
 def _fitted_block(logs: Array, response: Response, trusted: Mask, prior: Array) -> tuple[Array, Array, Array]:
-    """Slopes and third factor (H, W, 3), log albedo (H, W, 3), and the sum of normal matrices over points (3, 3).
+    """Return slopes and third factor (H, W, 3), log albedo (H, W, 3), and summed normal matrices (3, 3).
 
     The albedo of each channel is eliminated: what is left are normal equations of three unknowns a point. Points at
     which the same pictures are trusted share one linear map from logs to unknowns.
@@ -163,7 +163,7 @@ def _fitted_block(logs: Array, response: Response, trusted: Mask, prior: Array) 
 
 
 def _glints(values: Array, residual: Array, pictures: SurfacePictures) -> Mask:
-    """Points under lamps near the normal that are much brighter than their surroundings and than the fit."""
+    """Return a mask of points under lamps near the normal that are much brighter than surroundings and fit."""
     glints = (residual > np.log(SPARKLE) / 2.0) & _is_middle(pictures)[:, None, None]
     for found, picture in zip(glints, values.mean(axis=-1), strict=True):
         around = np.pad(picture, _SURROUNDINGS_PX // 2, mode="edge")
@@ -177,7 +177,7 @@ def _is_middle(pictures: SurfacePictures) -> Mask:
 
 
 def integrated(slope: Array, slope_std: Array) -> Array:
-    """Heights whose slopes agree best with given ones, by least squares; the surface is mirrored at its edges.
+    """Return heights whose slopes agree best with given ones, by least squares; the surface is mirrored at its edges.
 
     Args:
         slope: components of normals along x (columns) and y (against rows), shape (H, W, 2).

@@ -77,7 +77,7 @@ class SurfaceFiles:
         return [dict(entry) for entry in self.completed.completion.readings.texture.get("values", ())]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         surface = self.surface
         return {
             "sample": surface.name,
@@ -110,7 +110,7 @@ def make_surface(
     size: int = 1024,
     targets: Sequence[str] = TARGETS,
 ) -> SurfaceFiles:
-    """The surface of a sample, as textures and as materials of engines.
+    """Write the surface of a sample, as textures and as materials of engines.
 
     Args:
         library: of measured materials, by which the readings are completed.
@@ -211,7 +211,7 @@ _MITSUBA = """<!-- A surface of manifold: call manifold.surface.bsdf.register() 
 
 
 def mitsuba_document(paths: Mapping[str, Path], flakes: DrawnFlakes | None) -> str:
-    """The material in Mitsuba's XML, whose textures lie beside it."""
+    """Return the material in Mitsuba's XML, whose textures lie beside it."""
     surface = (
         f'<bsdf type="normalmap">{_texture("normalmap", paths["normal"])}<bsdf type="surface">'
         f'{_texture("changes", paths["changes"])}<bsdf name="nested" type="measured">'
@@ -277,7 +277,7 @@ def write_exports(
 
 
 def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, ...]:
-    """What the materials of engines do not show of them."""
+    """Return notes on parts of the flakes that the materials of engines do not show."""
     notes = tuple(
         f"{name}: no flakes, its coat has the normals of its base"
         for name in targets

@@ -60,7 +60,7 @@ class SurfacePictures:
         return np.isnan(self.lamps[:, 0])
 
     def without(self, picture: int) -> SurfacePictures:
-        """All pictures but one."""
+        """Return all pictures but one."""
         kept = [j for j in range(len(self.labels)) if j != picture]
         return replace(
             self, values=self.values[kept], lamps=self.lamps[kept], labels=tuple(self.labels[j] for j in kept),
@@ -69,12 +69,12 @@ class SurfacePictures:
 
     @property
     def factors(self) -> Array:
-        """Of each picture's mean over that of its reading, shape (J, 3); NaN where there is no reading."""
+        """Return the ratio of each picture's mean to its reading's, shape (J, 3); NaN without a reading."""
         return np.asarray(self.values.mean(axis=(1, 2)) / self.means)
 
 
 def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePictures, Readings]:
-    """The pictures of a multi-angle spectrophotometer's workbook, and its readings.
+    """Read the pictures of a multi-angle spectrophotometer's workbook, and its readings.
 
     Args:
         path: `.xlsx` with a sheet `Texture Images`.
@@ -113,7 +113,7 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
 
 
 def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
-    """Pictures of a flat sample seen from above.
+    """Read pictures of a flat sample seen from above.
 
     Args:
         pictures: one file a lamp, in the order of the lamps, unless these name them.
@@ -143,7 +143,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
 
 
 def files_in(sources: Sequence[Path]) -> list[Path]:
-    """Files, and those of folders that are pictures by their names, in the order of these."""
+    """Return files, and the pictures in folders by their names, in order."""
     found = []
     for source in sources:
         if source.is_dir():
@@ -154,13 +154,13 @@ def files_in(sources: Sequence[Path]) -> list[Path]:
 
 
 def in_plane(angles_deg: Array | float) -> Array:
-    """Directions in the instrument's plane, which is vertical in its pictures; positive angles towards larger rows."""
+    """Return directions in the instrument's plane, which is vertical in its pictures; positive towards larger rows."""
     angles = np.deg2rad(angles_deg)
     return np.stack([0.0 * angles, -np.sin(angles), np.cos(angles)], axis=-1)
 
 
 def _decoded(path: Path, caption: str, content: bytes) -> Array:
-    """Linear values of one picture of a workbook."""
+    """Decode one picture of a workbook to linear values."""
     try:
         return picture_values(content)
     except FileFormatError as error:
@@ -168,7 +168,7 @@ def _decoded(path: Path, caption: str, content: bytes) -> Array:
 
 
 def _stacked(path: Path, pictures: Iterable[Array], count: int) -> Array:
-    """Stack so many pictures of one size; none is read after one that does not fit."""
+    """Stack `count` pictures of one size; none is read after one that does not fit."""
     stack = np.empty((0, 0, 0, 3))
     for j, picture in enumerate(pictures):
         h, w = picture.shape[:2]
@@ -189,7 +189,7 @@ def _stacked(path: Path, pictures: Iterable[Array], count: int) -> Array:
 
 
 def _registered(values: Array) -> tuple[Array, tuple[str, ...]]:
-    """Pictures whose red and blue are moved along the rows onto green, by the shift that agrees best over all."""
+    """Move red and blue of pictures along the rows onto green, by the shift that agrees best over all."""
     moved, notes = values.copy(), []
     middle = values.mean(axis=(1, 2), keepdims=True)
     detail = [_detail(channel) for channel in np.moveaxis(values / middle, -1, 0)]
@@ -214,7 +214,7 @@ def _detail(pictures: Array) -> Array:
 
 
 def _agreement(fixed: Array, moving: Array, steps: Array) -> Array:
-    """Correlation of one channel's detail with another's moved along the rows, by Fourier shifts; one a step."""
+    """Return the correlation of a channel's detail with another's moved along the rows by Fourier shifts, per step."""
     spectra = [np.fft.rfft2(channel.swapaxes(1, 2)) for channel in (fixed, moving)]
     cross = np.sum(np.conj(spectra[0]) * spectra[1], axis=(0, 1))
     n = fixed.shape[1]

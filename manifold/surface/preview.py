@@ -31,7 +31,7 @@ _BALL_RADIUS, _EDGE, _GROUND = 0.9, 0.98, 0.05  # of half a side; of the ball; l
 
 
 def strip(brdf: EvaluableBRDF, textures: Textures, flakes: DrawnFlakes | None = None) -> Array:
-    """A plane under three lamps, then a ball in the studio, side by side in linear sRGB, shape (S, 4 S, 3).
+    """Render a plane under three lamps and a ball in the studio, side by side in linear sRGB, shape (S, 4 S, 3).
 
     All are seen from afar, so that a lit facet's radiance is a function of its normal: tables of it are interpolated.
 
@@ -79,7 +79,7 @@ def _drawn(
     brdf: EvaluableBRDF, textures: Textures, flakes: DrawnFlakes | None, rows: Array, columns: Array,
     lit: Callable[[EvaluableBRDF, Array, Mask], Array],
 ) -> Array:  # fmt: skip
-    """Radiance of points of the textures, rows and columns from 0 to 1, (..., 3).
+    """Return the radiance of points of the textures, rows and columns from 0 to 1, (..., 3).
 
     `lit` is that of facets, by slopes of all points, of some of them.
     """
@@ -94,7 +94,7 @@ def _drawn(
 
 
 def _lit_ball(brdf: EvaluableBRDF) -> Array:
-    """A ball in the studio, seen from afar: linear sRGB, rows from above, what surrounds it as at its edge."""
+    """Render a ball in the studio, seen from afar: linear sRGB, rows from above, surroundings as at its edge."""
     ball = ball_colours.ball(_BALL_PIXELS, _RINGS, _SPOKES)
     column, row = ((0.5 + 0.5 * ball.places * [1.0, -1.0]) * _BALL_PIXELS).astype(int).T
     image, inside = np.zeros((_BALL_PIXELS, _BALL_PIXELS, 3)), np.zeros((_BALL_PIXELS, _BALL_PIXELS), bool)
@@ -108,7 +108,7 @@ def _lit_ball(brdf: EvaluableBRDF) -> Array:
 
 
 def _interpolated(table: Array, at: Array) -> Array:
-    """Bilinear values of a table (R, C, 3) at columns and rows (..., 2)."""
+    """Return bilinear values of a table (R, C, 3) at columns and rows (..., 2)."""
     where = np.moveaxis(at, -1, 0)[::-1]
     channels = np.moveaxis(table, -1, 0)
     return np.stack([map_coordinates(each, where, order=1, mode="nearest") for each in channels], axis=-1)
@@ -122,7 +122,7 @@ def material_of(
     mi: Any, mean: Path, normal: Array, changes: Array, flakes: DrawnFlakes | None = None,
     repeats: tuple[float, float] = (1.0, -1.0),
 ) -> dict[str, Any]:  # fmt: skip
-    """The surface as a dictionary of Mitsuba's.
+    """Return the surface as a dictionary of Mitsuba's.
 
     Args:
         mi: Mitsuba.
@@ -138,7 +138,7 @@ def material_of(
 def with_flakes(
     mi: Any, material: Mapping[str, Any], flakes: DrawnFlakes, repeats: tuple[float, float]
 ) -> dict[str, Any]:
-    """A material with flakes between, as a dictionary of Mitsuba's; `repeats` as of `material_of`."""
+    """Return a material with flakes in it, as a dictionary of Mitsuba's; `repeats` is that of `material_of`."""
     facet = {
         "type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": flakes.flakes.roughness,
         "specular_reflectance": {"type": "uniform", "value": flakes.flakes.reflectance / flakes.share},
@@ -168,7 +168,7 @@ def under_lamp(
     film: Mapping[str, Any] | None = None,
     bounces: int = 1,
 ) -> dict[str, Any]:
-    """A flat shape about the plane z = 0 under a distant lamp; a white diffuser in that plane has radiance 1.
+    """Return a flat shape about the plane z = 0 under a distant lamp; a white diffuser in that plane has radiance 1.
 
     Args:
         mi: Mitsuba.

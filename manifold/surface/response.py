@@ -52,7 +52,7 @@ class Response:
 
     @classmethod
     def of(cls, lamps: Array, means: Array, gain: float = 1.0) -> Response:
-        """The responses under lamps.
+        """Return the responses under lamps.
 
         Args:
             lamps: unit vectors, shape (J, 3); NaN for diffuse light. Those in the plane of y and z have the measured
@@ -87,12 +87,12 @@ class Response:
 
     @classmethod
     def of_pictures(cls, pictures: SurfacePictures, gain: float = 1.0) -> Response:
-        """The responses of all pictures."""
+        """Return the responses of all pictures."""
         return cls.of(pictures.lamps, pictures.values.mean(axis=(1, 2)), gain)
 
 
 def gain_of(brdf: EvaluableBRDF, pictures: SurfacePictures) -> float:
-    """How much more a BRDF answers to slope than the table does, by least squares over the lamps.
+    """Return the ratio of a BRDF's response to slope to the table's, by least squares over the lamps.
 
     Its own response is the mean of d ln N / d slope over slopes of the paints (Stein's lemma, Gaussian quadrature).
     """
@@ -109,7 +109,7 @@ def gain_of(brdf: EvaluableBRDF, pictures: SurfacePictures) -> float:
 
 
 def shaded(brdf: EvaluableBRDF, slope: Array, lamp: Array, camera: Array) -> Array:
-    """Facets as a camera sees them under a lamp, linear sRGB, shape (..., 3); 1 is a white diffuser that lies flat.
+    """Return facets as a camera sees them under a lamp, linear sRGB (..., 3); 1 is a white diffuser that lies flat.
 
     Args:
         brdf: of the facets; isotropic.

@@ -43,7 +43,7 @@ class Flakes:
     reflectance: float
 
     def drawn(self, size: int, rng: np.random.Generator) -> DrawnFlakes:
-        """Random flakes on a square that repeats, `size` pixels a side."""
+        """Return random flakes on a square that repeats, `size` pixels a side."""
         count = rng.poisson(self.density * size**2 / _PER)
         centre = size * rng.random((count, 2))
         slopes = self.slope_std * rng.standard_normal((count, 2))
@@ -90,7 +90,7 @@ class DrawnFlakes:
 
     @property
     def facet(self) -> Facet:
-        """What covers that share of the pixel."""
+        """Return the facet that covers that share of the pixel."""
         return Facet(GGX.isotropic(self.flakes.roughness), self.flakes.reflectance / self.share)
 
     @property
@@ -118,7 +118,7 @@ class Sparkle:
     flakes: Flakes | None
 
     def to_json(self) -> dict[str, object]:
-        """Plain values."""
+        """Return plain values."""
         return vars(self) | {"flakes": None if self.flakes is None else vars(self.flakes)}
 
 
@@ -156,7 +156,7 @@ def sparkle_of(surface: Surface) -> Sparkle:
 def _flakes(
     surface: Surface, middle: Indices, density: Array, size_px: float, excess: float, seen_once: float
 ) -> Flakes:
-    """Flakes whose glints have the counted densities, brightness, and share that one lamp alone shows.
+    """Return flakes whose glints have the counted densities, brightness, and share that only one lamp shows.
 
     A flake of slope m adds P (1 + |m - h|^2 / alpha^2)^-2 to the brightness of its surroundings, h being the slope of
     the half vector: GGX. It is counted where that is above the threshold t of glints: within `alpha sqrt(q - 1)` of h,
@@ -197,7 +197,7 @@ def _flakes(
 
 
 def _spread(halves: Array, density: Array) -> float:
-    """Standard deviation of normally distributed slopes, from how densities fall with the half vectors' slopes."""
+    """Return the standard deviation of normally distributed slopes, from the fall of densities with slope."""
     seen = density > 0.0
     steepness = np.sum(halves[seen] ** 2, axis=-1)
     fall = np.polyfit(steepness, np.log(density[seen]), 1, w=np.sqrt(density[seen]))[0]

@@ -54,7 +54,7 @@ class Textures:
 
 
 def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
-    """Textures of a surface.
+    """Return textures of a surface.
 
     Args:
         surface: the sample; its edges may differ in brightness.
@@ -79,7 +79,7 @@ def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
 
 
 def uncropped(albedo: Array) -> tuple[slice, slice]:
-    """Rows and columns without what an aperture shades: edges whose brightness differs from the sample's."""
+    """Return rows and columns without an aperture's shade: edges whose brightness differs from the sample's."""
     grey = albedo.mean(axis=-1)
     kept = []
     for axis in range(2):
@@ -91,7 +91,7 @@ def uncropped(albedo: Array) -> tuple[slice, slice]:
 
 
 def dust_in(logs: Array) -> Mask:
-    """Spots of another colour than the sample's, with what surrounds them: logs of colours (H, W, 3), shape (H, W)."""
+    """Return a mask (H, W) of spots of another colour with their surroundings, from logs of colours (H, W, 3)."""
     smooth = gaussian_filter(logs, (_DUST_PX, _DUST_PX, 0.0))
     from_median = np.abs(smooth - np.median(smooth, axis=(0, 1)))
     spread = 1.4826 * np.median(from_median, axis=(0, 1)) + 0.01
@@ -102,7 +102,7 @@ def dust_in(logs: Array) -> Mask:
 
 
 def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask | None = None) -> Array:
-    """A periodic texture whose values are distributed as those of a sample.
+    """Return a periodic texture whose values are distributed like those of a sample.
 
     Args:
         sample: shape (H, W, C).
@@ -142,14 +142,14 @@ def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask |
 
 
 def _tent(edges: Indices, cell: int, size: int) -> tuple[Indices, Array]:
-    """Indices, modulo the size, and weights of a tile that rises over one cell and falls over the next."""
+    """Return indices, modulo the size, and weights of a tile that rises over one cell and falls over the next."""
     rise, fall = edges[cell + 1] - edges[cell], np.diff(edges)[(cell + 1) % (len(edges) - 1)]
     indices = (edges[cell] + np.arange(rise + fall)) % size
     return indices, np.concatenate([(np.arange(rise) + 0.5) / rise, 1.0 - (np.arange(fall) + 0.5) / fall])
 
 
 def _to_gaussian(sample: Array, counted: Mask) -> tuple[Array, Callable[[Array], Array]]:
-    """A sample whose channels are normally distributed over the pixels that are counted, and the function back."""
+    """Return a sample whose channels are normally distributed over counted pixels, and the inverse function."""
     ordered = np.sort(sample[counted], axis=0)
     ranks = ndtri(0.5 / len(ordered)) * np.linspace(1.0, -1.0, _QUANTILES)
     at = np.round(len(ordered) * ndtr(ranks) - 0.5).astype(int)

@@ -100,12 +100,12 @@ def read_surface(path: Path | str) -> WrittenSurface:
 
 
 def _flakes(content: Any) -> Flakes:
-    """Flakes of the entry of a JSON document; KeyError, TypeError or ValueError of any other."""
+    """Return flakes from the entry of a JSON document; KeyError, TypeError or ValueError for any other."""
     return Flakes(**{name: _number(content[name], *limits) for name, limits in _FLAKES.items()})
 
 
 def _number(value: Any, least: float, most: float) -> float:
-    """A number of a JSON document within limits; TypeError or ValueError of anything else."""
+    """Return a number of a JSON document within limits; TypeError or ValueError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r} is not a number")
     if not least <= value <= most:
@@ -114,7 +114,7 @@ def _number(value: Any, least: float, most: float) -> float:
 
 
 def _document_in(folder: Path) -> Path:
-    """The JSON beside the only BRDF of a mean in a folder."""
+    """Return the JSON beside the only BRDF of a mean in a folder."""
     found = [path.with_suffix(".json") for path in sorted(folder.glob("*.bsdf"))]
     if not found:
         raise MissingFileError(f"{folder}: no surface; run manifold surface of a workbook")
@@ -124,6 +124,6 @@ def _document_in(folder: Path) -> Path:
 
 
 def _normals(display: Array) -> Array:
-    """Unit normals of a picture of them, shape (S, S, 3)."""
+    """Return unit normals from a picture of them, shape (S, S, 3)."""
     normal = 2.0 * display - 1.0
     return normalize(np.concatenate([normal[..., :2], np.maximum(normal[..., 2:], _LEAST_UP)], axis=-1))

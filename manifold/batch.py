@@ -88,7 +88,7 @@ class Outcome(Generic[T]):
 
 @dataclass(frozen=True)
 class Command(Generic[S]):
-    """What a command does with each of many sources.
+    """The work of a command on each of many sources.
 
     Attributes:
         what: its outputs are, in the plural: the name of index, table, sheet and default folder.
@@ -328,8 +328,9 @@ def _look(brdf: EvaluableBRDF) -> dict[str, Any]:
 
 
 def appearance_columns(word: str, key: str = "appearance") -> dict[str, Callable[[Content], Any]]:
-    """Return columns of a table, whose titles end in a word: CIELAB and gloss units at 60 degrees of what `appearance`
-    or, by the key `measured`, `measured_appearance` returned.
+    """Return columns of a table whose titles end in a word: CIELAB, and gloss units at 60 degrees.
+
+    They are those of `appearance` or, by the key `measured`, of `measured_appearance`.
     """
 
     def column(value: Callable[[dict[str, Any]], Any]) -> Callable[[Content], Any]:

@@ -81,8 +81,10 @@ def direct_local_search(
         maxfev: limit on evaluations, a move of one coordinate counting as one; 2000 n if None.
         max_sweeps: limit on rounds (a sweep and the pattern moves after it).
         callback: called as `callback(x, value)` after every round; StopIteration ends the search.
+
     Returns:
         x, fun, nfev, nit, status, success and message.
+
     Raises:
         ShapeError: bounds or steps do not fit x.
         UsageError: a step or tolerance is not positive.
@@ -210,6 +212,7 @@ class FunctionObjective:
         self.value = self._evaluate(x0)
 
     def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
+        """Move each coordinate by its step where that lowers the value; return the evaluations, at most `budget`."""
         tried = 0
         for index, (step, low, high) in enumerate(zip(steps, *limits, strict=True)):
             for sense in (heading[index], -heading[index]):
@@ -228,6 +231,7 @@ class FunctionObjective:
         return tried
 
     def move_to(self, x: Array) -> None:
+        """Set x (n,) and its value."""
         self.x, self.value = x.copy(), self._evaluate(x)
 
     def _evaluate(self, x: Array) -> float:
@@ -262,6 +266,7 @@ def hooke_jeeves(
         maxfev: limit on evaluations, 2000 n if None.
         maxiter: limit on rounds.
         unused: `jac`, `hess`, `hessp` and `constraints`, which scipy always passes.
+
     Raises:
         UsageError: constraints were given; they would be ignored.
     Source: Hooke & Jeeves 1961.

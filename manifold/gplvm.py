@@ -231,6 +231,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             n_outputs: D.
             X0: start, shape (N, Q), in place of principal components.
             callback: as for `fit`.
+
         Raises:
             ShapeError: S is not square, symmetric and finite, or all samples are identical.
             UsageError: a parameter of the model cannot be used.

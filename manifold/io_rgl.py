@@ -44,8 +44,10 @@ def read_bsdf(path: Path | str) -> BsdfFile:
 
     Args:
         path: a `.bsdf` tensor file. The material's name is the file's without `_spec.bsdf` or `_rgb.bsdf`.
+
     Returns:
         A record whose arrays are read-only views of the mapped file.
+
     Raises:
         FileFormatError: the file is missing, of another format, damaged, or lacks what an RGL file must hold;
             the message names the file and the field.

@@ -51,7 +51,7 @@ class LatentObjective:
         return self.with_noise(X)[:2]
 
     def value(self, X: Array) -> float:
-        """F at X (N, Q)."""
+        """Return F at X (N, Q)."""
         P, log_det = self.factorise(self.kernel.training(X))
         return self.value_of(log_det, float(np.sum(P * self.S)), float(np.sum(X**2)))
 

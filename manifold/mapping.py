@@ -38,6 +38,7 @@ class ValueMapping(Protocol):
             values: shape (..., B), bands last.
             cosine_weight: `cos(theta_i) cos(theta_o)` per direction pair, shape (...), for the mappings that
                 weight by it; None is a weight of 1.
+
         Returns:
             Mapped values, shape (..., B).
         """

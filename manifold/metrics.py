@@ -169,6 +169,7 @@ def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
         f_star: predicted values, same shape.
         n_pairs: number of direction pairs to divide by; those passed, if None. Give the size of the whole
             grid where pairs below the horizon (error 0) were left out.
+
     Raises:
         ShapeError: the shapes differ.
     Source: Hikichi & Iwasaki, eq. 22.
@@ -186,9 +187,11 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
         f: measured values in 1/sr, shape (..., B), bands last.
         f_star: predicted values, same shape.
         weight: w per direction pair, shape (...); `cosine_weight(wi, wo)` in this package's reports.
+
     Returns:
         0 for a perfect prediction, 1 for one of all zeros; 0 / 0 counts as 0, anything else over 0 as a very large
         finite number: JSON has no infinity.
+
     Raises:
         ShapeError: the shapes differ.
     """
@@ -236,6 +239,7 @@ class RunningErrors:
             f_star: predicted values, same shape.
             weight: per direction pair, shape (P,).
             roots: `(w f)^(1/3)` where it is at hand, shape (..., P, B).
+
         Raises:
             ShapeError: f and f_star differ in shape.
         """

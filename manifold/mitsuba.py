@@ -29,6 +29,7 @@ def bsdf(
         library: path of the library, if it was moved.
         tolerance: leave out materials that change mapped values by at most this share of their norm.
         colour: one of `like`, `reflectance` and `srgb`, as in `manifold predict`.
+
     Raises:
         MissingModelError, ModelError: there is no such model, or it is damaged.
         LatentError, UnknownNameError: the latent has the wrong number of coordinates, or names no material.

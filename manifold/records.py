@@ -38,6 +38,7 @@ class Bands:
 
     Attributes:
         wavelengths_nm: band centres in nm, strictly increasing, shape (B,), any sequence or array; None for RGB.
+
     Raises:
         ShapeError: the wavelengths are none, not finite, or do not increase.
     """

@@ -75,6 +75,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
         Args:
             wi: directions (..., 3).
             u: uniform numbers in [0, 1), shape (..., 2).
+
         Returns:
             wo (..., 3) and their density in 1/sr (...); the density is 0 where the sample fell below the
             horizon or `wi` lies there, and such samples count as black.

@@ -416,8 +416,10 @@ def write(
         seed, rgb: as in `measure`.
         anisotropic: add the 11 anisotropic materials, 110 MB each.
         keep: leave existing files as they are; files are complete under their final names.
+
     Returns:
         The paths, in the order of the corpus.
+
     Raises:
         UsageError: the folder cannot be made.
     """

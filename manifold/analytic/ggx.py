@@ -46,6 +46,7 @@ class GGX:
 
     Attributes:
         transform: M, shape (3, 3), with M[2] = M[:, 2] = (0, 0, 1); `GGX.skewed` embeds a 2x2 matrix.
+
     Raises:
         ShapeError: the transform is not a finite 3x3 matrix.
         UsageError: its third row or column is not (0, 0, 1), or it is singular.
@@ -226,6 +227,7 @@ class GGXMixture:
 
     @property
     def is_isotropic(self) -> bool:
+        """Return whether f is invariant under rotation of both directions about the normal."""
         return True
 
     @cached_property

@@ -42,6 +42,7 @@ class Immersed(AnalyticBRDF):
 
     @property
     def is_isotropic(self) -> bool:
+        """Return whether f is invariant under rotation of both directions about the normal."""
         return self.brdf.is_isotropic
 
     def _inside(self, w: Array) -> Array:
@@ -119,6 +120,7 @@ class _Compound(AnalyticBRDF):
 
     @property
     def is_isotropic(self) -> bool:
+        """Return whether f is invariant under rotation of both directions about the normal."""
         return all(brdf.is_isotropic for brdf in self._parts)
 
     def _sample(self, wi: Array, u: Array) -> Array:

@@ -42,6 +42,7 @@ class _RoughReflector(AnalyticBRDF):
 
     @property
     def is_isotropic(self) -> bool:
+        """Return whether f is invariant under rotation of both directions about the normal."""
         return self.ggx.is_isotropic
 
     @cached_property
@@ -130,6 +131,7 @@ class RoughConductor(_RoughReflector):
         set_per_band(self, "k", 0.0)
 
     def reflectance(self, cos_theta: Array) -> Array:
+        """Return the Fresnel reflectance of a facet at cosines (n,), shape (n, B) or (n, 1)."""
         return fresnel_conductor(cos_theta, self.eta, self.k)
 
 
@@ -163,6 +165,7 @@ class ThinFilm(_RoughReflector):
             raise UsageError(f"thickness_nm is {self.thickness_nm}, expected a thickness of at least 0 nm")
 
     def reflectance(self, cos_theta: Array) -> Array:
+        """Return the Fresnel reflectance of a facet at cosines (n,), shape (n, B) or (n, 1)."""
         # Dominant wavelengths of the sRGB primaries: RGB has no wavelengths of its own.
         wavelengths_nm = np.array(self.bands.wavelengths_nm or (611.4, 549.1, 464.3))
         return fresnel_thin_film(
@@ -187,6 +190,7 @@ class RoughDielectric(_RoughReflector):
         set_per_band(self, "eta", 1e-3)
 
     def reflectance(self, cos_theta: Array) -> Array:
+        """Return the Fresnel reflectance of a facet at cosines (n,), shape (n, B) or (n, 1)."""
         return fresnel_dielectric(cos_theta, self.eta)
 
 
@@ -217,6 +221,7 @@ class Plastic(AnalyticBRDF):
 
     @property
     def is_isotropic(self) -> bool:
+        """Return whether f is invariant under rotation of both directions about the normal."""
         return self.ggx.is_isotropic
 
     @cached_property

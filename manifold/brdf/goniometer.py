@@ -217,9 +217,11 @@ def measure(
             the outgoing grid; `SOFT_BEND` for data whose peaks differ in width from incidence to incidence. None takes
             it as it is, which errs less for blends of measured materials.
         version: pipeline version; it decides what a set bit of `valid` means.
+
     Returns:
         A file whose evaluation interpolates the BRDF; cells whose outgoing direction lies below the horizon
         are marked as not measured.
+
     Raises:
         UsageError: fewer than 2 nodes on an axis, 2 azimuths, or the BRDF reflects nothing back at any elevation.
     """

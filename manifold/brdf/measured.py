@@ -142,6 +142,7 @@ class MeasuredBRDF(NotebookPicture):
 
         Args:
             bands: indices, increasing. All three of an RGB material, or any of a spectral one.
+
         Raises:
             UsageError: a spectral axis cannot be made of these.
         """
@@ -194,6 +195,7 @@ class MeasuredBRDF(NotebookPicture):
             wi, wo: unit vectors (..., 3) that broadcast against each other.
             out: receives the values and is returned: contiguous (..., B), double or single precision. Used again from
                 call to call, it saves up to half of the time: the system need not find new memory.
+
         Raises:
             ShapeError: a direction array is not (..., 3), not finite, or not of unit length; `out` does not fit.
         """
@@ -224,6 +226,7 @@ class MeasuredBRDF(NotebookPicture):
         Args:
             wi: incident unit vectors (..., 3).
             u: uniform variates in [0, 1), shape (..., 2), that broadcast against wi.
+
         Raises:
             ShapeError: as in `eval`, or u is not (..., 2) in [0, 1].
         """

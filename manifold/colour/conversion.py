@@ -61,6 +61,7 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
         bands: their B bands.
         illuminant: one of `illuminant_names()`.
         adapt: whether its white becomes that of D65.
+
     Raises:
         UsageError: there is no such illuminant, or it gives no light where the observer sees.
         ShapeError: the last axis of `values` is not B.

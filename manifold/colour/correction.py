@@ -102,11 +102,12 @@ def learn_correction(
     forms: Sequence[str] = FORMS,
     groups: Indices | None = None,
 ) -> ColourCorrection:
-    """The correction from x (n, 3), at least 0, to y (n, B) that is best on values left out. With `groups` (n,) whole
-    samples are left out; only forms are tried whose terms the others determine.
+    """Learn the correction from x (n, 3), at least 0, to y (n, B) that is best on values left out.
 
-    Of forms some do not make more than a quarter of the samples worse than no correction does: the best of these, or
-    where there are none, of those that make the fewest worse.
+    With `groups` (n,) whole samples are left out; only forms are tried whose terms the others determine.
+
+    Among forms that make at most a quarter of the samples worse than no correction, the best one is taken; if there are
+    none, the best one of those that make the fewest samples worse.
     """
     x, y = np.maximum(np.asarray(x, np.float64), 0.0), np.asarray(y, np.float64)
     if len(x) < 4 or not x.max() > 0.0:
@@ -182,8 +183,10 @@ def _uncorrected_error(spectra: Array | None, wanted: Array, weight: Array, refe
 
 
 def _left_out(terms: Array, wanted: Array, groups: Indices) -> Array | None:
-    """Residuals of least squares, each group predicted by a fit to the others; shape of wanted. None if a group alone
-    determines a combination of terms: no fit to the others predicts it.
+    """Return residuals of least squares, each group predicted by a fit to the others; shape of wanted.
+
+    None if a group determines a combination of terms that the others do not, because no fit to them predicts
+    it.
     """
     inverse = np.linalg.pinv(terms)
     residual = wanted - terms @ (inverse @ wanted)

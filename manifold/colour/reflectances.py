@@ -56,6 +56,7 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
     Args:
         display: encoded sRGB values in [0, 1], shape (3,).
         bands: the spectral axis.
+
     Raises:
         ShapeError: the colour is not three values in [0, 1].
     Source: as `srgb_spectra`.
@@ -178,8 +179,10 @@ def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
     Args:
         name: one of `metal_names()`, such as `Au`.
         wavelengths_nm: wavelengths in nm, any shape.
+
     Returns:
         eta and k, both in the shape of `wavelengths_nm`.
+
     Raises:
         UsageError: there is no such table.
         FileFormatError: a table does not hold pairs of numbers.

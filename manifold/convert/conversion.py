@@ -114,6 +114,7 @@ def convert(
         options: of RGL files.
         merge: whether several files are of one sample although they name it differently.
         unit: of values in files that say none: `brdf`, `factor` or `percent`.
+
     Raises:
         UsageError: the format is unknown, the output cannot be written, readings do not make a BRDF, or files are of
             different samples.

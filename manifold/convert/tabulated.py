@@ -36,6 +36,7 @@ class TabulatedBRDF(AnalyticBRDF):
 
     @property
     def is_isotropic(self) -> bool:
+        """Return whether f is invariant under rotation of both directions about the normal."""
         return self._isotropic
 
     def _albedo(self, wi: Array) -> Array:

@@ -89,6 +89,7 @@ class Completion:
             readings: at P direction pairs, and G of gloss.
             at: cube roots of atoms at these, shapes (n, P) and (n, G), where they are known and the readings are in
                 the bands of the library.
+
         Raises:
             BandMismatchError: the bands of readings and library do not go together.
             UsageError: no reading is left, or all are zero.
@@ -152,12 +153,12 @@ class Completion:
 
     @cached_property
     def on_grid(self) -> Array:
-        """f at the encoding grid, shape (P_g, B)."""
+        """Values f at the encoding grid, shape (P_g, B)."""
         return self._at(self.atoms.directions[:, : self.atoms.n_grid], grid_coordinates())
 
     @cached_property
     def on_ball(self) -> Array:
-        """f at all pairs that light a ball, shape (P_b, B)."""
+        """Values f at all pairs that light a ball, shape (P_b, B)."""
         return self._at(self.atoms.ball, ball_coordinates())
 
     def _at(self, roots: Array, where: Array) -> Array:

@@ -165,6 +165,7 @@ def complete(
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
         options: of the file.
+
     Raises:
         BandMismatchError: bands of readings and library do not go together.
         UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.

@@ -342,6 +342,7 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
             used; two files of one sample each may name it differently.
         output: the file to write.
         allow_harm: write also a correction that is worse than none by its leave-one-out errors.
+
     Raises:
         UsageError: paths are not pairs, no sample is in both, or the correction is worse than none.
     """

@@ -110,7 +110,10 @@ class Mixtures:
         return self.scale * of_pair + self.lambertian * values[-1]
 
     def norm(self, inner: Array) -> Array:
-        """Squared norms of the mixtures, from inner products of atoms and Lambertian (n + 1, n + 1): shape (H,)."""
+        """Return squared norms of the mixtures, shape (H,).
+
+        The inner products are those of atoms and Lambertian, (n + 1, n + 1).
+        """
         aa, al, ll = _products(inner, self.first, self.second, self.share)
         return self.scale**2 * aa + 2.0 * self.scale * self.lambertian * al + self.lambertian**2 * ll
 

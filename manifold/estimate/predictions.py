@@ -62,6 +62,7 @@ def predict(
         colour: another than that of the place.
         attributes: gloss and colour that the material should have instead of its own; see `attributes.adjust`.
         options: of the file.
+
     Raises:
         UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or `strict` is set
             and its albedo would exceed 1.05.
@@ -158,6 +159,7 @@ def locate(
         output: a `.bsdf` file for the prediction at the latent, in the colours found; None writes none.
         library: where the model's library is now, if not where the model remembers it.
         options: of the output.
+
     Raises:
         FileFormatError: the file is no RGL file.
         BandMismatchError: its bands are not the library's.
@@ -196,6 +198,7 @@ def reconstruct(
         without: names of materials that take no part.
         numbers: that may describe the file; by default as many as it takes.
         options: of the output.
+
     Raises:
         FileFormatError: the file is no RGL file.
         BandMismatchError: its bands are not the library's.

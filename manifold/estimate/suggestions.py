@@ -124,6 +124,7 @@ def suggest(
         count: how many.
         known: the completion of the readings so far; None if there are none.
         instrument: name in `DIRECTIONS`, of which to choose directions; None for any.
+
     Raises:
         UsageError: there is no such instrument, or it has fewer directions left.
     """

@@ -116,6 +116,7 @@ def make_chart(
             continued on the same machine.
         workers: see `work.run`; they read the files from the library. Times are relative to
             a reference in the same process.
+
     Raises:
         UsageError: a key is unknown, there are fewer than four materials, or there are workers
             without a library.

@@ -38,8 +38,9 @@ def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
 
 
 def fit_after_published(data: Data, training: Indices) -> Encode:
-    """After Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search; directions are weighted by their
-    cosines, and the output variance maximises the likelihood.
+    """Fit a model after Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search.
+
+    Directions are weighted by their cosines, and the output variance maximises the likelihood.
 
     They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
     """

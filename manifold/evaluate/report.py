@@ -154,6 +154,7 @@ def make_report(
         principled: also fit Mitsuba's principled to the evaluated materials, for comparison.
         picture: file of the map of its latents; None for none.
         workers: see `work.run`; they fit models without each material, and read them from the file.
+
     Raises:
         UsageError: the grid is unknown, there are fewer than three materials, or not all are laid out.
         LibraryError: a material cannot be read.

@@ -144,6 +144,7 @@ def embed(
 
     Returns:
         The manifold, and the settings that were tried, where any was to be chosen.
+
     Raises:
         ManifoldError: it failed where it ran, or the worker was lost.
     """

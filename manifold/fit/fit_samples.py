@@ -121,7 +121,7 @@ class FitSamples:
 
     @property
     def f_cos(self) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (M, B): what Mitsuba's `eval` returns."""
+        """Values f * cos(theta_o) in 1/sr, shape (M, B), like those of Mitsuba's `eval`."""
         return self.f * self.wo[:, 2:]
 
     def subsample(self, n: int) -> FitSamples:

@@ -137,6 +137,7 @@ def fit_bsdf(
         noise: relative standard deviation of the samples that the statements assume at least.
         options: hyperparameters of the method.
         wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
+
     Raises:
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
         RendererError: Mitsuba is missing, or lacks the backend that the method needs.

@@ -23,7 +23,7 @@ _LEAST_COSINE = 1e-3  # nearer to the horizon a value over its cosine says nothi
 
 @dataclass(frozen=True)
 class Quantity:
-    """How values become a BRDF: f = scale * value / cosines; logarithms are undone first.
+    """The conversion of values into a BRDF: f = scale * value / cosines; logarithms are undone first.
 
     Attributes:
         title: of the quantity, in the plural.

@@ -190,7 +190,7 @@ def read_readings(
 
 
 def as_readings(record: Record, limit: int | None) -> Readings:
-    """Readings of a record; dense tables give their measured nodes, at most `limit` of them."""
+    """Return the readings of a record; dense tables give their measured nodes, at most `limit` of them."""
     return record.readings(limit) if isinstance(record, DenseTable) else record
 
 

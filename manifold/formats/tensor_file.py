@@ -1,6 +1,6 @@
-"""Tensor files: named arrays in one file, mapped when read, byte for byte the same when written.
+r"""Tensor files: named arrays in one file, mapped when read, byte for byte the same when written.
 
-    12 bytes "tensor_file\\0", u8 major = 1, u8 minor = 0, u32 number of fields; per field u16 length of the name,
+    12 bytes "tensor_file\0", u8 major = 1, u8 minor = 0, u32 number of fields; per field u16 length of the name,
     name, u16 ndim, u8 dtype, u64 offset in the file, u64 shape[ndim]; then the data. Little-endian throughout.
 
 Source: Dupuy & Jakob 2018, the files of the RGL material database.

@@ -118,7 +118,7 @@ def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    """Return the text of a file in UTF-8, UTF-16 with its mark, else Latin-1; lines end with \\n.
+    r"""Return the text of a file in UTF-8, UTF-16 with its mark, else Latin-1; lines end with \n.
 
     Minus signs and spaces of typesetters are plain; the mark that ends files of DOS is left out.
     """

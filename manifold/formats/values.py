@@ -110,8 +110,10 @@ class Assumed(NamedTuple):
 
 
 def assumed_unit(raw: Sequence[tuple[Array, Array, Array]]) -> Assumed:
-    """Take values for BRDF in 1/sr; if that would reflect more light than it receives, for reflectance factors, or
-    for these in percent. If few values say so, they stay a BRDF, with a note.
+    """Choose the unit of values without one: BRDF in 1/sr, reflectance factors, or these in percent.
+
+    Values that would reflect more light than they receive are factors. If only few are that bright, they stay
+    a BRDF, with a note.
 
     Each of several samples is wi (P, 3), wo (P, 3) and values (P, B) of one file.
     """

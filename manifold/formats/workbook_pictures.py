@@ -55,6 +55,7 @@ def pictures_in(
         workbook: the same with empty parts for what is not XML.
         sheet: title of the sheet.
         unpacked: pictures of the workbook by their parts; those of the sheet are added.
+
     Raises:
         Exception: whatever openpyxl raises of a damaged workbook.
     """

@@ -64,7 +64,6 @@ def decode(coefficients: NDArray[np.int32], tables: Mapping[str, AnyArray]) -> d
 
     Raises LookupError or ValueError.
     """
-
     tables = dict(tables)
     slices = visible_normals.Slices(*(tables.pop(name) for name in visible_normals.Slices._fields))
     difference, step = tables.pop("vndf_difference"), tables.pop("step")

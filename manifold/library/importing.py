@@ -100,8 +100,10 @@ def import_files(
         rotation_rad: azimuth by which anisotropic samples lay turned, from -pi to pi, which whatever evaluates them
             undoes; "auto" finds it from the normals, see `manifold.brdf.orientation`.
         workers: who check files, and write materials; threads of this process if None.
+
     Returns:
         What became of each file; `failed` must be looked at.
+
     Raises:
         UsageError: a source does not exist, a folder holds no `*.bsdf`, the library would lie in another one, or the
             rotation is out of range.

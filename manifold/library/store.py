@@ -148,6 +148,7 @@ class Library:
 
         Returns:
             A record whose `spectra` (P, T, B, H, W) is a view: `np.moveaxis(spectra, 2, -1)` is C-contiguous.
+
         Raises:
             UsageError: no such material.
             LibraryError: the material is damaged.

@@ -16,6 +16,7 @@ def brdf_errors(brdf: BRDF, predicted: BRDF) -> Errors[float]:
     Args:
         brdf: the measured or true BRDF f.
         predicted: the BRDF f* that describes it, in the same bands.
+
     Raises:
         UsageError: one of them lacks the methods of `manifold.brdf.BRDF`.
         BandMismatchError: they have different bands.

@@ -92,6 +92,7 @@ class Manifold(LatentMap):
             names: of the materials to embed, such as all but those that are held out; None for all of them.
             calibrate: False saves the time of leaving materials out; expected errors are unknown then, as they are
                 with fewer than four materials.
+
         Raises:
             UsageError: fewer than two materials, more dimensions than materials less one, or no such material.
             LibraryError: there is no such library, or a material cannot be read.
@@ -172,6 +173,7 @@ class Manifold(LatentMap):
                 unless colours are given.
             colours: colour coordinate of every band, shape (B,), as `colours.of_reflectance` gives them; of blends
                 also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials.
+
         Raises:
             LatentError: x is not (Q,) or not finite.
             UsageError: colours for a manifold of kind `material`, or no such material.
@@ -226,6 +228,7 @@ class Manifold(LatentMap):
 
         Args:
             brdf: a material in the bands of the library.
+
         Raises:
             BandMismatchError: it has other bands.
         """
@@ -251,6 +254,7 @@ class Manifold(LatentMap):
         Args:
             brdf: the material, in the bands of the model.
             numbers: that may describe it, e.g. 12; by default as many as it takes.
+
         Raises:
             UsageError: it is black, or `numbers` is below 1.
             BandMismatchError: its bands are not the model's.
@@ -284,9 +288,11 @@ class Manifold(LatentMap):
         Args:
             path: the model.
             library: path of the library, if it was moved.
+
         Raises:
             ModelError: no such file, no model of this package, another version, or damaged.
             LibraryError: the library is not there, or lacks materials of the model.
+
         Warns:
             LibraryChangedWarning: the library's content is not what the model was fitted to.
         """

@@ -85,6 +85,7 @@ def render(
         output: the picture.
         settings: how; the usual ones by default.
         direct: evaluate the measured materials of a prediction while rendering.
+
     Raises:
         UsageError: the picture cannot be written, an RGB material meets another light than D65, or `direct` without a
             place.

@@ -106,6 +106,7 @@ def render_ball(
         seed: fixes the noise.
         illuminant: name of a CIE illuminant, or path of a text file of wavelengths in nm and powers.
         environment: picture of the surroundings, latitude by longitude; a studio by default.
+
     Raises:
         UsageError: the material has no spectrum, and the light is not D65; or an argument cannot be used.
         FileFormatError: a file is not what it should be.

@@ -182,6 +182,7 @@ def integrated(slope: Array, slope_std: Array) -> Array:
     Args:
         slope: components of normals along x (columns) and y (against rows), shape (H, W, 2).
         slope_std: their standard deviations, shape (2,).
+
     Returns:
         Heights in pixels, of mean 0, shape (H, W); the normal leans towards where it falls.
     Source: Frankot & Chellappa 1988, with weights; a mirrored surface is a sum of cosines, its slopes of sines.

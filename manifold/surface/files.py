@@ -120,6 +120,7 @@ def make_surface(
         name: with which those of files begin; that of the sample if None.
         size: of textures, in pixels.
         targets: of exports that take textures; none are written without readings.
+
     Raises:
         UsageError: a target takes no textures, or the folder cannot be written.
         MissingLibraryError: there are readings, and no library.

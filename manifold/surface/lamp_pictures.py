@@ -79,6 +79,7 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
     Args:
         path: `.xlsx` with a sheet `Texture Images`.
         sample: which of several.
+
     Raises:
         FileFormatError: it has fewer than three pictures under lamps, their sizes differ, or their means do not belong
             to the readings at the same geometries.
@@ -119,6 +120,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
         pictures: one file a lamp, in the order of the lamps, unless these name them.
         lamps: text of directions as of `estimate.lamps.read_lamps`; x points right in the pictures, y up, z towards the
             camera.
+
     Raises:
         UsageError: there is another number of lamps, or one does not stand above the sample.
         FileFormatError: a line is no direction, or the sizes of the pictures differ.

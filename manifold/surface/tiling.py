@@ -60,6 +60,7 @@ def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
         surface: the sample; its edges may differ in brightness.
         size: pixels of a side.
         seed: of the random offsets.
+
     Raises:
         UsageError: the size is less than two cells of the grid, or more than 8192.
     """
@@ -109,6 +110,7 @@ def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask |
         size: pixels of a side.
         rng: draws the offsets.
         avoided: pixels of the sample that tiles avoid where they can, and whose values are not the sample's, (H, W).
+
     Returns:
         Values, shape (size, size, C).
     """

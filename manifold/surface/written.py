@@ -55,6 +55,7 @@ def read_surface(path: Path | str) -> WrittenSurface:
 
     Args:
         path: its folder, or its `NAME.json` where the folder has several.
+
     Raises:
         FileFormatError: it is no such surface, or has no BRDF of the mean.
         MissingFileError: one of its files is missing, or the folder has no surface.

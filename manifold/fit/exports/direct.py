@@ -1,5 +1,4 @@
-"""Parameters of a target fitted to a material directly, with the target's own shading model, by the same criterion as
-`principled`."""
+"""Parameters of a target fitted to a material with the target's own shading model, by the criterion of `principled`."""
 
 from __future__ import annotations
 

@@ -52,6 +52,7 @@ class Principled:
             bsdf: description of the fitted family, as `BsdfFamily.to_json` gives it.
             values: by name.
             rotation_deg: of the fit; without meaning where nothing is anisotropic.
+
         Raises:
             UsageError: the fit is neither of `principled` nor of `diffuse`, or transmits light.
         """

@@ -580,6 +580,7 @@ class DrJitMapping:
             raise UsageError(f"the plugin `manifold` does not know the mapping {mapping.name}")
 
     def forward(self, f: Any, cosines: Any) -> Any:
+        """Apply T to values f in 1/sr."""
         dr, mapping = self._dr, self._mapping
         if isinstance(mapping, CubeRoot):
             return dr.cbrt(f)
@@ -588,6 +589,7 @@ class DrJitMapping:
         return f
 
     def inverse(self, mapped: Any, cosines: Any) -> Any:
+        """Apply T^-1 to mapped values."""
         dr, mapping = self._dr, self._mapping
         if isinstance(mapping, CubeRoot):
             return mapped * mapped * mapped

@@ -34,7 +34,7 @@ AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
 
 
-Kind = Literal["blend", "material"]
+Kind = Literal["blend", "gplvm", "material"]
 Optimizer = Literal["dls", "l-bfgs"]
 MaterialsArgument = Annotated[
     list[str],
@@ -73,8 +73,8 @@ def embed(
     kind: Annotated[
         Kind,
         typer.Option(
-            help="blend: non-negative combinations of the surrounding materials. material: a GPLVM of whole materials "
-            "(Hikichi & Iwasaki)."
+            help="blend: non-negative combinations of the surrounding materials. gplvm: a Gaussian process of whole "
+            "materials (Hikichi & Iwasaki); material is its old name."
         ),
     ] = "blend",
     latent_dim: Annotated[
@@ -89,7 +89,7 @@ def embed(
     mapping: Annotated[
         str | None,
         typer.Option(
-            help="For --kind material: mapping of BRDF values, {manifold.mapping.MAPPINGS}; or auto. "
+            help="For --kind gplvm: mapping of BRDF values, {manifold.mapping.MAPPINGS}; or auto. "
             "[default: cube-root]",
             metavar="NAME",
             show_default=False,
@@ -99,7 +99,7 @@ def embed(
         Optimizer | None,
         typer.Option(
             help="Optimiser of the latents, started from principal components. dls: direct local search without "
-            "gradients (Hikichi & Iwasaki, section 3.4). l-bfgs: quasi-Newton. [default: dls for kind material; "
+            "gradients (Hikichi & Iwasaki, section 3.4). l-bfgs: quasi-Newton. [default: dls for kind gplvm; "
             "blends support l-bfgs only]"
         ),
     ] = None,
@@ -108,6 +108,25 @@ def embed(
         typer.Option(
             help="Observation noise: height of the kernel's delta term, from 1e-10 to 1e6. [default: 0.0001]",
             metavar="MU",
+        ),
+    ] = None,
+    length_scale: Annotated[
+        float, typer.Option(help="Length scale of the kernel, in units of the latents.", metavar="L")
+    ] = 1.0,
+    prior: Annotated[
+        float | None,
+        typer.Option(
+            help="For --kind gplvm: weight of the Gaussian prior on the latents, per output. [default: 0]",
+            metavar="WEIGHT",
+            show_default=False,
+        ),
+    ] = None,
+    grid: Annotated[
+        str | None,
+        typer.Option(
+            help="For --kind gplvm: direction pairs, {manifold.pairs.NAMED_GRIDS}. [default: default]",
+            metavar="NAME",
+            show_default=False,
         ),
     ] = None,
     kernel: Annotated[
@@ -148,23 +167,31 @@ def embed(
     from manifold.model.manifold import Settings
 
     results = terminal.Results(json)
+    if kind == "material":
+        terminal.note_old_spelling("embed --kind material", "--kind gplvm")
+        kind = "gplvm"
+    if kind == "blend" and not as_published:
+        for name, value in (("prior", prior), ("grid", grid)):
+            if value is not None:
+                raise UsageError(f"found --{name} {value}, which goes with --kind gplvm")
     given = {
+        "prior": prior,
+        "grid": grid,
         "optimizer": optimizer,
         "mu": mu,
-        "kernel": kernel,
+        "kernel": None if kernel == "se" else kernel,
+        "length_scale": None if length_scale == 1.0 else length_scale,
         "landmarks": landmarks,
     }
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
     if mapping is not None and kind == "blend":
-        raise UsageError(
-            f"found --mapping {mapping}, which goes with --kind material; blends are of cube roots"
-        )
+        raise UsageError(f"found --mapping {mapping}, which goes with --kind gplvm; blends are of cube roots")
     if mapping is not None and not auto_mapping:
         chosen["mapping"] = mapping
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
-    if as_published and (auto_dim or chosen != {"kernel": "se", "latent_dim": 2}):
+    if as_published and (auto_dim or chosen != {"latent_dim": 2}):
         raise UsageError(
             "found --as-published and another setting of the fit, expected none: it fixes them all"
         )

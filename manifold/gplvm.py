@@ -124,6 +124,34 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
     return result.x.reshape(X.shape), float(result.fun)
 
 
+def log_likelihood(
+    X: Array, S: Array, n_outputs: int, *, mu: float = 1e-4, length_scale: float = 1.0,
+    kernel: str | type[Kernel] = "se", output_variance: float | None = 1.0,
+) -> float:  # fmt: skip
+    """Return the log likelihood of latents, `log p(Y | X)`, with its constants.
+
+    `-N D / 2 log(2 pi s^2) - D / 2 log|K| - tr(K^-1 H S H) / (2 s^2)`
+
+    Args:
+        X: latents, shape (N, Q).
+        S: Gram matrix `Y Y^T` of the outputs, shape (N, N); centred here.
+        n_outputs: D.
+        mu: noise filter of the kernel.
+        length_scale: l > 0, in units of the latents.
+        kernel: its name, or a class of your own, see `kernel_named`.
+        output_variance: s^2, in squared units of the outputs; None is what maximises the likelihood.
+
+    Raises:
+        ShapeError: S is no Gram matrix, or X does not fit it.
+    Source: Hikichi & Iwasaki, eq. 21, where s^2 = 1.
+    """
+    S = require_gram(S, n_outputs)
+    X = require_start(X, len(S), np.shape(X)[1] if np.ndim(X) == 2 else 1)
+    covariance = kernel_named(kernel, mu, length_scale)
+    F = LatentObjective(centre_gram(S), n_outputs, covariance, output_variance=output_variance).value(X)
+    return -n_outputs * (F + 0.5 * len(S) * (1.0 + float(np.log(2.0 * np.pi))))
+
+
 OPTIMIZERS: Registry[Callable[[Run, Array], Any]] = Registry(
     "optimizer", [("dls", search), ("l-bfgs", descend)]
 )

@@ -166,7 +166,7 @@ def _plain(value: Any) -> Any:
 _FIT = b'{\n  "format": "manifold fit"'
 _KINDS = {
     "blend": "blends of whole materials",
-    "material": "whole materials",
+    "gplvm": "whole materials",
 }
 
 

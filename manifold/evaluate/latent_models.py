@@ -44,7 +44,7 @@ def fit_after_published(data: Data, training: Indices) -> Encode:
 
     They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
     """
-    settings = Settings("material", 2, "identity", mu=1e-4, optimizer="dls")
+    settings = Settings("gplvm", 2, "identity", mu=1e-4, optimizer="dls")
     return _process(settings, data, training).encode
 
 

@@ -27,7 +27,7 @@ AFTER_PUBLISHED = "after Hikichi & Iwasaki, 2-D"
 NONNEGATIVE = "samples and lobes, weights >= 0"
 BLENDS = "blends, the default"
 _FEW = "one or two materials"
-_FAMILIES = {"blend": BLENDS, "material": "GPLVM, whole materials"}
+_FAMILIES = {"blend": BLENDS, "gplvm": "GPLVM, whole materials"}
 _SAMPLES = 3  # bands per material that are samples in charts, where nothing else is said
 _COARSE = ((2, 1), (2, 2), (4, 1))  # one in so many outgoing rows and columns, and incidences, is kept
 
@@ -67,7 +67,7 @@ def gplvm_methods() -> list[Method]:
 
 def _gplvm(latent_dim: int, mapping: str = "cube-root") -> Settings:
     prior = 0.0 if latent_dim == 2 else 0.1
-    return Settings("material", latent_dim, mapping, optimizer="l-bfgs", prior=prior)
+    return Settings("gplvm", latent_dim, mapping, optimizer="l-bfgs", prior=prior)
 
 
 STANDARD = {
@@ -81,7 +81,7 @@ STANDARD = {
 
 def _model(key: str, title: str, s: Settings) -> Method:
     """Return the model of a manifold with these settings: a coordinate per axis, and per band a colour and a gain."""
-    Q, per_band = s.latent_dim, {"blend": 2, "material": 0}[s.kind]
+    Q, per_band = s.latent_dim, {"blend": 2, "gplvm": 0}[s.kind]
     return Method(
         key, title, lambda B: Q + per_band * B, fit_settings(s), fits_model=True, family=_FAMILIES[s.kind],
         sample_bands=s.sample_bands if per_band else None,

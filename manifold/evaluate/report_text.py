@@ -32,7 +32,7 @@ _LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # root mean squares between which a method
 _MANY_DIGITS = 1e5
 _KINDS = {
     "blend": "Blends of materials: {}, and two colours per band",
-    "material": "GPLVM of whole materials: {}",
+    "gplvm": "GPLVM of whole materials: {}",
 }
 
 Columns = Sequence[tuple[str, Callable[[MethodResult], str]]]

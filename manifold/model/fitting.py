@@ -13,6 +13,7 @@ from manifold import progress
 from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic, values_at
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
+from manifold.likelihood import LatentObjective, centre_gram, require_start
 from manifold.mapping import MAPPINGS, ValueMapping
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.latent_space import LatentSpace
@@ -91,8 +92,8 @@ Fitted = tuple[LatentSpace, Statistics, BlendSamples | None]
 """A space, its statistics, and of a map by landmarks the samples that it was fitted to."""
 
 
-def fit_space(materials: MaterialCache, settings: Settings) -> Fitted:
-    """Fit the kind of space that the settings ask for to all materials of a cache."""
+def fit_space(materials: MaterialCache, settings: Settings, latents: Array | None = None) -> Fitted:
+    """Fit the kind of space that the settings ask for to all materials of a cache, or keep latents (N, Q)."""
     count, most = len(materials.names), len(materials.names) - 1
     if count < 2:
         raise UsageError(
@@ -112,6 +113,8 @@ def fit_space(materials: MaterialCache, settings: Settings) -> Fitted:
     if settings.kind != "blend":
         for material in materials.filled():
             _warn_if_bright(material)
+    if latents is not None:
+        return _keep_latents(materials, settings, latents)
     return _FITS[settings.kind](materials, settings)
 
 
@@ -149,6 +152,20 @@ def _fit_materials(materials: MaterialCache, s: Settings) -> Fitted:
     )
 
 
+def _keep_latents(materials: MaterialCache, s: Settings, latents: Array) -> Fitted:
+    if s.kind == "blend":
+        raise UsageError(
+            "found latents for kind blend, whose layout goes with its colours, expected kind gplvm"
+        )
+    X = require_start(latents, len(materials.names), s.latent_dim)
+    matrix, variance = _gram(materials, s), 1.0 if s.as_published else None
+    objective = LatentObjective(
+        centre_gram(matrix.S), matrix.n_outputs, s.covariance(), s.prior, output_variance=variance
+    ).value(X)  # fmt: skip
+    space = MaterialSpace(X, matrix.S, matrix.n_outputs, s.covariance())
+    return space, {"objective_start": objective, "objective": objective}, None
+
+
 def _fit_blends(materials: MaterialCache, s: Settings) -> Fitted:
     bands, samples = evenly_spaced(materials.library.bands.count, s.sample_bands), None
     count = s.landmarks_of(len(materials.names))
@@ -162,7 +179,7 @@ def _fit_blends(materials: MaterialCache, s: Settings) -> Fitted:
     return space, {"objective_start": layout.objective_start, "objective": layout.objective}, samples
 
 
-_FITS = {"blend": _fit_blends, "material": _fit_materials}
+_FITS = {"blend": _fit_blends, "gplvm": _fit_materials}
 
 
 def _gram(materials: MaterialCache, s: Settings) -> Gram:

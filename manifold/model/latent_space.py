@@ -33,7 +33,7 @@ class Embedded:
     Attributes:
         latent: shape (Q,).
         colours: what `Manifold.predict` takes: colour coordinate of every band, shape (B,); of blends also its gain,
-            shape (2, B); None of kind `material`.
+            shape (2, B); None of kind `gplvm`.
         relative_error: of the decoded material, `||w (f* - f)|| / ||w f||` on the pairs that it was embedded by.
         residual: of the search, relative: of blends that of cube roots on grid and ball, else `relative_error`.
     """

@@ -13,17 +13,20 @@ from typing import Any, overload
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.errors import UsageError
+from manifold.gpr import LengthScaleBound
 from manifold.library.store import Library
-from manifold.mapping import MAPPINGS, ValueMapping
+from manifold.mapping import MAPPINGS, Identity, ValueMapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
 from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
-from manifold.model.fitting import fit_space
+from manifold.model.fitting import Gram, fit_space
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, LatentSpace
 from manifold.model.map import LatentMap, map_svg
+from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache, names_among
 from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
 from manifold.model.places import PlaceLike, require_between
@@ -82,6 +85,7 @@ class Manifold(LatentMap):
         settings: Settings = _DEFAULTS,
         *,
         names: Collection[str] | None = None,
+        latents: Array | None = None,
         calibrate: bool = True,
     ) -> Manifold:
         """Embed the materials of a library, and leave each of them out once, which calibrates the expected errors.
@@ -90,11 +94,15 @@ class Manifold(LatentMap):
             library: at least two materials, or the path of a library.
             settings: see `Settings`.
             names: of the materials to embed, such as all but those that are held out; None for all of them.
+            latents: of a dimensionality reduction of your own, shape (N, Q), in the order of the library; they are
+                kept as they are. Only of kind gplvm.
             calibrate: False saves the time of leaving materials out; expected errors are unknown then, as they are
                 with fewer than four materials.
 
         Raises:
-            UsageError: fewer than two materials, more dimensions than materials less one, or no such material.
+            UsageError: fewer than two materials, more dimensions than materials less one, no such material, or latents
+                for kind blend.
+            ShapeError: the latents have another shape, or are not finite.
             LibraryError: there is no such library, or a material cannot be read.
         """
         if not isinstance(library, Library):
@@ -107,7 +115,7 @@ class Manifold(LatentMap):
         left_out = None
         # A layout amplifies the rounding of sums, which depends on the number of threads.
         with one_blas_thread:
-            space, statistics, samples = fit_space(materials, settings)
+            space, statistics, samples = fit_space(materials, settings, latents)
             if calibrate and len(chosen) >= LEAST_MATERIALS:
                 left_out = leave_out(space, materials, settings, samples)
         return cls(materials, space, settings, statistics, left_out)
@@ -176,7 +184,7 @@ class Manifold(LatentMap):
 
         Raises:
             LatentError: x is not (Q,) or not finite.
-            UsageError: colours for a manifold of kind `material`, or no such material.
+            UsageError: colours for a manifold of kind `gplvm`, or no such material.
             ShapeError: colours have another shape, are not finite, or are black in all bands.
         """
         # As objects, rows of different lengths are no error here; `place` reports them.
@@ -201,6 +209,46 @@ class Manifold(LatentMap):
     def combination(self, x: Array, colours: Array | None) -> Combination:
         """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
         return self.space.combination(x, self.space.require_colours(colours), self.mapping)
+
+    def linear(self, a: str, b: str, alpha: float) -> PredictedBRDF:
+        """Return the linear interpolation `alpha f_a + (1 - alpha) f_b` of raw values of materials a and b.
+
+        Raises:
+            UsageError: the model has no such material, or alpha is not finite.
+        Source: Hikichi & Iwasaki, eq. 23.
+        """
+        if not np.isfinite(alpha):
+            raise UsageError(f"alpha is {alpha}, expected a finite number")
+        return PredictedBRDF(
+            self.materials.filled([a, b]), Combination(Identity(), np.array([alpha, 1.0 - alpha]))
+        )
+
+    @property
+    def gram(self) -> Gram:
+        """The Gram matrix of the mapped materials, not centred, and D.
+
+        Raises:
+            UsageError: the model is of kind blend, which has none.
+        """
+        space = self._whole_materials()
+        return Gram(space.S, space.n_outputs)
+
+    def eq15(self, x: PlaceLike) -> LengthScaleBound:
+        """Return both sides of the condition on the length scale at latents x (Q,) or (M, Q).
+
+        Raises:
+            UsageError: the model is of kind blend.
+        Source: Hikichi & Iwasaki, eq. 15.
+        """
+        X = np.stack([self.place(row).latent for row in (x if np.ndim(x) == 2 else [x])])
+        return self.gp.length_scale_bound(X, self._whole_materials().S)
+
+    def _whole_materials(self) -> MaterialSpace:
+        if not isinstance(self.space, MaterialSpace):
+            raise UsageError(
+                f"a model of kind {self.space.kind}, expected gplvm: embed the library with that kind"
+            )
+        return self.space
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
         """Return the step of a walk from material a (t = 0) to b (t = 1), made of these two; see `model.walks`.

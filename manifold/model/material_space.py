@@ -35,7 +35,7 @@ class MaterialSpace(LatentSpace):
     S: Array
     n_outputs: int
     kernel: Kernel
-    kind: ClassVar[str] = "material"
+    kind: ClassVar[str] = "gplvm"
 
     def without(self, material: int) -> MaterialSpace:
         """Return the latents without that of one material."""

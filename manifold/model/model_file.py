@@ -62,7 +62,7 @@ class ModelRecord:
 
     @property
     def n_bands(self) -> int | None:
-        """B, where the model holds reflectances; the kind `material` holds none."""
+        """B, where the model holds reflectances; the kind `gplvm` holds none."""
         found = self.arrays.get("reflectances")
         return None if found is None or found.ndim == 0 else found.shape[-1]
 

@@ -13,9 +13,10 @@ from manifold.pairs import RusinkiewiczGrid
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
     "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},
-    "material": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
+    "gplvm": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
 }
-_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "material": ("dls", "l-bfgs")}
+_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "gplvm": ("dls", "l-bfgs")}
+_OLD_KINDS = {"material": "gplvm"}  # names of earlier versions
 
 KINDS = tuple(_KIND_DEFAULTS)
 
@@ -29,8 +30,8 @@ class Settings:
     """The settings with which a manifold was fitted.
 
     Attributes:
-        kind: `blend`, every point a non-negative combination of materials; or `material`, the method of Hikichi &
-            Iwasaki.
+        kind: `blend`, every point a non-negative combination of materials; or `gplvm`, the method of Hikichi & Iwasaki,
+            which was called `material`.
         latent_dim: Q.
         mapping: name of the mapping.
         optimizer: of `GPLVM`; None is the kind's own. Blends have `l-bfgs` only.
@@ -65,9 +66,10 @@ class Settings:
         Raw values without weights, in all bands and at all 90 x 90 x 180 direction pairs; unmeasured cells are zeros;
         s^2 = 1; direct local search from the principal components in the order of the materials; mu = 1e-4, l = 1.
         """
-        return cls("material", 2, "identity", grid="hikichi", as_published=True)
+        return cls("gplvm", 2, "identity", grid="hikichi", as_published=True)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", _OLD_KINDS.get(self.kind, self.kind))
         if self.kind not in KINDS:
             raise UsageError(f"kind '{self.kind}', expected {' or '.join(KINDS)}")
         for name, value in _KIND_DEFAULTS[self.kind].items():

@@ -101,12 +101,12 @@ def test_a_report_on_a_map_by_landmarks_is_refused(model):
 
 def test_the_kind_that_grows_with_the_cube_refuses_many_materials(model, monkeypatch):
     monkeypatch.setattr(fitting, "MOST_LAID_OUT", 9)
-    with pytest.raises(UsageError, match="10 materials for kind material, expected at most 9"):
+    with pytest.raises(UsageError, match="10 materials for kind gplvm, expected at most 9"):
         Manifold.fit(model.library, Settings(kind="material"))
 
 
 def test_landmarks_are_refused_where_they_cannot_span_the_map():
     with pytest.raises(UsageError, match="landmarks = 3 for kind blend in 2 dimensions"):
         Settings(landmarks=3)
-    with pytest.raises(UsageError, match="kind material"):
+    with pytest.raises(UsageError, match="kind gplvm"):
         Settings(kind="material", landmarks=20)

@@ -11,11 +11,13 @@ from helpers.small_library import NAMES, measured
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.errors import ShapeError, UsageError
+from manifold.gplvm import log_likelihood
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.compacting import compact_library
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.model.comparison import rmse22
 from manifold.model.location import locate
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
@@ -47,7 +49,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module", params=T)
 def model(request, folder):
     library = Library.open(folder / "library.zarr")
-    return Manifold.fit(library, Settings("material", mapping=request.param), calibrate=False)
+    return Manifold.fit(library, Settings("gplvm", mapping=request.param), calibrate=False)
 
 
 @pytest.fixture
@@ -199,4 +201,46 @@ def test_the_letter_keeps_the_zeros_of_unmeasured_cells_also_when_it_is_loaded(l
 
 def test_the_letter_refuses_other_mappings():
     with pytest.raises(UsageError, match=r"expected Settings\.published"):
-        Settings("material", mapping="cube-root", as_published=True)
+        Settings("gplvm", mapping="cube-root", as_published=True)
+
+
+def test_the_research_interface_gives_the_quantities_of_the_paper(literal, raw, rng):
+    """Eq. 21 with its constants, the Gram matrix, both sides of eq. 15, and eq. 22 and 23 between two materials."""
+    Y = raw - raw.mean(axis=0)
+    gram = literal.gram
+    assert log_likelihood(literal.X, gram.S, gram.n_outputs) == pytest.approx(
+        reference.log_likelihood(literal.X, Y, 1e-4, 1.0), rel=1e-6
+    )
+    x = rng.dirichlet(np.ones(len(NAMES))) @ literal.X
+    moved, bound = reference.both_sides_of_eq_15(literal.X, Y, x[None], 1e-4, 1.0)
+    found = literal.eq15(x)
+    np.testing.assert_allclose([found.displacement, found.bound], [moved, bound], rtol=1e-5)
+    np.testing.assert_array_equal(literal.eq15(np.stack([x, x])).bound, np.repeat(found.bound, 2))
+    between = literal.linear(NAMES[1], NAMES[3], 0.3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(NAMED_GRIDS, "hikichi", COARSE)
+        of_paper = rmse22(literal.material(NAMES[1]), between)
+    expected = reference.rmse(
+        raw[1].reshape(-1, 3), 0.3 * raw[1].reshape(-1, 3) + 0.7 * raw[3].reshape(-1, 3)
+    )
+    assert of_paper == pytest.approx(expected, rel=1e-5)
+
+
+def test_latents_of_ones_own_are_kept(folder, model, rng):
+    own = rng.normal(size=(len(NAMES), 2))
+    fitted = Manifold.fit(folder / "library.zarr", model.settings, latents=own, calibrate=False)
+    np.testing.assert_array_equal(fitted.X, own)
+    gram = fitted.gram
+    F = -log_likelihood(own, gram.S, gram.n_outputs, output_variance=None) / gram.n_outputs
+    N = len(NAMES)
+    assert fitted.statistics["objective"] == pytest.approx(
+        F - 0.5 * N * (1.0 + np.log(2.0 * np.pi)), rel=1e-9
+    )
+    with pytest.raises(ShapeError, match=r"expected \(6, 2\)"):
+        Manifold.fit(folder / "library.zarr", model.settings, latents=own[:, :1])
+    with pytest.raises(UsageError, match="expected kind gplvm"):
+        Manifold.fit(folder / "library.zarr", latents=own)
+
+
+def test_the_old_name_of_the_kind_still_works():
+    assert Settings(kind="material") == Settings(kind="gplvm")

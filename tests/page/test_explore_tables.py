@@ -121,7 +121,7 @@ def test_expected_errors_of_few_materials_are_called_coarse_on_the_page(model, m
 def test_only_maps_of_blends_have_a_page(tmp_path):
     library = Library.open(small_library(tmp_path))
     model = Manifold.fit(library, Settings(kind="material"), calibrate=False)
-    with pytest.raises(UsageError, match="kind material, expected blend"):
+    with pytest.raises(UsageError, match="kind gplvm, expected blend"):
         page_data.tabulate(model)
 
 

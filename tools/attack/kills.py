@@ -45,7 +45,7 @@ def _is_picture(path: Path) -> bool:
 FELT = "files/syn_felt_green_rgb.bsdf"
 COMMANDS: tuple[tuple[tuple[str, ...], str, Callable[[Path], bool]], ...] = (
     (("import", "files", "--library", "new.zarr"), "new.zarr", _is_library),
-    (("embed", "--kind", "material", "--model", "new.h5"), "new.h5", _is_model),
+    (("embed", "--kind", "gplvm", "--model", "new.h5"), "new.h5", _is_model),
     (("predict", "--latent", "0,0", "--resolution", "8", "-o", "p_rgb.bsdf"), "p_rgb.bsdf", _is_bsdf),
     (("info", "library.zarr", "--json", "info.json"), "info.json", _is_json),
     (("map", "-o", "map.png"), "map.png", _is_picture),

@@ -60,10 +60,10 @@ COMMANDS: dict[str, str] = {
     "embed automatically": "embed -L corpus.zarr -q auto -M own.h5",
     "embed landmarks": "embed -L real.zarr --landmarks 5 -M own.h5 --without chm_mint",
     "embed spectral": "embed -L spectral.zarr -M own.h5",
-    "embed materials": "embed -L real.zarr --kind material --mapping log-relative -M own.h5;"
+    "embed materials": "embed -L real.zarr --kind gplvm --mapping log-relative -M own.h5;"
     "locate real-left-out/paper_blue_rgb.bsdf -M own.h5 -o located.bsdf; predict 0.1,0.2 -M own.h5 -o predicted.bsdf;"
     "report -M own.h5",
-    "embed as published": "embed -L real.zarr --kind material --mapping identity -M own.h5;"
+    "embed as published": "embed -L real.zarr --kind gplvm --mapping identity -M own.h5;"
     "predict cardboard -M own.h5 -o predicted.bsdf; predict 0.1,0.2 -M own.h5 -o between.bsdf",
     # -- predictions
     "predict place": "predict 0.3,0.5 -M real.h5 -o place.bsdf",

@@ -86,14 +86,14 @@ def middle_of_family(bed: TestBed) -> list[BsdfFile]:
 
 def _of_whole_files(bed: TestBed) -> Manifold:
     """Return the manifold of the six whole files."""
-    return bed.cached("six", lambda: bed.fit(middle_of_family(bed), "material"))
+    return bed.cached("six", lambda: bed.fit(middle_of_family(bed), "gplvm"))
 
 
 def _degraded(bed: TestBed, degrade: Degrade, severity: float) -> Manifold:
     """Return the manifold of the six, with every file degraded."""
     key = ("six", degrade.__name__, severity)
     return bed.cached(
-        key, lambda: bed.fit([degrade(file, severity) for file in middle_of_family(bed)], "material")
+        key, lambda: bed.fit([degrade(file, severity) for file in middle_of_family(bed)], "gplvm")
     )
 
 
@@ -199,7 +199,7 @@ def _after_change(change: Change, bed: TestBed, severity: float) -> Measurement:
     """Measure a prediction halfway between two materials after a change of the library, against that before."""
 
     def make() -> Path:
-        model = bed.fit(middle_of_family(bed), "material")
+        model = bed.fit(middle_of_family(bed), "gplvm")
         model.save(model.library.path.parent / "model.h5")
         return model.library.path.parent
 

@@ -28,7 +28,7 @@ from manifold.model.material_space import MaterialSpace
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, BsdfFile
 
-KINDS = ("material", "blend")
+KINDS = ("gplvm", "blend")
 
 
 def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
@@ -215,7 +215,7 @@ _SEARCHES = ("dls", "l-bfgs")
 def _gram(bed: TestBed) -> Array:
     """Return inner products of the family, in the order of its models."""
     names = [file.name for file in bed.family]
-    order = [names.index(name) for name in bed.model("material").names]
+    order = [names.index(name) for name in bed.model("gplvm").names]
     return bed.data.gram(_MAPPING)[np.ix_(order, order)]
 
 
@@ -227,7 +227,7 @@ def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
     """Measure the held-out plastic, embedded in a manifold with these latents of the family."""
     truth = held_out(bed)
     space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
-    brdf, messages = bed.embed(in_space(bed.model("material"), space), truth)
+    brdf, messages = bed.embed(in_space(bed.model("gplvm"), space), truth)
     return Measurement(in_error_of_nearest(bed, brdf), messages)
 
 
@@ -257,7 +257,7 @@ def _again(optimizer: str, bed: TestBed, change: float) -> Measurement:
 
 def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
     """Measure the held-out plastic from the weights of a kernel without observation noise."""
-    model, truth = bed.model("material"), held_out(bed)
+    model, truth = bed.model("gplvm"), held_out(bed)
     x = bed.cached("latent of the held-out plastic", lambda: model.embed(truth).latent)
     weights = GaussianProcess(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
     brdf = PredictedBRDF(model.materials.filled(), Combination(model.mapping, weights))
@@ -336,8 +336,8 @@ MODES: tuple[Mode, ...] = (
         Limit("CIEDE2000 (studio 0) between the balls of the prediction and of the nearest "
         "plastic", BALL.value, BALL.reason),
         {
-            "material": partial(_outside, partial(_from_outermost, "material", "cube-root")),
-            "raw values": partial(_outside, partial(_from_outermost, "material", "identity")),
+            "gplvm": partial(_outside, partial(_from_outermost, "gplvm", "cube-root")),
+            "raw values": partial(_outside, partial(_from_outermost, "gplvm", "identity")),
             "blend": partial(_outside, partial(_from_outermost, "blend", "cube-root")),
             "brighter": partial(_outside, _brighter),
         },
@@ -349,7 +349,7 @@ MODES: tuple[Mode, ...] = (
         (ALPHAS[3] / ALPHAS[2], ALPHAS[3] / ALPHAS[1], ALPHAS[3] / ALPHAS[0]),
         HALF_OF_NEAREST,
         {
-            "GP, material": partial(_on_the_way, partial(_on_the_map, "material")),
+            "GPLVM": partial(_on_the_way, partial(_on_the_map, "gplvm")),
             "blend": partial(_on_the_way, partial(_on_the_map, "blend")),
             "walk": partial(_on_the_way, _on_the_walk),
         },

@@ -19,9 +19,7 @@ from manifold.records import AnyArray, Array, Bands, BsdfFile, Indices
 from manifold.render.plugin import packed_tables
 from manifold.render.plugin.packed_tables import Tables
 
-_NO_TOLERANCE = (
-    "tolerance needs a Gram matrix of whole materials; leave it out, or embed with kind `material`"
-)
+_NO_TOLERANCE = "tolerance needs a Gram matrix of whole materials; leave it out, or embed with kind `gplvm`"
 
 _STEP = 1e-5  # step of central differences of weights, in length scales of latents and units of colours
 

@@ -40,8 +40,9 @@ def check_all(command: Callable[..., Any], parameters: Mapping[str, Any]) -> Non
     }
     _running.set(_Running(parameters, frozenset(found)))
     for name in sorted(found):
-        if isinstance(path := parameters.get(name), Path) and (name, str(path)) != ("json", "-"):
-            checked(path, name)
+        # Versions of Typer differ in whether paths are paths here already.
+        if (path := parameters.get(name)) is not None and (name, str(path)) != ("json", "-"):
+            checked(Path(path), name)
 
 
 def or_default(output: Path | None, default: str) -> Path:

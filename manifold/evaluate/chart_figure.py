@@ -59,7 +59,7 @@ def chart(made: Chart) -> Figure:
     figure = new_figure(15.0, 12.4)
     kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
     figure.suptitle(
-        "\n".join([*textwrap.wrap(conclusion(made), 140), ""])
+        "\n".join([*textwrap.wrap(conclusion(made), 140, break_on_hyphens=False), ""])
         + f"Speed against accuracy: {made.n_materials} materials, {kind}, each left out once; below and left is better",
         fontsize=12.5,
     )

@@ -19,7 +19,7 @@ import pytest
 
 from manifold import cluster, work
 from manifold.cli.batch_options import OneWorkerOptions, WorkerOptions
-from manifold.errors import ManifoldError, UsageError
+from manifold.errors import ManifoldError, MissingPackageError, UsageError
 
 distributed = pytest.importorskip("distributed")
 
@@ -198,8 +198,8 @@ def test_what_is_no_address_is_refused(address):
 
 
 def test_without_dask_one_line_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(cluster, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"pip install brdf-manifold\[cluster\]"):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingPackageError, match=r"pip install 'brdf-manifold\[cluster\]'"):
         there("tcp://127.0.0.1:8786", squared, [1])
 
 

@@ -15,7 +15,7 @@ from PIL import Image, ImageCms
 
 from manifold.colour.conversion import SRGB_TO_XYZ, decode_srgb
 from manifold.colour.pictures import read_picture
-from manifold.errors import FileFormatError, UsageError
+from manifold.errors import FileFormatError, MissingPackageError
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_raw_files_are_developed_without_curves(tmp_path):
 def test_raw_files_name_what_reads_them_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rawpy", None)
     (tmp_path / "ball.nef").write_bytes(b"II*\0")
-    with pytest.raises(UsageError, match=r"brdf-manifold\[raw\]"):
+    with pytest.raises(MissingPackageError, match=r"brdf-manifold\[photographs\]"):
         read_picture(tmp_path / "ball.nef")
 
 

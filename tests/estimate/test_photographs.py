@@ -179,11 +179,14 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
         (["ball.exr", "--light", "negative.exr"], "negative light, down to -0.25"),
         (["ball.exr", "--light", "studio", "--circle", "64,64,1e300"], "a radius from 8 pixels"),
         (["ball.exr", "--light", "studio", "--turn", "nan"], "expected finite angles"),
-        (["ball.exr", "--light", "studio", "--elevation", "nan"], "less than or equal to 89"),
+        (
+            ["ball.exr", "--light", "studio", "--elevation", "nan"],
+            "elevation of 0, nan, expected finite angles",
+        ),
         (["ball.exr", "--light", "studio", "--distance", "nan"], "more than 1"),
         (["ball.exr", "--light", "studio", "--distance", "1e300"], "at most 1e+06"),
         (["ball.exr", "--lamp", "0,0,-1"], "lights no part of the ball that the camera sees"),
-        (["ball.exr", "--lamp", "0,0,1,1e300"], "expected 1.2 to 1e+06, or none"),
+        (["ball.exr", "--lamp", "0,0,1,1e200"], "expected 1.2 to 1e+06, or none"),
         (["ball.exr", "--lamp", "found", "--circle", "-500,0,10"], "expected one inside it"),
         (["ball.exr", "--light-ball", "ball.exr@-500,0,10"], "expected one inside it"),
         (

@@ -21,7 +21,7 @@ from manifold.evaluate import chart_figure, held_out, methods, seen_fits, storag
 from manifold.evaluate.chart import COSTS, ERRORS, Chart, conclusion, cost_of, fronts, make_chart
 from manifold.evaluate.held_out import ChartRow, HeldOut, without_small_weights
 from manifold.evaluate.method_data import Data
-from manifold.evaluate.methods import AS_PUBLISHED, PUBLISHED, chart_methods, fit_nearest
+from manifold.evaluate.methods import AFTER_PUBLISHED, PUBLISHED, chart_methods, fit_nearest
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
@@ -301,7 +301,7 @@ def test_every_panel_shows_every_setting_and_names_the_published_setting_and_the
         drawn = {line.get_gid(): line for line in axes.lines if line.get_gid()}
         assert set(drawn) == {row.key for row in made.rows}
         names = _texts(axes)
-        assert AS_PUBLISHED in names
+        assert AFTER_PUBLISHED in names
         front = made.front(error, cost)
         assert any(front[0].title in name or "(+" in name for name in names)
         for row in front:  # on the front: filled, in the colour of the family; dominated: white inside

@@ -154,11 +154,13 @@ def test_without_diagnostics_of_plausibility_raw_values_are_silently_wrong_outsi
 # -- files and libraries: a guard taken away -----------------------------------------------------------------
 
 
-def test_without_diagnostics_of_them_and_of_dark_holes_unmeasured_cells_are_silently_wrong(bed, monkeypatch):
+def test_predictions_at_materials_are_wrong_if_unmeasured_cells_are_not_filled(bed, fresh_bed, monkeypatch):
     assert tried(bed, "exact_zeros", "prediction at a material", 0.1).outcome == WARNED
     monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
     monkeypatch.setattr("manifold.model.diagnostics.MOST_VALLEY", 1.0)
-    assert unguarded(bed, "exact_zeros", "prediction at a material", 0.1).outcome == WRONG
+    assert unguarded(bed, "exact_zeros", "prediction at a material", 0.1).outcome == FINE
+    monkeypatch.setattr("manifold.model.materials.fill_unmeasured", lambda file, *_, **__: file)
+    assert unguarded(fresh_bed, "exact_zeros", "prediction at a material", 0.1).outcome != FINE
 
 
 def test_without_filling_and_diagnostic_embedded_unmeasured_cells_are_silently_wrong(bed, monkeypatch):

@@ -11,7 +11,7 @@ MODULES = (
     "manifold.dls", "manifold.gplvm", "manifold.estimators", "manifold.mapping", "manifold.metrics",
     "manifold.analytic.base", "manifold.brdf.goniometer", "manifold.colour.conversion",
     "manifold.colour.difference", "manifold.colour.reflectances", "manifold.formats.geometries",
-    "manifold.formats.readings", "manifold.formats.values", "manifold.gpr", "manifold.kernels",
+    "manifold.formats.readings", "manifold.gpr", "manifold.kernels",
     "manifold.nonnegative", "manifold.render.images",
 )  # fmt: skip
 

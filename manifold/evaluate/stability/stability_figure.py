@@ -36,7 +36,10 @@ def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
         _panel(axes, mode, [row for row in made.rows if row.mode == mode.key])
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
-    figure.suptitle("\n".join(textwrap.wrap(conclusion(made), 28 * max(columns, 2))), fontsize=10.5)
+    figure.suptitle(
+        "\n".join(textwrap.wrap(conclusion(made), 28 * max(columns, 2), break_on_hyphens=False)),
+        fontsize=10.5,
+    )
     figure.supylabel("error over its limit", fontsize=11)
     ncols = 6 if columns > 1 else 3
     figure.legend(handles=_key(made), loc="outside lower center", ncols=ncols, fontsize=10, frameon=False)

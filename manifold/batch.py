@@ -55,6 +55,8 @@ S = TypeVar("S", bound=Source)
 T = TypeVar("T")
 Content = dict[str, Any]
 """What is known of an output, plain values."""
+Beside = Callable[[Path, Content], Sequence[Path]]
+"""Returns the other files that belong to an output, from its path and content."""
 
 
 class SheetWarning(UserWarning):
@@ -100,6 +102,7 @@ class Command(Generic[S]):
         under: the column that stands under the balls of the sheet.
         has_balls: whether there is a sheet, of the balls that `appearance` draws or of the files, if they are pictures.
         is_of_measured: whether the balls that `measured_appearance` draws stand beside them.
+        beside: names the other files that belong to an output, except its balls; has to be picklable.
         prepare: called once in this process, if anything is to be made in it.
         conclude: called with what was made, at the end.
     """
@@ -113,6 +116,7 @@ class Command(Generic[S]):
     under: str | None = None
     has_balls: bool = False
     is_of_measured: bool = False
+    beside: Beside | None = None
     prepare: Callable[[], None] | None = None
     conclude: Callable[[Batch[S]], None] | None = None
 
@@ -138,12 +142,12 @@ def batch(
         missing = list(keys)
         todo = [(sources[k], made.path(sources[k])) for k in missing]
         is_shared = command.has_balls and workers is not None
-        make = partial(_make, command.make, is_shared)
+        make = partial(_make, command.make, command.beside, is_shared)
         for done, (i, found, failure) in enumerate(work.run(make, todo, workers), start=1):
             k, (source, path) = missing[i], todo[i]
             if found is None:
                 outcomes[k] = Outcome(printable(source.name), path, source, failure=failure)
-            elif found.sha256 is None:
+            elif not found.files:
                 refusal = found.content["refusal"]
                 outcomes[k] = Outcome(source.name, path, source, found.content, failure=refusal)
             elif not _is_there(path):
@@ -152,7 +156,7 @@ def batch(
                 )
                 outcomes[k] = Outcome(source.name, path, source, failure=unseen)
             else:
-                index.add(path, keys[k], found.content, found.sha256)
+                index.add(path, keys[k], found.content, found.files)
                 outcomes[k] = Outcome(source.name, path, source, found.content)
             progress.report(done, len(todo), source.name)
     if command.conclude is not None:
@@ -177,10 +181,8 @@ def _known(
             if first is not source:
                 raise UsageError(f"{source} and {first} have the same name, {path.name}; use two folders")
             key = command.how | source.made_of()
-            content = index.result(path, key)
-            if content is not None and (
-                not command.has_balls or not backend.is_available() or ball_path(path).is_file()
-            ):
+            content = index.result(path, key, command.beside)
+            if content is not None:
                 outcomes[k] = Outcome(source.name, path, source, content, was_there=True)
             else:
                 keys[k] = key
@@ -352,17 +354,28 @@ MEASURED = appearance_columns("measured", "measured")
 
 
 class _Made(NamedTuple):
-    """The content and hash of a file that was written; None for one that was refused."""
+    """The content of an output, and hashes of its files by their paths in the folder; none if it was refused."""
 
-    content: dict[str, Any]
-    sha256: str | None
+    content: Content
+    files: dict[str, str]
 
 
-def _make(make: Callable[[S, Path], Content], is_shared: bool, task: tuple[S, Path]) -> _Made:
+def _make(
+    make: Callable[[S, Path], Content], beside: Beside | None, is_shared: bool, task: tuple[S, Path]
+) -> _Made:
     if is_shared:
         _keep_to_one_thread()
     content = make(*task)
-    return _Made(content, file_sha256(task[1]) if content.get("refusal") is None else None)
+    return _Made(content, {} if content.get("refusal") is not None else _hashes(task[1], content, beside))
+
+
+def _hashes(path: Path, content: Content, beside: Beside | None) -> dict[str, str]:
+    """Return the hashes of the files that belong to an output, by their paths relative to its folder."""
+    files = [path, *(() if beside is None else beside(path, content))]
+    if backend.is_available():
+        balls = {"appearance": ball_path, "measured": measured_ball_path}
+        files += [ball(path) for key, ball in balls.items() if key in content]
+    return {os.path.relpath(file, path.parent): file_sha256(file) for file in files}
 
 
 @lru_cache
@@ -433,22 +446,24 @@ class OutputIndex:
         if torn:  # by a killed run
             disk.write_text(self._path, content.removesuffix(torn))
 
-    def result(self, path: Path, made_of: dict[str, Any]) -> dict[str, Any] | None:
-        """Return the result of an existing, unchanged file that this version made from the same inputs, else None."""
+    def result(self, path: Path, made_of: dict[str, Any], beside: Beside | None = None) -> Content | None:
+        """Return the result of an output that this version made from the same inputs; None if a file changed."""
         entry = self._entries.get(path.name)
         if entry is None or entry.get("made_of") != _stamped(made_of):
             return None
-        if not path.is_file() or entry.get("file_sha256") != file_sha256(path):
+        result: Content = entry["result"]
+        try:
+            is_whole = _hashes(path, result, beside).items() <= entry.get("files", {}).items()
+        except OSError:  # one is missing
             return None
-        result = entry.get("result")
-        return result if isinstance(result, dict) else None
+        return result if is_whole else None
 
-    def add(self, path: Path, made_of: dict[str, Any], result: dict[str, Any], sha256: str) -> None:
-        """Record a file that was written, its result and its hash, as plain values of JSON."""
+    def add(self, path: Path, made_of: dict[str, Any], result: Content, files: dict[str, str]) -> None:
+        """Record an output that was written, its result and the hashes of its files, as plain values of JSON."""
         entry = {
             "file": path.name,
             "made_of": _stamped(made_of),
-            "file_sha256": sha256,
+            "files": files,
             "result": result,
         }
         self._entries[path.name] = entry

@@ -95,8 +95,13 @@ def completions_of(
     )  # fmt: skip
     return Command(
         "completions", make, how, columns=columns, under=_EXPECTED, has_balls=True,
+        beside=None if pages is None else partial(_report_of, pages),
         conclude=None if report is None else partial(_list_reports, report),
     )  # fmt: skip
+
+
+def _report_of(pages: Path, path: Path, content: Content) -> list[Path]:
+    return [pages / f"{path.stem}.html"]
 
 
 def _list_reports(report: Path, made: Batch[Sample]) -> None:
@@ -124,7 +129,7 @@ def _complete(
     )
     if pages is not None:
         pages.mkdir(parents=True, exist_ok=True)
-        reports.write_completion(pages / f"{path.stem}.html", made, [part for part, _ in sample.parts])
+        reports.write_completion(_report_of(pages, path, {})[0], made, [part for part, _ in sample.parts])
     return made.to_json() | {"from": ", ".join(part.name for part, _ in sample.parts)} | appearance(path)
 
 
@@ -148,7 +153,13 @@ def surfaces(library: Path, *, size: int, targets: Sequence[str]) -> Command[Sam
     }
     how = {"library": Library(library).content_hash, "size": size, "targets": list(targets)}
     make = partial(_make_surface, library=library, size=size, targets=targets)
-    return Command("surfaces", make, how, ".json", columns=columns, under="glints", has_balls=True)
+    return Command(
+        "surfaces", make, how, ".json", columns=columns, under="glints", has_balls=True, beside=_textures_of
+    )
+
+
+def _textures_of(path: Path, content: Content) -> list[Path]:
+    return [path.parent / name for name in content["files"].values()]
 
 
 def _make_surface(sample: Sample, path: Path, *, library: Path, size: int, targets: Sequence[str]) -> Content:

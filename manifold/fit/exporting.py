@@ -252,7 +252,16 @@ def exports(
     make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures, is_pack=is_pack)
     how = {"target": target.name, "mapped": is_mapped} | ({"pack": True} if is_pack else {})
     conclude = partial(_write_index, target) if is_pack else None
-    return Command("exports", make, how, target.suffix, columns=columns, conclude=conclude)
+    beside = partial(_pictures_of, target=target, with_pictures=with_pictures, is_pack=is_pack)
+    return Command("exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude)
+
+
+def _pictures_of(
+    path: Path, content: Content, *, target: Target, with_pictures: bool, is_pack: bool
+) -> list[Path]:
+    """Return the pictures that belong to an export."""
+    ball = path.parent / _PACK_BALLS / f"{path.name.removesuffix(target.suffix)}.png"
+    return [path.with_suffix(".png")] * with_pictures + [ball] * is_pack
 
 
 def _write_index(target: Target, made: Batch[ExportSource]) -> None:

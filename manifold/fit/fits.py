@@ -138,6 +138,7 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     return Command(
         "fits", partial(_fit_input, settings=settings, with_pictures=with_pictures),
         settings.to_json() | {"pictures": with_pictures}, FIT, columns=columns, under=BALL_COLUMN, has_balls=True,
+        beside=_picture_of,
     )  # fmt: skip
 
 
@@ -167,13 +168,20 @@ def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictu
     else:
         settings = replace(settings, sample=source.sample)
         content, _ = _fitted(source.name, source.source, target, settings)
+    picture = target.with_suffix(".png")
+    drawn: dict[str, str] = {}
     if with_pictures:
         from manifold.fit.comparison import picture_of_fit
 
         with source_file(source.source) as file:
             if is_rgl(file):
-                picture_of_fit(target, file, target.with_suffix(".png"))
-    return content | appearance(target, FittedBRDF(content))
+                picture_of_fit(target, file, picture)
+                drawn = {"picture": picture.name}
+    return content | drawn | appearance(target, FittedBRDF(content))
+
+
+def _picture_of(path: Path, content: Content) -> list[Path]:
+    return [path.parent / content["picture"]] if "picture" in content else []
 
 
 def _fitted(name: str, source: Measured, target: Path, settings: FitSettings) -> tuple[dict[str, Any], bool]:

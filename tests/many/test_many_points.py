@@ -236,7 +236,7 @@ def test_an_interrupted_run_keeps_what_it_made(model, tmp_path):
 def test_an_index_knows_what_unchanged_files_were_made_of(tmp_path):
     path = tmp_path / "a.glb"
     path.write_bytes(b"made")
-    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5}, file_sha256(path))
+    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5}, {path.name: file_sha256(path)})
     index = OutputIndex(tmp_path, "exports")
     assert index.result(path, {"of": 1}) == {"lost": 0.5}
     assert index.result(path, {"of": 2}) is None
@@ -260,12 +260,12 @@ def test_a_line_that_others_have_changed_is_made_again(tmp_path, changed):
 def test_a_line_that_a_killed_run_left_half_is_dropped(tmp_path):
     path = tmp_path / "a.glb"
     path.write_bytes(b"made")
-    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5}, file_sha256(path))
+    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5}, {path.name: file_sha256(path)})
     with (tmp_path / "exports.jsonl").open("a") as file:
         file.write('{"file": "b.glb", "made')
     index = OutputIndex(tmp_path, "exports")
     assert index.result(path, {"of": 1}) == {"lost": 0.5}
-    index.add(path, {"of": 2}, {}, file_sha256(path))
+    index.add(path, {"of": 2}, {}, {path.name: file_sha256(path)})
     assert OutputIndex(tmp_path, "exports").result(path, {"of": 2}) == {}
 
 

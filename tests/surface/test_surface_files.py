@@ -371,6 +371,12 @@ def test_surfaces_of_a_folder_go_into_one_with_a_table_and_a_sheet(tmp_path, lib
     assert (made / "twin_normal.png").is_file()
     assert (made / "surfaces.png").is_file() == backend.is_available()
     assert "1 of them kept" in CliRunner().invoke(app, words).output
+    normal = (made / "twin_normal.png").read_bytes()
+    (made / "twin_normal.png").unlink()  # deleted
+    (made / "twin_albedo.png").write_bytes(normal)  # as a killed run at another size would leave it
+    assert "of them kept" not in CliRunner().invoke(app, words).output
+    assert (made / "twin_normal.png").read_bytes() == normal
+    assert (made / "twin_albedo.png").read_bytes() != normal
 
 
 @pytest.mark.skipif(not backend.is_available(), reason="needs Mitsuba")

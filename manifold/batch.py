@@ -338,8 +338,10 @@ def appearance_columns(word: str, key: str = "appearance") -> dict[str, Callable
     def column(value: Callable[[dict[str, Any]], Any]) -> Callable[[Content], Any]:
         return lambda content: value(content[key]) if key in content else None
 
-    of_lab = {title: column(lambda look, k=k: look["lab"][k]) for k, title in enumerate(("L", "a", "b"))}
-    columns = of_lab | {"gloss 60": column(lambda look: look["gloss"]["60"])}
+    def lab(k: int) -> Callable[[Content], Any]:
+        return column(lambda look: look["lab"][k])
+
+    columns = {"L": lab(0), "a": lab(1), "b": lab(2), "gloss 60": column(lambda look: look["gloss"]["60"])}
     return {f"{title} {word}": value for title, value in columns.items()}
 
 

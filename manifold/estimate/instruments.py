@@ -360,9 +360,9 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
     learned = learn_across(pairs)
     calibrated = CalibratedInstrument(output, learned, [one.name for one, _ in pairs], tuple(left_out))
     if calibrated.harm is not None and not allow_harm:
-        apart = f"; left out: {first_few(left_out, 3, '; ')}" if left_out else ""
+        unpaired = f"; left out: {first_few(left_out, 3, '; ')}" if left_out else ""
         raise UsageError(
-            f"{output}: not written, the correction is worse than none ({calibrated.harm}){apart}; {_ASK_FOR_PAIRS} "
+            f"{output}: not written, the correction is worse than none ({calibrated.harm}){unpaired}; {_ASK_FOR_PAIRS} "
             "give more samples of different colours, or write it with --allow-harm (allow_harm=True)"
         )
     write_correction(output, learned)

@@ -240,7 +240,8 @@ class Manifold(LatentMap):
             UsageError: the model is of kind blend.
         Source: Hikichi & Iwasaki, eq. 15.
         """
-        X = np.stack([self.place(row).latent for row in (x if np.ndim(x) == 2 else [x])])
+        places: list[PlaceLike] = list(x) if isinstance(x, np.ndarray) and x.ndim == 2 else [x]
+        X = np.stack([self.place(place).latent for place in places])
         return self.gp.length_scale_bound(X, self._whole_materials().S)
 
     def _whole_materials(self) -> MaterialSpace:

@@ -94,7 +94,7 @@ class ThreadOptions(OneWorkerOptions):
 
 
 PER_CORE, ONE, THREADS = WorkerOptions(), OneWorkerOptions(), ThreadOptions()
-"""What is given where nothing is."""
+"""The default of options that are not given."""
 
 
 _MOST_NOTES = 20  # that are printed; the table has all

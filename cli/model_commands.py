@@ -366,7 +366,7 @@ def predict(
 
 
 def show_prediction(results: terminal.Results, made: DiagnosedPrediction) -> None:
-    """Print what is known of a prediction."""
+    """Print the results of a prediction."""
     rows: dict[str, object] = {"latent": ",".join(made.coordinates)}
     if made.walk is not None:
         rows = {"walk": made.walk}
@@ -519,7 +519,7 @@ def _show_reconstruction(
     source: MaterialSource,
     output: Path | None,
 ) -> None:
-    """Print what was found, also where its file was refused; then say why."""
+    """Print the result, even if its file was refused; then print the reason."""
     written = {} if output is None or made.refusal is not None else {"written to": output}
     results.rows(title, rows | written | made.rows)
     path = None if not written else str(output)

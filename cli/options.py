@@ -186,7 +186,7 @@ def material_sources(
     texts: Sequence[str], latents: Sequence[str], model: Path, library: Path | None, *,
     colour: ColourOptions,
 ) -> list[MaterialSource]:  # fmt: skip
-    """Return what arguments mean that stand for materials, predictions in the colour of the options.
+    """Return the materials that arguments name, predictions in the colour of the options.
 
     `latents` are places by the old option --latent, and follow the others.
     """

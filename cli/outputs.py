@@ -1,4 +1,4 @@
-"""An output replaces what is there, but never an input of the same command, nor anything in a library."""
+"""Checks of outputs: one may replace an existing file, but no input of its command, and nothing in a library."""
 
 from __future__ import annotations
 

@@ -302,7 +302,7 @@ def complete_photographs(
 
 
 def show_photographs(results: terminal.Results, title: str, found: FromPhotographs) -> None:
-    """Print what was found in photographs."""
+    """Print the results of photographs."""
     notes = {f"note {k}": note for k, note in enumerate(found.diagnostics, start=1)}
     results.rows(title, {**found.rows, "time": f"{found.seconds:.1f} s", **notes})
     if found.plan is not None:

@@ -1,4 +1,4 @@
-"""Commands that judge: reports and charts of held-out errors, failure modes, what a scene needs; and the demo."""
+"""Commands that evaluate: reports and charts of held-out errors, failure modes, budgets of scenes; and the demo."""
 
 from __future__ import annotations
 

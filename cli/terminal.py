@@ -135,7 +135,7 @@ class Results:
                 self.text(_filled(", ".join(whole), head, " " * width).replace("\0", " ") + "\n")
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Print a table, never cut: numbers to the right, words to the left; nothing where there are no rows."""
+        """Print a table without cutting it: numbers to the right, words to the left; no rows print nothing."""
         if not rows or self._only_json:
             return
         cells = [[printable(str(cell)) for cell in row] for row in rows]
@@ -182,7 +182,7 @@ def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
 
 
 def note_old_spelling(old: str, new: str) -> None:
-    """Say on stderr that a spelling of version 0.3 still works, and what replaces it."""
+    """Print on stderr that a spelling of version 0.3 still works, and its replacement."""
     print(f"manifold: note: {old} is now {new}; the old spelling goes with version 0.5", file=sys.stderr)
 
 

@@ -1,4 +1,4 @@
-"""Many files of one command: what is missing is made, in several processes, then a table and a sheet of balls.
+"""Many files of one command: missing ones are made, in several processes, then a table and a sheet of balls.
 
 The folder of the files holds an index, which says what each was made of: a later run makes only what is missing or has
 changed. A file is noted there as soon as it is whole. One run at a time writes to a folder (`.manifold.lock`).

@@ -90,7 +90,7 @@ class Made:
 
 @dataclass(frozen=True)
 class DemoResult:
-    """The results of a demo, in the order in which they were made, and what was left out and why, if anything was."""
+    """The results of a demo, in the order in which they were made, and omitted ones with the reason."""
 
     made: tuple[Made, ...]
     predicted: DiagnosedPrediction

@@ -67,7 +67,7 @@ def direct_local_search(
     max_sweeps: int | None = None,
     callback: Callable[[Array, float], Any] | None = None,
 ) -> scipy.optimize.OptimizeResult:
-    """Minimise by exploratory moves along coordinates and pattern moves along what they achieved.
+    """Minimise by exploratory moves along coordinates and pattern moves along their sum.
 
     A sweep tries `x_j + step` and `x_j - step` for every j and keeps each improvement at once. After a sweep
     that improved, the same displacement is added once more and explored from there, for as long as that improves.

@@ -16,7 +16,7 @@ from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array
 
 Criterion = Callable[[Array, float], tuple[float, Array, float]]
-"""From V (n,) and v to the value and its derivatives by V (n,) and by v."""
+"""A function of V (n,) and v that returns a value and its derivatives by V (n,) and by v."""
 
 # Relative to a material's root mean square: the slope of smaller cube roots is that of this one.
 _SMALLEST_ROOT = 1e-3

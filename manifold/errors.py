@@ -32,7 +32,7 @@ class ManifoldError(Exception):
 
 
 class FileFormatError(ManifoldError, ValueError):
-    """A file is not what its name promises."""
+    """The content of a file does not fit its name."""
 
 
 class ShapeError(ManifoldError, ValueError):
@@ -60,7 +60,7 @@ class MissingModelError(ModelError, FileNotFoundError):
 
 
 class FetchError(ManifoldError, OSError):
-    """A download failed, or what arrived is not what was announced."""
+    """A download failed, or differed from its announcement."""
 
 
 class NumericalError(ManifoldError, ArithmeticError):

@@ -125,7 +125,7 @@ class LengthScaleBound:
 
 
 class GaussianProcess:
-    """The part of a Gaussian process that depends on the training latents alone.
+    """The part of a Gaussian process that depends only on the training latents.
 
     Nothing of the size of the outputs is held: N latents and one N x N Cholesky factor.
 

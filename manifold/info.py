@@ -211,7 +211,7 @@ def inspect(
 
 
 def inspect_source(source: MaterialSource, *, library: Path | None, verify: bool) -> Inspection:
-    """Inspect what a user names: a path, see `inspect`, or a material of a library or a prediction."""
+    """Inspect a path, see `inspect`, a material of a library, or a prediction."""
     if isinstance(source, FileSource):
         return inspect(source.path, library=library, verify=verify)
     if verify:

@@ -119,7 +119,7 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
 
 
 def require_sound(file: BsdfFile) -> None:
-    """Raise FileFormatError unless a record is what a file may hold: compiled code relies on its shapes."""
+    """Raise FileFormatError unless a file may hold the record, because compiled code relies on its shapes."""
     context = ErrorContext(Path(file.name), "correct the record")
     _check(_tensors(file, context), context)
 

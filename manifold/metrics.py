@@ -15,7 +15,7 @@ BALL = "CIEDE2000 of the ball (mean of five lights)"
 """In words, the error `Errors.ball`; the lights are those of `colour.panel.JUDGED`."""
 
 BALL_COLUMN = "CIEDE2000 (five lights)"
-"""The same at the head of a column."""
+"""The error `Errors.ball` at the head of a column."""
 
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
 _UNKNOWN: Any = float("nan")

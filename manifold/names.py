@@ -1,4 +1,4 @@
-"""What a user chooses by its name, and words of messages: similar names, names on one line, lists, counts."""
+"""Names that a user chooses, and words of messages: similar names, names on one line, lists, counts."""
 
 from __future__ import annotations
 

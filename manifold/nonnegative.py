@@ -1,4 +1,4 @@
-"""Non-negative least squares from inner products alone.
+"""Non-negative least squares from inner products.
 
 The problem is convex, so there is one optimum; most weights are zero at it.
 """

@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from typing import Protocol, TypeVar
 
 Progress = Callable[[int, int, str], None]
-"""Called with how much is done, of how much in all, and the name of what was done last."""
+"""A function of the amount done, the total, and the name of the last item."""
 
 T = TypeVar("T")
 
@@ -50,7 +50,7 @@ def listen(listener: Progress | None) -> Iterator[None]:
 
 @contextmanager
 def shown(title: str, *, in_bytes: bool = False) -> Iterator[None]:
-    """Show the progress of what is done inside, where there is a display and nobody listens already."""
+    """Show the progress of work inside, if there is a display and nobody listens already."""
     display = _display.get()
     if display is None or _listener.get() is not None:
         yield
@@ -60,7 +60,7 @@ def shown(title: str, *, in_bytes: bool = False) -> Iterator[None]:
 
 
 def report(done: int, total: int, what: str = "") -> None:
-    """Tell whoever listens how much is done, of how much, and what was done last."""
+    """Report the amount done, the total, and the last item to the listener."""
     listener = _listener.get()
     if listener is not None:
         listener(done, total, what)
@@ -90,7 +90,7 @@ class Stages:
         self._shares, self._reached = dict(shares), 0
 
     def begin(self, stage: str) -> None:
-        """Say that a stage begins: what is reported from now on is its progress."""
+        """Begin a stage, to which later progress belongs."""
         names = list(self._shares)
         total = sum(self._shares.values())
         before = sum(self._shares[name] for name in names[: names.index(stage)]) if stage in names else 0.0

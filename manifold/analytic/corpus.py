@@ -435,7 +435,7 @@ def write_files(
     *,
     keep: bool = False,
 ) -> list[Path]:
-    """Write a file for every name and what writes it, the ending behind the name; else as `write`."""
+    """Write a file per name by its function, with the ending behind the name; otherwise like `write`."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -468,7 +468,7 @@ def _energy_conserving(file: BsdfFile) -> BsdfFile:
 
 
 def _imperfect(file: BsdfFile, rng: np.random.Generator, speckle: float) -> BsdfFile:
-    """Add what an instrument adds: noise, cells it did not reach, and signals clamped at zero."""
+    """Add the faults of an instrument: noise, cells it did not reach, and signals clamped at zero."""
     measured = file.measured_mask  # (P, T, H, W)
     # Cells next to the horizon are extrapolated in the real files: filled, but some not marked as measured.
     rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.9)

@@ -1,4 +1,4 @@
-"""Fresnel reflectance of smooth interfaces in air: dielectrics, conductors, and a thin film on either.
+"""Fresnel reflectance of smooth interfaces in air: dielectrics, conductors, and thin films on them.
 
 All functions take the cosine of the angle to the facet's normal, shape (n,), and one index per band,
 shape (B,) or (1,) for all, and return the reflectance, shape (n, B), in [0, 1], of unpolarised light

@@ -1,4 +1,4 @@
-"""Whether the values of an RGL file agree with each other, with its other fields, and with what surfaces can reflect.
+"""Checks of an RGL file's values against each other, against its other fields, and against physical limits.
 
 Six comparisons find values that were scaled, exchanged or damaged; docs/explanation/rgl-files.md says what they rest on
 and how far measured files are from their limits.
@@ -64,7 +64,7 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Measurements on the values of a file with P azimuths, T elevations and B bands, and what is wrong with them.
+    """Measurements on the values of a file with P azimuths, T elevations and B bands, and the faults found.
 
     Attributes:
         albedo: directional, (P, T, B).
@@ -86,7 +86,7 @@ class Consistency:
 
 
 def check_consistency(file: BsdfFile, *, has_exact_luminance: bool = True) -> Consistency:
-    """Measure a file, and compare its values with each other, with its other fields, and with what is possible.
+    """Measure a file, and compare its values with each other, with its other fields, and with physical limits.
 
     Compact libraries approximate values and luminance: their materials have no exact luminance, which is then left out.
     """

@@ -23,7 +23,7 @@ LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
 ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
 """Not those of layouts: predictions are assessed at incidences for which nothing was optimised."""
 LAYOUT_AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
-"""Of incidence, where a material is anisotropic: most look the same after half a turn."""
+"""Azimuths of incidence for anisotropic materials, most of which look the same after half a turn."""
 REACH_DEG = 20.0
 """Largest angle of profiles from the mirror direction."""
 _DARK = 1e-9  # 1/sr
@@ -111,7 +111,7 @@ FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
 """At which the albedo of a file is measured."""
 
 AZIMUTHS_DEG = tuple(range(0, 360, 45))
-"""Of incidence, for anisotropic BRDFs."""
+"""Azimuths of incidence for anisotropic BRDFs."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
 
 
 def plausibility_of_file(file: BsdfFile) -> Plausibility:
-    """Measure what a renderer interpolates in a file: its albedo at incidences from 0 to 85 degrees."""
+    """Measure a file as a renderer interpolates it: its albedo at incidences from 0 to 85 degrees."""
     measured = MeasuredBRDF(file)
     albedo = albedo_at(measured, FILE_INCIDENCES_DEG)
     at = int(albedo.argmax())

@@ -21,7 +21,7 @@ from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices
 
 VIEW = normalize(np.array([0.0, -8.2, 2.3]))
-"""From the ball to the viewer."""
+"""The direction from the ball to the viewer."""
 
 _PIXELS, _RINGS, _SPOKES = 10, 18, 12
 _ENVIRONMENT_ROWS, _BLUR = 20, 12
@@ -40,7 +40,7 @@ def environment() -> Array:
 
 
 class Picture(Pairs):
-    """Sums of BRDF values over direction pairs: pixels of a lit ball, or what an instrument collects.
+    """Sums of BRDF values over direction pairs: pixels of a lit ball, or measurements of an instrument.
 
     Of balls, wi points towards the viewer and wo towards the light, in frames of the surface.
 

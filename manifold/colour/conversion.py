@@ -1,4 +1,4 @@
-"""From bands to CIE XYZ and sRGB, and between those."""
+"""Conversions from bands to CIE XYZ and sRGB, and between these."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ SRGB_TO_XYZ = frozen(
         ]
     )
 )
-"""From linear sRGB to XYZ, by the primaries and white of IEC 61966-2-1, which rounds it."""
+"""The matrix from linear sRGB to XYZ, by the primaries and white of IEC 61966-2-1, which rounds it."""
 _RGB_WEIGHTS = frozen(SRGB_TO_XYZ.T.copy())
 
 VISIBLE_NM = (380.0, 780.0)
-"""Where bands have a colour, in nm."""
+"""The range in which bands have a colour, in nm."""
 
 
 class InvisibleBandsWarning(UserWarning):
@@ -80,7 +80,7 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
 
 @lru_cache(maxsize=64)
 def warn_if_invisible(bands: Bands) -> None:
-    """Warn, once, where no band is visible: their red, green and blue are the grey of what lies beyond."""
+    """Warn, once, if no band is visible, because red, green and blue are then the grey of the invisible bands."""
     low, high = VISIBLE_NM
     if not any(low <= nm <= high for nm in bands.wavelengths_nm or VISIBLE_NM):
         warnings.warn(

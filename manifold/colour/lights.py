@@ -171,4 +171,4 @@ ENVIRONMENTS: Registry[tuple[Callable[[int], Array], tuple[float, float, float]]
         "room": (_room, (0.26, 0.2, 0.15)),
     }.items(),
 )
-"""What makes each, and the radiance of its floor."""
+"""The function that makes each environment, and the radiance of its floor."""

@@ -23,10 +23,10 @@ from manifold.records import Array, Bands, Indices
 FITTED = (
     "studio 60", "studio 180", "studio 300", "overcast", "sun 20", "sun 35", "sun 60", "sun 75", "sun 110",
 )  # fmt: skip
-"""What fits see: the studio turned by so many degrees, suns so many degrees beside the view, an overcast sky."""
+"""The lights of fits: the studio turned by some degrees, suns some degrees beside the view, an overcast sky."""
 
 JUDGED = ("studio 0", "white", "sun 45", "sun 80", "sun 130")
-"""What errors are measured in, and no fit sees: the studio, the same light from everywhere, suns."""
+"""The lights in which errors are measured, and which no fit uses: studio, uniform light, suns."""
 
 _SUN_PIXELS = 32  # across the ball
 

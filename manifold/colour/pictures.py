@@ -15,9 +15,9 @@ from manifold.extras import require
 from manifold.records import Array, Mask
 
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
-"""Of raw files of cameras, which need rawpy."""
+"""Suffixes of cameras' raw files, which need rawpy."""
 SUFFIXES = (".exr", ".hdr", ".pfm", ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".webp")
-"""Of files that are read; what a file holds is decided by its content."""
+"""Suffixes of readable files; a file's content decides about its format."""
 
 _EXPECTED = "EXR, HDR, PFM, TIFF, PNG, JPEG, BMP or WebP"
 _MAGIC = {

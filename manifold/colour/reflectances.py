@@ -228,7 +228,10 @@ def _read_spd(path: Path) -> tuple[Array, Array]:
 
 
 NODES_NM = (460.0, 540.0, 605.0)
-"""Where blue, green and red weigh alone; between them two share, so that the weights of a wavelength sum to 1."""
+"""Wavelengths at which one of blue, green and red has all the weight.
+
+Between them two share it, so that the weights of a wavelength sum to 1.
+"""
 
 _LEAST = 1e-3  # least change of a weight, so that spectra stay positive
 

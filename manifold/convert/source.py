@@ -32,7 +32,7 @@ MOST_NODES = 100_000
 """Nodes at which the error of a conversion is measured; an even choice where a file has more."""
 _LUMINANCE = Bands((550.0,))
 LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
-"""Of both directions: f = f_cos / cos of RGL files says nothing nearer to the horizon."""
+"""The least cosine of both directions, since f = f_cos / cos of RGL files is undefined nearer to the horizon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def open_source(
     merge: bool = False,
     unit: str | None = None,
 ) -> Source:
-    """Read what is to be converted: one file, or the files of one sample (pab-opto's, one per incidence).
+    """Read a source to be converted: one file, or the files of one sample (pab-opto's, one per incidence).
 
     Colours of readings are corrected before anything else; in linear sRGB, RGL files are converted before they are
     interpolated, which is quicker; merged files are of one sample although they name it differently; `unit` is of

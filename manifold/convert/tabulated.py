@@ -48,7 +48,7 @@ class DenseBRDF(TabulatedBRDF):
     """A dense table, linear between its nodes; nodes that were not measured hold the nearest that was."""
 
     def __init__(self, table: DenseTable) -> None:
-        """Fill what was not measured."""
+        """Fill unmeasured values."""
         measured = table.measured
         if not np.any(measured):
             raise UsageError(f"{table.name}: nothing was measured, so there is nothing to interpolate")

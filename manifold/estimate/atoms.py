@@ -1,4 +1,4 @@
-"""What a material is estimated from: single bands of a library's materials, dielectric coats, and analytic lobes."""
+"""The atoms of an estimate: single bands of a library's materials, dielectric coats, and analytic lobes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
 MOST_MATERIALS = 1000
-"""Of a library from which readings are completed: each is left out once, against all others."""
+"""The largest library whose materials are all left out once, each estimated from all others."""
 
 ATOM_BANDS = 5  # bands of a spectral material that are atoms; more gain nothing
 COAT_ALPHAS = tuple(np.geomspace(0.015, 0.26, 10).tolist())  # duller ones replace measured matt materials

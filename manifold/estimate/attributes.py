@@ -61,7 +61,7 @@ class NotReachedWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Wanted:
-    """A value that is asked for, or, if `is_relative`, what is added to that of the given material."""
+    """A requested value, or, if `is_relative`, a value added to that of the given material."""
 
     value: float
     is_relative: bool = False
@@ -186,7 +186,7 @@ class Adjusted:
         return tuple(shortfalls)
 
     def warn(self) -> None:
-        """Warn of what could not be reached, before anything is written."""
+        """Warn of values that could not be reached, before anything is written."""
         for shortfall in self.shortfalls:
             warnings.warn(shortfall, NotReachedWarning, stacklevel=3)
 
@@ -335,7 +335,7 @@ def _from_lch(lch: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A measured material beside what was looked for.
+    """A measured material beside the one that was searched for.
 
     Attributes:
         lab: its CIELAB colour in the geometry 45/0, shape (3,).

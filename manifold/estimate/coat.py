@@ -379,7 +379,7 @@ def exchanged(f: Array, old: tuple[Array, Array], new: tuple[Array, Array], stre
 def _highlight(
     f: Array, old: tuple[Array, Array], new_surface: Array, strength: Array
 ) -> tuple[Array, Array]:
-    """Return what a new surface makes of the highlight of values f (..., B), and the share of the old base in them."""
+    """Return the highlight of values f (..., B) under a new surface, and the share of the old base in them."""
     surface, base = old
     rest = f - np.minimum(f, base)
     ratio = rest / np.maximum(surface, _LEAST_SURFACE)
@@ -412,7 +412,7 @@ def with_gloss(brdf: BRDF, gloss: Mapping[float, float]) -> RecoatedBRDF:
         return np.append(gloss_misfits(np.array(made), gloss), (seen - colour) / COLOUR_ROUNDING)
 
     def below(surface: Array) -> Array:
-        """Keep the colour: what the new surface makes of the highlight lacks."""
+        """Keep the colour: replace the light that the new surface's highlight lacks."""
         above, share = _highlight(factor, of_old, surface, strength)
         return (factor - above) / np.maximum(share, _LEAST_SURFACE)
 

@@ -1,4 +1,4 @@
-"""Specular gloss: what a gloss meter shows of a BRDF at 20, 60 or 85 degrees.
+"""Specular gloss: the reading of a gloss meter on a BRDF at 20, 60 or 85 degrees.
 
 Light through a narrow aperture falls on the sample, and a wider one around the mirror direction collects it; the same
 from polished black glass is 100 gloss units.

@@ -1,4 +1,4 @@
-"""What commands for many materials begin with: files, folders, patterns such as `*.xlsx`, libraries, and samples.
+"""Inputs of commands for many materials: files, folders, patterns such as `*.xlsx`, libraries, and samples.
 
 A sample is what one or several instruments have read, in one or several files.
 """
@@ -245,7 +245,7 @@ _EXPECTED = (
 
 
 def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[list[Input], list[str]]:
-    """Read a table of places on the map of a model, and what is wrong with rows that are none, which stop no others.
+    """Read a table of places on the map of a model, and the faults of other rows, which stop no others.
 
     Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`
     (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,

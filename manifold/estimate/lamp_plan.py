@@ -1,4 +1,4 @@
-"""What pictures of a ball determine, by where their lamp stands, and where to hold it next.
+"""The errors to expect from pictures of a ball, by the place of their lamp, and where to hold it next.
 
 The library's materials are left out, one after the other, and found in pictures of them by the others. Of an isotropic
 material only the angle between lamp and camera matters.

@@ -26,9 +26,9 @@ from manifold.names import first_few
 from manifold.records import Array
 
 LEAST_DISTANCE = 1.2
-"""Of a lamp from the middle of a ball, in its radii."""
+"""The least distance of a lamp from the middle of a ball, in its radii."""
 MOST_DISTANCE = 1e6
-"""Of a near lamp or camera; farther ones have no distance."""
+"""The largest distance of a near lamp or camera; farther ones have no distance."""
 SAMPLES = 24
 """Points of a block that are lit."""
 

@@ -1,4 +1,4 @@
-"""Photographs from files, as linear values, and the outline of the ball in them; what a camera did not see is NaN."""
+"""Photographs from files, as linear values, and the outline of the ball in them; unseen pixels are NaN."""
 
 from __future__ import annotations
 

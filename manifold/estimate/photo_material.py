@@ -150,7 +150,7 @@ class PhotoMaterial:
 
 
 Seen = Sighting | Readings | Mapping[float, float]
-"""What is known of a material: a photograph, readings, or gloss units by angle in degrees."""
+"""Data on a material: a photograph, readings, or gloss units by angle in degrees."""
 
 
 def find_material(

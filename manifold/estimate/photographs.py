@@ -176,7 +176,7 @@ def locate(
     picture: Path | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
 ) -> FromPhotographs:
-    """Find the place of photographed balls on a fitted manifold; what is written is the prediction there.
+    """Find the place of photographed balls on a fitted manifold, and write the prediction there.
 
     The library is where it is now, if not where the model remembers it; `picture` is as of `complete`.
     """

@@ -40,7 +40,7 @@ _STEPS = (
     np.array([0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101, 0.46140274])
     % 1.0
 )
-"""Of a sequence of low discrepancy; source: Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences"."""
+"""Steps of a low-discrepancy sequence (Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences")."""
 
 
 @dataclass(frozen=True, eq=False)

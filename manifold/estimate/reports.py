@@ -1,4 +1,4 @@
-"""Reports to hand on: what was read and what was made of it, a page of HTML each."""
+"""Reports to hand on: readings and their completion, one HTML page each."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from manifold.directions import half_vector
 from manifold.records import Array, Indices
 
 NOISE = 0.3
-"""Variance of what a reading has for itself and no neighbour shares, over that of what neighbours share."""
+"""Variance of a reading's own part of the residual, over that of the part that neighbours share."""
 
 _OWN = 0.4  # length of what a reading has for itself, over the others
 

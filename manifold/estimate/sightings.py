@@ -1,4 +1,4 @@
-"""Balls in photographs under known light: how they were taken, and what pixels see of atoms."""
+"""Balls in photographs under known light: light and camera, and the pixels of atoms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user names as a material: a file, a material of a library, or a place on a map; parsed here, once."""
+"""Materials that a user names: a file, a material of a library, or a place on a map; parsed here, once."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class PlaceSource:
 
 
 MaterialSource = FileSource | LibrarySource | PlaceSource
-"""What commands take for a material."""
+"""A material as commands take it."""
 
 
 def parse_source(text: str, model: Path, library: Path | None = None) -> MaterialSource:

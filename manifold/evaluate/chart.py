@@ -181,7 +181,7 @@ class _Measured(NamedTuple):
 
 
 class _Measuring:
-    """Measures settings on files, in one process; what they share is made once."""
+    """Measures settings on files, in one process; shared parts are made once."""
 
     def __init__(self, files: Sequence[BsdfFile], how: _How) -> None:
         self._files, self._how = files, how

@@ -21,10 +21,10 @@ from manifold.records import Indices
 from manifold.threads import one_blas_thread
 
 Encode = Callable[[int], Combination]
-"""From the index of a material to its prediction."""
+"""A function from the index of a material to its prediction."""
 
 Fit = Callable[[Data, Indices], Encode]
-"""From data and the indices of the materials to learn from to what encodes any material."""
+"""A function of data and training indices that returns an encoder of any material."""
 
 Split = tuple[Indices, Indices]
 """Indices of the materials to learn from, and of those to predict."""
@@ -97,7 +97,7 @@ def cross_validate(
     own_tables: int = 1,
     on_material: Callable[[int], None] | None = None,
 ) -> Encoded:
-    """Encode every material after a fit to what its split learns from; each is predicted in one split, or in none.
+    """Encode every material after a fit to the training materials of its split; each is predicted at most once.
 
     `lap` does the work of a fit, and tells how long it took. The first `own_tables` fits map the values and multiply
     them anew, which is part of their time. `on_material` is called with the number of materials done.

@@ -1,4 +1,4 @@
-"""Errors of predictions, of every kind and calibrated, results of methods, and what an interrupted run keeps."""
+"""Errors of predictions, of every kind and calibrated, results of methods, and results of interrupted runs."""
 
 from __future__ import annotations
 

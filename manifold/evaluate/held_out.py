@@ -64,7 +64,7 @@ class ChartRow(Result):
 
 
 class HeldOut:
-    """Measures settings one after the other; what they share, tables and fits, is made once.
+    """Measures settings one after the other; shared tables and fits are made once.
 
     Attributes:
         data: values of the materials on a grid, in some bands.

@@ -84,7 +84,7 @@ def _fit_blend(s: Settings) -> Fit:
 
 @dataclass(frozen=True, eq=False)
 class LatentProcess:
-    """A Gaussian process on latents of some materials, and what encodes any material in it.
+    """A Gaussian process on latents of some materials, which encodes any material.
 
     Attributes:
         data: values of all N materials.

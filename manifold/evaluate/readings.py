@@ -64,7 +64,7 @@ Predicted = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class ReadingMethod:
-    """A way to complete readings: which directions to read first, what it predicts from them, and how many it needs.
+    """A way to complete readings: the directions to read first, its prediction, and its least number of readings.
 
     `order` gives at least as many directions as it is asked for, best first.
     """

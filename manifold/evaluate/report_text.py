@@ -36,7 +36,7 @@ _KINDS = {
 }
 
 Columns = Sequence[tuple[str, Callable[[MethodResult], str]]]
-"""Titles of columns, and what they show of a method."""
+"""Titles of columns, and the values of a method in them."""
 
 _ERRORS: Columns = (
     ("linear", lambda m: _fixed(m.median.linear)),

@@ -76,7 +76,7 @@ def seen_principled() -> Method:
 
 
 METHODS = ("gauss-newton", "adam", "swarm")
-"""Of `principled.METHODS`."""
+"""Methods of `principled.METHODS`."""
 
 FAMILY = "fit of the seen material"
 _TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "fit, swarm"}
@@ -84,7 +84,7 @@ _REPEATS = 3
 _BYTES_PER_NUMBER = 8
 
 _Predictor = Callable[[Pairs], Callable[[], Array]]
-"""From direction pairs to what predicts f in all bands there."""
+"""A function from direction pairs to a function that predicts f in all bands there."""
 
 
 def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -> ChartRow:

@@ -47,7 +47,7 @@ def picture_of_fit(
 
 
 def picture_of_brdfs(title: str, sources: Sequence[Source], output: Path) -> tuple[float, float]:
-    """Draw a material and what stands for it, balls by quadrature in the studio, and slices."""
+    """Draw a material and its substitute, balls by quadrature in the studio, and slices."""
     (first, inside), (second, _) = (ball_image(source.brdf, _PIXELS) for source in sources)
     return _draw(title, (first, second), inside, sources, "studio", output)
 

@@ -222,7 +222,7 @@ def export(
 
 
 class ExportSource(NamedTuple):
-    """A material to export: its name, what identifies its content, and what reads it."""
+    """A material to export: its name, the identity of its content, and a function that reads it."""
 
     name: str
     identity: str
@@ -265,7 +265,7 @@ def _pictures_of(
 
 
 def _write_index(target: Target, made: Batch[ExportSource]) -> None:
-    """Write the page of a pack: what was measured beside what is exported, with the differences."""
+    """Write the page of a pack: measured materials beside exported ones, with the differences."""
     cards = []
     for one in made.outcomes:
         if one.content is not None:

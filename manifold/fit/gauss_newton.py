@@ -75,7 +75,7 @@ class Minimum:
 
 
 class Residuals:
-    """Residuals as functions of what the optimiser sees, shape (R * B,), value and Jacobian shared."""
+    """Residuals as functions of the optimiser's coordinates, shape (R * B,), value and Jacobian shared."""
 
     def __init__(self, family: BsdfFamily, criterion: Criterion) -> None:
         self.criterion = criterion

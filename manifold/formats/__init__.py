@@ -1,4 +1,4 @@
-"""Files of other programs and of instruments, one format a module."""
+"""Files of other programs and of instruments, one module per format."""
 
 import lazy_loader
 

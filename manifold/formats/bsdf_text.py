@@ -1,4 +1,4 @@
-"""What the text formats `.bsdf` of LightTools and Zemax share: lists of angles, keys, and tables with a TIS each."""
+"""The common parts of the text formats `.bsdf` of LightTools and Zemax: lists of angles, keys, tables with a TIS."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _XYZ = {f"{word}{letter}": k for word in ("tris", "tristimulus") for k, letter i
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """One table and what the keys before it say.
+    """One table and the keys before it.
 
     Attributes:
         values: azimuths x radials.
@@ -259,7 +259,7 @@ def total_scatter(values: Array, azimuth: Array, radial: Array, cosine: Array) -
 
 
 def note_contradictions(text: BsdfText, tables: Iterable[tuple[Block, Array]], notes: list[str]) -> None:
-    """Add a note where a TIS is far from what its table integrates to; beside each, cosines of theta_o, broadcast."""
+    """Add a note if a TIS is far from its table's integral; cosines of theta_o are broadcast."""
     azimuth, radial = (np.deg2rad(text.lists[name]) for name in _LISTS[2:])
     pairs = [(block.tis, total_scatter(block.values, azimuth, radial, cosine)) for block, cosine in tables]
     apart = [abs(said - found) / max(abs(said), abs(found), _LEAST_TIS) for said, found in pairs]

@@ -14,7 +14,7 @@ from manifold.formats.text import LENGTH_UNIT, ErrorContext, wavelength_nm
 RELATIVE = "phi_o - phi_i"
 """What `angle_name` calls a difference of azimuths."""
 PHASE = "phase"
-"""What it calls the angle between the directions to the light and to the eye."""
+"""The name of the angle between the directions to the light and to the eye."""
 
 _LONGEST = 80  # letters; longer cells are no heads
 _LIGHT = r"(i|in|inc|incident|incidence|incoming|light|lighting|illumination|source|sun|solar)"
@@ -156,7 +156,7 @@ def angle_unit(
 
 
 def value_head(head: str) -> ValueHead | None:
-    """Return what the head of a column of values says, such as `BRDF (633 nm)`, `R400 [%]`; None for others."""
+    """Parse the head of a column of values, such as `BRDF (633 nm)`, `R400 [%]`; return None for others."""
     if not head.strip() or len(head) > _LONGEST:
         return None
     text = quantities.plain(head)
@@ -232,7 +232,7 @@ def channel(head: str) -> str | None:
 
 
 def quantity(heads: Sequence[str], context: ErrorContext, where: str) -> Quantity | None:
-    """Return what the values are by their columns' heads; None if these say nothing.
+    """Return the quantity that the columns' heads name, or None.
 
     Raises:
         FileFormatError: heads name different quantities.
@@ -277,7 +277,7 @@ _COVERAGE = re.compile(r"\bk\s*=\s*(\d(?:[.,]\d+)?)")
 
 
 def uncertainty_head(head: str) -> UncertaintyHead | None:
-    """Return what the head of a column of uncertainties says, such as `Std. Dev.`, `u(BRDF)`; or None."""
+    """Parse the head of a column of uncertainties, such as `Std. Dev.`, `u(BRDF)`; return None for others."""
     if len(head) > _LONGEST:
         return None
     text = quantities.plain(head).replace("\u03c3", "sigma").replace("\u00b1", "std")

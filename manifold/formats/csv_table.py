@@ -83,7 +83,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _with_own(readings: Readings, own: Mapping[str, str], context: ErrorContext) -> Readings:
-    """Return the readings with what the package's own comments say of them."""
+    """Return the readings with the values of the package's own comments."""
     units = {angle: number(text) for key, text in own.items() if (angle := gloss_angle(key)) is not None}
     gloss = {angle: value for angle, value in units.items() if value is not None}  # not `gloss: matt`
     readings = replace(readings, gloss={**gloss, **readings.gloss})

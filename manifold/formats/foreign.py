@@ -79,7 +79,7 @@ _IN_ARCHIVES = (
 
 
 def name_archive(names: Iterable[str]) -> str:
-    """Return what a ZIP archive seems to be, by the names of its parts.
+    """Guess the kind of a ZIP archive from the names of its parts.
 
     >>> name_archive(["fabric.u3m", "textures/base.png"])
     'a U3M material'

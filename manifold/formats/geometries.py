@@ -119,7 +119,7 @@ class SingleValues(NamedTuple):
     cell: Indices
 
     def table(self, rows: Array) -> Array:
-        """Return values of the rows (n,), means of several, and NaN where there is none; shape (P, B)."""
+        """Return values of the rows (n,), means of several, and NaN for missing ones; shape (P, B)."""
         count = np.bincount(self.cell, minlength=self.first.size * self.wavelengths_nm.size)
         with np.errstate(invalid="ignore"):
             mean = np.bincount(self.cell, rows, len(count)) / count

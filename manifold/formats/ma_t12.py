@@ -113,7 +113,7 @@ def _named_apart(found: Sequence[tuple[str | None, list[Readings]]]) -> list[Rea
 
 
 def _xml_parts(data: bytes, context: ErrorContext) -> io.BytesIO:
-    """Repack a workbook with empty parts for what is not XML; refuse what is no workbook, or unpacks to more.
+    """Repack a workbook with empty parts in place of other than XML; refuse other files, or those that unpack to more.
 
     A part is XML by its first bytes, not by its name: openpyxl opens the pictures of chart sheets.
     """
@@ -248,7 +248,7 @@ def _texture(
 
 
 def _by_sample(by_name: Mapping[str, T], samples: Sequence[str]) -> tuple[dict[str, T], list[str]]:
-    """Return what stands under the name of each sample, and the other names.
+    """Return the data under the name of each sample, and the other names.
 
     A workbook of one sample need not repeat its name: what stands under any single name is that sample's.
     """

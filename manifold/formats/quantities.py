@@ -1,4 +1,4 @@
-"""What values are, by the words of heads and headers: of tables of BRDFs, and of spectra.
+"""Quantities named by the words of heads and headers: of tables of BRDFs, and of spectra.
 
 This is the only place that turns words into a quantity. A word that it does not understand never means the default: it
 is refused.
@@ -170,7 +170,7 @@ def quantity_in_prose(
 
 
 SpectrumKind = Literal["reflectance", "log", "absorbance", "transmittance", "power", "sensitivity", "other"]
-"""What a column of a spectrum holds; `log` is log10(1/R), the apparent absorbance of a reflectance."""
+"""The content of a column of a spectrum; `log` is log10(1/R), the apparent absorbance of a reflectance."""
 
 # Patterns of whole words.
 _SPECTRUM_WORDS: dict[SpectrumKind, str] = {
@@ -186,7 +186,7 @@ _LOG_OF_RECIPROCAL = re.compile(r"\b(lg|log)\W*1\s*/\s*r(efl\w*)?\b|-\s*(lg|log)
 
 
 def spectrum_kinds(head: str) -> set[SpectrumKind]:
-    """Return what a column of a file of spectra holds by the words of its head; empty if they say nothing."""
+    """Return the kinds of spectra that the words of a column's head name; empty if they name none."""
     text = plain(head)
     if _LOG_OF_RECIPROCAL.search(text):
         return {"log"}

@@ -27,10 +27,10 @@ MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 """The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
 
 REPEATABILITY = 0.0025
-"""Of a spectrophotometer, relative: 0.05 CIEDE2000."""
+"""Repeatability of a spectrophotometer, relative: 0.05 CIEDE2000."""
 
 GONIOMETER = 0.03
-"""The same of a goniometer."""
+"""Repeatability of a goniometer."""
 
 UNITS = {"brdf": 1.0, "factor": 1.0 / np.pi, "percent": 0.01 / np.pi}
 """Units of values in tables, in 1/sr: the BRDF, reflectance factors, and these in per cent."""
@@ -60,7 +60,7 @@ class Viewing(NamedTuple):
 
 
 DAYLIGHT = Viewing()
-"""Of linear sRGB."""
+"""Light and observer of linear sRGB."""
 
 
 class Between(NamedTuple):

@@ -77,7 +77,7 @@ _KNOWN = (
     Format("CSV table", csv_table.sniff, csv_table.read, None),
 )
 FORMATS = Registry("format", ((known.name, known) for known in _KNOWN))
-"""In the order in which they are tried: what begins with magic numbers first, what only looks plausible last."""
+"""Formats in the order of their trial: those with magic numbers first, merely plausible ones last."""
 
 
 def identify(path: Path | str) -> Format | None:

@@ -179,7 +179,7 @@ def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[in
 
 
 def _chosen(table: _Columns, columns: list[int], wanted: Wanted, context: ErrorContext) -> list[int]:
-    """Return the columns that hold what is wanted: one, or those of red, green and blue."""
+    """Return the columns that hold the wanted spectra: one, or those of red, green and blue."""
     count = 3 if wanted == "sensitivity" else 1
     if not table.heads:
         if len(columns) != count:
@@ -207,7 +207,7 @@ def _suitable(wanted: Wanted) -> set[SpectrumKind]:
 
 
 def _said_above(table: _Columns) -> set[SpectrumKind]:
-    """Return what the line above the header or the values says that they are."""
+    """Return the kinds of spectra that the line above the header or the values names."""
     return spectrum_kinds(table.above[-1]) if table.above else set()
 
 

@@ -529,7 +529,7 @@ def _require_nothing_above(table: Table, columns: Columns, context: ErrorContext
 def _require_footnote(
     table: Table, index: int, keys: list[str], columns: Columns, context: ErrorContext
 ) -> None:
-    """Raise FileFormatError where a row without a direction holds values, or what was meant as a geometry."""
+    """Raise FileFormatError if a row without a direction holds values, or a text meant as a geometry."""
     text = next(filter(None, keys), "")
     has_values = any(number(table.text(index, k)) is not None for k in columns.bands)
     if not has_values and not ("as" in text.lower() and any(c.isdigit() for c in text)):

@@ -20,7 +20,7 @@ _LONGEST_FINDING = 400  # letters
 CORRECT_CELL = "correct the cell"
 """What to do about one wrong value."""
 MOST_ROWS = 5_000_000
-"""Of a table."""
+"""The largest number of lines of a table."""
 
 
 class ErrorContext:
@@ -68,7 +68,7 @@ class ErrorContext:
         return table
 
     def require_rows(self, lines: Sequence[tuple[int, str]]) -> None:
-        """Raise FileFormatError where there is no line, or more than tables have."""
+        """Raise FileFormatError if there is no line, or more than tables have."""
         if not 1 <= len(lines) <= MOST_ROWS:
             raise self.error(f"{len(lines)} rows, expected 1 to {MOST_ROWS}")
 

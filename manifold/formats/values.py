@@ -14,7 +14,7 @@ from manifold.formats.text import LENGTH_UNIT, ErrorContext, is_length_unit, wav
 from manifold.records import Array
 
 SHORTEST_NM, LONGEST_NM = 100.0, 1e5
-"""Of wavelengths; others are in other units."""
+"""The range of wavelengths; values beyond it have another unit."""
 
 _NO_UNIT = "no unit given (--unit brdf, factor or percent): "
 TAKEN_AS_BRDF = _NO_UNIT + "taken as BRDF in 1/sr"
@@ -94,7 +94,7 @@ def _stated(found: re.Match[str], line: str, context: ErrorContext) -> float | N
 def as_brdf(
     values: Array, quantity: Quantity, wi: Array, wo: Array, notes: list[str], white: float = 1.0
 ) -> Array:
-    """Return `Quantity.brdf` of values, and add a note of what was done."""
+    """Apply `Quantity.brdf`, and add a note of the conversion."""
     if (note := quantity.note) is not None:
         notes.append(note)
     return quantity.brdf(values, wi, wo, white)

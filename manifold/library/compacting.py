@@ -50,7 +50,7 @@ class CompactResult:
 
 
 def compact_library(path: Path | str, tolerance: float = DEFAULT_TOLERANCE) -> CompactResult:
-    """Store the materials of a library in compact form, one after the other; what they were is lost.
+    """Store the materials of a library in compact form, one after the other; the originals are lost.
 
     A killed run leaves every material whole, in one form or the other; another run does the rest.
     """

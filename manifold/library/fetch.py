@@ -174,7 +174,7 @@ def _remove_damaged(path: Path) -> None:
 
 
 def _require_url(url: str) -> None:
-    """Raise UsageError for what is no plain web address."""
+    """Raise UsageError unless a text is a plain web address."""
     try:
         parts = urlsplit(url)
     except ValueError:

@@ -145,7 +145,7 @@ def _replaced(target: Path) -> Path:
 
 
 def _conclude(target: Path) -> None:
-    """End a replacement: remove the old folder, or put it back where there is no new one."""
+    """End a replacement: remove the old folder, or put it back if there is no new one."""
     old = _replaced(target)
     if not target.exists():
         os.rename(old, target)

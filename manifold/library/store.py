@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     import zarr
 
 MOST_BYTES = 1 << 30
-"""Of all entries of a library together; those that were used longest ago go first."""
+"""The largest total of all entries of a library; those least recently used go first."""
 
 
 def _prune(folder: Path) -> None:

@@ -112,7 +112,7 @@ class BlendSpace(LatentSpace):
 
     @cached_property
     def of_landmarks(self) -> BlendSpace:
-        """The map of the landmarks alone, whose blends reach as far as they are apart; or all, where there are none."""
+        """The map of the landmarks, whose blends reach as far as their distances; the whole map without landmarks."""
         if self.landmarks is None:
             return self
         return self.subset(self.landmarks, (len(self.X) / len(self.landmarks)) ** (1.0 / self.X.shape[1]))
@@ -236,7 +236,7 @@ def require_blends(space: LatentSpace) -> BlendSpace:
 
 
 class Rows(Protocol):
-    """Rows of a table (n, P), some of which may be read when they are asked for."""
+    """Rows of a table (n, P), which may be read on demand."""
 
     def __getitem__(self, rows: Indices) -> Array:
         """Return rows (m, P) by their indices (m,)."""
@@ -336,7 +336,7 @@ class PlaceSearch:
 
 
 class _BestPlace:
-    """The search for a place on the map of N materials at X (N, Q), from inner products alone.
+    """The search for a place on the map of N materials at X (N, Q), from inner products only.
 
     Products are those of the materials' paths at K coordinates with the target, (N, K, B), and of the paths with each
     other, (K, N, N).

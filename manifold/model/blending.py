@@ -22,8 +22,10 @@ NEIGHBOURS = 128
 """Number of nearest samples among which a blend finds its weights."""
 
 NEGLIGIBLE = 3e-4
-"""Weights up to this share of the largest are 0, and cost no look-up: all of them together change a ball by less than a
-tenth of what is visible, in whichever light (tests/model/test_model.py).
+"""Weights up to this share of the largest are set to 0, and cost no look-up.
+
+All of them together change a ball by less than a tenth of a visible difference, in every light
+(tests/model/test_model.py).
 """
 
 _FLATTENING = 10.0 ** np.arange(
@@ -41,9 +43,9 @@ _TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-7, "maxcor
 _LEAST_SHARE_OF_UNIT = 1e-2  # share of the typical distance: smaller target distances count as this
 
 Cost = Callable[[Array], tuple[Array, Array]]
-"""From weights u (K, N) of blends to their cost (K,) and its gradient by u (K, N)."""
+"""A function from weights u (K, N) of blends to their cost (K,) and its gradient by u (K, N)."""
 Term = Callable[[Array], tuple[float, Array]]
-"""From places X (N, Q) to a term of the objective and its gradient (N, Q)."""
+"""A function from places X (N, Q) to a term of the objective and its gradient (N, Q)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,7 +109,7 @@ class Combination:
 
     @property
     def used(self) -> tuple[Indices, Combination]:
-        """The materials that have a weight, (n,), and the same prediction made of these alone; not of a dictionary."""
+        """The materials with nonzero weight, (n,), and the prediction made of these only; not of a dictionary."""
         if self.sample_bands is None:
             used = np.flatnonzero(self.weights)
             return used, replace(self, weights=self.weights[used])

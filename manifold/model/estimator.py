@@ -1,4 +1,4 @@
-"""What is known of a material, as linear functionals of its BRDF, and the non-negative atoms that explain it."""
+"""Observations of a material as linear functionals of its BRDF, and the non-negative atoms that explain them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from manifold.records import Array, Mask
 from manifold.threads import one_blas_thread
 
 LEAST = 216.0 / 24389.0
-"""Of display white: CIELAB is linear below."""
+"""The share of display white below which CIELAB is linear."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """R linear functionals of a material in one band, and what was seen of them.
+    """Observed values of R linear functionals of a material in one band.
 
     Values at direction pairs, pixels of a ball or of a photograph, and means over the aperture of a gloss meter are all
     such rows; they may be given together.

@@ -40,7 +40,7 @@ _LEAST_PLACES = 1500  # number of blends evaluated, if there are fewer samples
 _LIMITS = {"maxiter": 40, "maxfun": 60, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
 
 LocalCost = Callable[[Array, Indices], tuple[Array, Array]]
-"""From weights u (K, n) of blends of samples (K, n) to their cost (K,) and its gradient by u (K, n)."""
+"""A function from weights u (K, n) of blends of samples (K, n) to their cost (K,) and its gradient by u (K, n)."""
 
 
 @dataclass(frozen=True, eq=False)

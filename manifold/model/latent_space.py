@@ -22,8 +22,10 @@ from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices
 
 LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
-"""From the index of a left-out material to its place (Q,), its prediction there, with weights over all materials, and
-its residual."""
+"""A function from a left-out material's index to its place (Q,), its prediction, and its residual.
+
+The prediction has weights over all materials.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +166,7 @@ class LatentSpace(ABC):
         """Return a search for the place of each material among the others, which keep their places."""
 
     def combination(self, x: Array, colours: Array | None, mapping: ValueMapping) -> Combination:
-        """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
+        """Return the weighted sum of a prediction at a latent x (Q,); at a training latent, only that material."""
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])

@@ -208,7 +208,7 @@ _PREDICTED_AT_ONCE = 8  # predictions evaluated together
 
 
 class MaterialTable:
-    """Materials in some bands (B,), increasing, and how far predictions of them are from what they measure."""
+    """Materials in some bands (B,), increasing, and the errors of predictions of them."""
 
     def __init__(self, materials: Sequence[MeasuredBRDF], bands: Indices) -> None:
         """Select the bands of all materials."""

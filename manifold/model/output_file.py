@@ -45,11 +45,14 @@ class OutputOptions:
 
 DEFAULT_OPTIONS = OutputOptions()
 COMPLETION_OPTIONS = OutputOptions(incidences=24)
-"""Of completions: eight incidences put colours at the readings off by up to 2.3 CIEDE2000, 24 by 0.3."""
+"""The resolution of completions: eight incidences change colours at the readings by up to 2.3 CIEDE2000, 24 by 0.3."""
 
 FINE_OPTIONS = OutputOptions(resolution=48, incidences=24)
-"""Of temporary files in place of a prediction: near mirror directions of 20 real files they differ by 0.2 to 7 %
-(median 1.3 %), where the default differs by 3 to 18 % (median 6 %); see `plausibility.mirror_difference`."""
+"""The resolution of temporary files in place of a prediction.
+
+Near mirror directions of 20 real files they differ by 0.2 to 7 % (median 1.3 %), where the default differs by
+3 to 18 % (median 6 %); see `plausibility.mirror_difference`.
+"""
 
 
 class OutputFile(NamedTuple):

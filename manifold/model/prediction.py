@@ -281,7 +281,7 @@ class _MappedSum:
 
 
 class ClippedBRDF(WrappedBRDF):
-    """A BRDF with negative values cut to zero, as files must have them; counts what it cut."""
+    """A BRDF with negative values cut to zero, as files must have them; it counts the cut values."""
 
     def __init__(self, brdf: BRDF):
         """Wrap a BRDF."""

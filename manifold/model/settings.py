@@ -61,7 +61,7 @@ class Settings:
 
     @classmethod
     def published(cls) -> Settings:
-        """Return the settings of Hikichi & Iwasaki to the letter; docs/explanation/gplvm.md lists what they change.
+        """Return the settings of Hikichi & Iwasaki to the letter; docs/explanation/gplvm.md lists their effects.
 
         Raw values without weights, in all bands and at all 90 x 90 x 180 direction pairs; unmeasured cells are zeros;
         s^2 = 1; direct local search from the principal components in the order of the materials; mu = 1e-4, l = 1.

@@ -132,7 +132,7 @@ def positions_between(start: Highlight, end: Highlight, share: Array) -> Array:
 
 
 class RoughenedBRDF(WrappedBRDF):
-    """A material whose highlight has another roughness; what the lobe does not explain stays as it is.
+    """A material whose highlight has another roughness; values that the lobe does not explain are kept.
 
     `f - m + L' (k m / L + (1 - k) g F)`, L being the lobe, L' that of the other roughness, F its Fresnel term, m what
     L F explains, g its gain, and k how much of the measured shape is kept: 1 at the own roughness, where

@@ -1,4 +1,4 @@
-"""Commands that a served page may call, and what a request for each may hold; all else is refused.
+"""Commands that a served page may call, and the schema of each one's requests; others are refused.
 
 Nothing of a request becomes a path but a plain name.
 """

@@ -140,7 +140,7 @@ class Queue:
             shutil.rmtree(job.call.inputs)
 
     def _reply(self, job: Job) -> dict[str, Any]:
-        """Have the worker run a job, keep what it reports of its progress, and give its result or failure."""
+        """Have the worker run a job, record its progress, and return its result or failure."""
         sends, replies = cast(IO[bytes], self._worker.stdin), cast(IO[bytes], self._worker.stdout)
         with suppress(OSError, ValueError):  # the worker ended, as it wrote or before
             pickle.dump((job.call.command, job.call.arguments), sends)

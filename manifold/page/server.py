@@ -72,7 +72,7 @@ class ExplorerServer(ThreadingHTTPServer):
         self.naming = threading.Lock()
 
     def server_close(self) -> None:
-        """Stop listening, cancel everything, and remove what was dropped."""
+        """Stop listening, cancel everything, and remove dropped files."""
         super().server_close()
         if hasattr(self, "queue"):  # the base class closes a server that could not listen
             self.queue.close()

@@ -1,4 +1,4 @@
-"""The process in which the commands of a served page run, one after the other; what they import stays loaded.
+"""The process in which the commands of a served page run, one after the other; its imports stay loaded.
 
 A call comes pickled on stdin, a command's name and arguments. Lines of JSON go out on stdout: `[done, total, what]` as
 it works, then `{"result": ...}` or `{"failure": ...}`.

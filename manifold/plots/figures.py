@@ -42,7 +42,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def fix_layout(figure: Figure) -> None:
-    """Lay a figure out for good: points have their final pixels, and what is drawn from then on does not move them."""
+    """Fix a figure's layout: points have their final pixels, and later drawing does not move them."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
 
@@ -117,7 +117,7 @@ def require_writable(path: Path) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG (or what the suffix says), atomically; fonts in PDF are TrueType, as journals ask."""
+    """Write a figure as PNG (or the suffix's format), atomically; fonts in PDF are TrueType, as journals ask."""
     require_writable(path)
     with disk.replacing(path) as partial, rc_context({"pdf.fonttype": 42}):
         figure.savefig(partial)

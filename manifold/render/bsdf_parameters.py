@@ -102,7 +102,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class BsdfFamily:
-    """A type of Mitsuba BSDF with its free parameters and what stays fixed.
+    """A type of Mitsuba BSDF with its free and fixed parameters.
 
     Attributes:
         type: the plugin's name, built in or registered from Python.

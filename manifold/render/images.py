@@ -92,7 +92,7 @@ def _finite(picture: Image) -> Array:
 
 
 PIXELS_PER_DEGREE = 67.0
-"""Of a viewer 0.7 m from a 0.7 m wide display with 3840 columns."""
+"""Pixels per degree of a viewer 0.7 m from a 0.7 m wide display with 3840 columns."""
 
 _WHITE = np.array([1.0, 1.0, 1.0])
 

@@ -15,7 +15,7 @@ from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.response import SLOPE_STD, THIRD_STD, Response, gain_of
 
 SPARKLE = 1.8
-"""A glint is so many times as bright as its surroundings."""
+"""The least ratio of a glint's brightness to its surroundings."""
 
 _SURROUNDINGS_PX = 9
 _MIDDLE_COSINE = np.cos(np.deg2rad(50.0))  # lamps farther from the normal make relief sparkle, too

@@ -177,7 +177,7 @@ def _write_textures(
     folder: Path, stem: str, surface: Surface, textures: Textures, brdf: MeasuredBRDF | None,
     flakes: DrawnFlakes | None,
 ) -> dict[str, Path]:  # fmt: skip
-    """Write what renderers read; paths by what they are."""
+    """Write the files for renderers; return their paths by kind."""
     mean = folder / f"{stem}.bsdf"
     paths = {
         "albedo": folder / f"{stem}_albedo.png",

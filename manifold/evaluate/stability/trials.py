@@ -39,7 +39,7 @@ class Measurement:
 
 
 Trial = Callable[[TestBed, float], Measurement | Sequence[Measurement]]
-"""From the test bed and a severity to what was measured, of one result or of several.
+"""A function of the test bed and a severity that returns one measurement or several.
 
 A ManifoldError is a refusal, but a RendererError says that the method cannot run on this machine.
 """
@@ -47,7 +47,7 @@ A ManifoldError is a refusal, but a RendererError says that the method cannot ru
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest error of a right result: what is measured, how much, and why so much."""
+    """The largest error of a right result: the measured quantity, its limit, and the reason for it."""
 
     quantity: str
     value: float

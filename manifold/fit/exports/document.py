@@ -92,7 +92,7 @@ class Export:
 
     @property
     def label(self) -> str:
-        """The name, with a question mark for what does not print, which programs refuse in names."""
+        """The name with question marks for unprintable characters, which programs refuse in names."""
         return "".join(c if c.isprintable() else "?" for c in self.name)
 
     def about(self) -> dict[str, Any]:

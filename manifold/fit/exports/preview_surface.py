@@ -29,8 +29,11 @@ BASE_COLOUR = "diffuseColor"
 COAT = ("clearcoat", "clearcoatRoughness")
 
 HUED = ("specularColor",)
-"""The diffuse part loses Fresnel's share per channel in OpenUSD, and its mean in MaterialX: a fitted colour of
-highlights that complements that of the diffuse would look right in one of them alone."""
+"""The diffuse part loses Fresnel's share per channel in OpenUSD, and its mean in MaterialX.
+
+A fitted colour of highlights that complements that of the diffuse part would therefore look right in only one
+of them.
+"""
 
 _IOR = 1.5  # the default, which here is the coat's alone
 

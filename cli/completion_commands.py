@@ -142,7 +142,7 @@ def complete(
         request = photos.request_of(photos.photo)
         photograph_commands.complete_photographs(
             results, request, library, output, readings=readings, sample=sample, gloss=gloss, lab=lab, picture=picture,
-            suggest=suggest, written=written,
+            report=report, suggest=suggest, written=written,
         )  # fmt: skip
         return
     if photos.lamp:

@@ -36,7 +36,7 @@ MovedLibraryOption = Annotated[
 ]
 JsonOption = Annotated[
     Path | None,
-    written("--json", help="Also write the results as JSON; with -, write only JSON to stdout."),
+    written("--json", help="Also write the results as JSON; with -, write only JSON to stdout.", at_end=True),
 ]
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
 
@@ -144,6 +144,7 @@ ReportOption = Annotated[
     written(
         "--report",
         help="Also write a report to hand on: one page of HTML, printable.",
+        at_end=True,
     ),
 ]
 UnitOption = Annotated[

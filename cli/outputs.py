@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 import typer
 
+from manifold import disk
 from manifold.errors import UsageError
 
 
@@ -23,10 +24,13 @@ class _Running(NamedTuple):
 _running: ContextVar[_Running] = ContextVar("_running")
 
 
-def written(*names: str, help: str, metavar: str = "FILE", hidden: bool = False) -> Any:
-    """Return an option for an annotation that names a file or folder to be written; see `check_all`."""
+def written(*names: str, help: str, metavar: str = "FILE", hidden: bool = False, at_end: bool = False) -> Any:
+    """Return an option for an annotation that names a file or folder to be written; see `check_all`.
+
+    What is written `at_end` is a file that may lie in the folder which the command itself makes.
+    """
     option = typer.Option(*names, help=help, metavar=metavar, hidden=hidden)
-    option.is_written = True
+    option.is_written, option.at_end = True, at_end
     return option
 
 
@@ -34,15 +38,18 @@ def check_all(command: Callable[..., Any], parameters: Mapping[str, Any]) -> Non
     """Check the outputs among the parameters of a command that begins to run; raises UsageError as `checked`."""
     hints = get_type_hints(command, include_extras=True)
     found = {
-        name
+        name: each
         for name, hint in hints.items()
-        if any(getattr(each, "is_written", False) for each in getattr(hint, "__metadata__", ()))
+        for each in getattr(hint, "__metadata__", ())
+        if getattr(each, "is_written", False)
     }
     _running.set(_Running(parameters, frozenset(found)))
     for name in sorted(found):
         # Versions of Typer differ in whether paths are paths here already.
-        if (path := parameters.get(name)) is not None and (name, str(path)) != ("json", "-"):
-            checked(Path(path), name)
+        if (given := parameters.get(name)) is not None and (name, str(given)) != ("json", "-"):
+            path, folder = checked(Path(given), name), Path(parameters.get("output") or ".")
+            if found[name].at_end and (path.parent != folder or path.parent.is_dir()):
+                disk.require_writable(path)
 
 
 def or_default(output: Path | None, default: str) -> Path:

@@ -229,6 +229,7 @@ def photograph(
         bool,
         typer.Option("--picture", help="Also draw the photographs beside their prediction, into NAME.png."),
     ] = False,
+    report: options.ReportOption = None,
     suggest: Annotated[
         int,
         typer.Option(
@@ -252,7 +253,7 @@ def photograph(
 
     results = terminal.Results(json)
     if not pictures:
-        if not suggest or readings or lab or gloss:
+        if not suggest or readings or lab or gloss or report:
             raise UsageError(
                 "found no picture; name one, or give --suggest K alone for the first places of the lamp"
             )
@@ -261,7 +262,7 @@ def photograph(
     written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
     complete_photographs(
         results, photos.request_of(pictures), library, output, readings=readings, sample=sample, gloss=gloss, lab=lab,
-        picture=picture, suggest=suggest, written=written,
+        picture=picture, report=report, suggest=suggest, written=written,
     )  # fmt: skip
 
 
@@ -278,10 +279,10 @@ def suggest_lamps(results: terminal.Results, library: Path, count: int) -> None:
 def complete_photographs(
     results: terminal.Results, request: PhotoRequest, library: Path, output: Path | None, *,
     readings: Sequence[Path] | None, sample: str | None, gloss: Sequence[str] | None, lab: str | None, picture: bool,
-    suggest: int, written: OutputOptions,
+    report: Path | None, suggest: int, written: OutputOptions,
 ) -> None:  # fmt: skip
     """Complete photographs, and readings, gloss and colour of the same material, and print the result."""
-    from manifold.estimate import completions, instruments, photographs
+    from manifold.estimate import completions, instruments, photographs, reports
     from manifold.estimate.attributes import readings_of_colour
     from manifold.library.store import Library
 
@@ -298,13 +299,18 @@ def complete_photographs(
             picture=checked(target.with_suffix(".png"), "picture") if picture else None, count=suggest,
             options=written,
         )  # fmt: skip
-    show_photographs(results, f"Completed {target}", made)
+    if report is not None:
+        reports.write_photographs(report, made)
+    show_photographs(results, f"Completed {target}", made, report)
 
 
-def show_photographs(results: terminal.Results, title: str, found: FromPhotographs) -> None:
+def show_photographs(
+    results: terminal.Results, title: str, found: FromPhotographs, report: Path | None = None
+) -> None:
     """Print the results of photographs."""
     notes = {f"note {k}": note for k, note in enumerate(found.diagnostics, start=1)}
-    results.rows(title, {**found.rows, "time": f"{found.seconds:.1f} s", **notes})
+    written = {} if report is None else {"report": report}
+    results.rows(title, {**found.rows, **written, "time": f"{found.seconds:.1f} s", **notes})
     if found.plan is not None:
         show_plan(results, found.plan, " beside what there is")
     results.document(found)

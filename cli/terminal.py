@@ -105,11 +105,9 @@ class Results:
     """The output of a command on stdout: text for people and, if requested, a JSON file; for `-`, only JSON."""
 
     def __init__(self, json_target: Path | None = None) -> None:
-        """Refuse a JSON file that cannot be written, before any work."""
+        """Print for people, unless JSON goes to stdout; `outputs.check_all` refuses what cannot be written."""
         self._target = json_target
         self._only_json = json_target is not None and str(json_target) == "-"
-        if json_target is not None and not self._only_json:
-            disk.require_writable(json_target)
 
     def text(self, text: str) -> None:
         """Print lines as they are."""

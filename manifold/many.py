@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from manifold import disk
 from manifold.batch import (
     LAB_UNDER,
     MEASURED,
@@ -73,7 +72,6 @@ def completions_of(
     }
     pages = None
     if report is not None:
-        disk.require_writable(report)
         pages = report.parent / f"{report.stem}_reports"
         how["reports"] = str(pages.absolute())
     if correction is not None:

@@ -130,8 +130,8 @@ class Coated:
             "lab": {"asked": self.sample.lab, "written": self.lab},
             "ciede2000": self.difference,
             "gloss": {
-                f"{angle:g}": {"asked": units, "written": self.gloss[angle]}
-                for angle, units in self.sample.gloss.items()
+                f"{angle:g}": {"asked": self.sample.gloss.get(angle), "written": units}
+                for angle, units in self.gloss.items()
             },
             "alpha": self.alpha,
             "index": self.index,
@@ -227,7 +227,7 @@ def complete(
         stages.begin("rendering")
         draw_ball(output, picture)
     brdf = made if written.file is None else MeasuredBRDF(written.file)
-    lab, gloss = lab_of(brdf), gloss_units(brdf, sample.gloss)
+    lab, gloss = lab_of(brdf), gloss_units(brdf)
     return Coated(
         output, sample, alpha, index, lab, gloss, expected, written.plausibility,
         (*_missed(sample, lab, gloss), *diagnostics.of_prediction(False, written.plausibility), *written.projection),

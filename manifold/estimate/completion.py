@@ -203,8 +203,8 @@ class Completion:
 
     @cached_property
     def gloss(self) -> dict[float, float]:
-        """Gloss units of the completion, at the angles in degrees at which gloss was read."""
-        return gloss_units(self.written or self.brdf, self.readings.gloss)
+        """Gloss units of the completion, by angle in degrees."""
+        return gloss_units(self.written or self.brdf)
 
     @cached_property
     def misfits(self) -> Array:

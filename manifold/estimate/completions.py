@@ -125,8 +125,8 @@ class Completed:
             "between_measurements": made.readings.between,
             "residual": self.residual,
             "gloss": {
-                f"{angle:g}": {"read": units, "completed": made.gloss[angle]}
-                for angle, units in made.readings.gloss.items()
+                f"{angle:g}": {"read": made.readings.gloss.get(angle), "completed": units}
+                for angle, units in made.gloss.items()
             },
             "made_of": dict(made.made_of),
             "alternatives": made.alternatives,

@@ -104,6 +104,15 @@ class FromPhotographs:
         files = {"written to": self.output, "picture": self.picture}
         return rows | {label: path for label, path in files.items() if path is not None}
 
+    @property
+    def gloss(self) -> dict[str, float]:
+        """Gloss units of the written file by angle in degrees; none without a file."""
+        if self.output is None:
+            return {}
+        return {
+            f"{angle:g}": units for angle, units in gloss_units(MeasuredBRDF(read_bsdf(self.output))).items()
+        }
+
     def to_json(self) -> dict[str, Any]:
         """Return plain values."""
         photographs = [
@@ -115,7 +124,8 @@ class FromPhotographs:
             for ball in self.balls
         ]
         names = ("located", "output", "picture", "plausibility", "diagnostics", "seconds", "plan")
-        known = {"photographs": photographs} | {name: getattr(self, name) for name in names}
+        known = {"photographs": photographs, "gloss": self.gloss}
+        known |= {name: getattr(self, name) for name in names}
         return self.material.to_json() | plain(known)
 
 

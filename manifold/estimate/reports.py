@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from manifold.estimate.completion import Completion
     from manifold.estimate.completions import Completed
     from manifold.estimate.instruments import CalibratedInstrument
+    from manifold.estimate.photographs import FromPhotographs
 
 _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
+_WIDE = 800  # pixels of a figure on the page
 _COARSE_BALL = 96  # without Mitsuba
 _SUN_DEG = 45.0
 _BACKGROUND = 0.12
@@ -77,6 +79,20 @@ def write_coat(path: Path, made: Coated) -> None:
         Section("Notes", notes=made.diagnostics),
     ]
     html_page.write(path, made.sample.name, f"{made.path.name}, made of a colour and gloss.", sections)
+
+
+def write_photographs(path: Path, made: FromPhotographs) -> None:
+    """Write the report of a material that was found in photographs, and written."""
+    assert made.output is not None
+    brdf = MeasuredBRDF(read_bsdf(made.output))
+    sections = [Section("Sample", made.rows), balls(brdf), gloss(brdf)]
+    if made.picture is not None:
+        shown = html_page.picture(images.read_display(made.picture), "photographs and predictions", _WIDE)
+        sections.append(
+            Section("Photographs", pictures=[("photographs, predictions and differences", shown)])
+        )
+    sections.append(Section("Notes", notes=made.diagnostics))
+    html_page.write(path, made.output.stem, f"{made.output.name}, found in photographs.", sections)
 
 
 def write_calibration(path: Path, made: CalibratedInstrument) -> None:

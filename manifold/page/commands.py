@@ -245,7 +245,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
             "sample": request.get("sample") or None, "picture": output.with_suffix(".png"),
         },
         _schema({"sample": {"type": "string", "maxLength": _MOST_SAMPLE, "pattern": _NO_CONTROLS}}),
-        _BSDF, has_picture=True, takes_file=True,
+        ".bsdf", has_picture=True, takes_file=True,  # spectra keep their bands, whatever the library's
     ),
     "locate": Command(
         "manifold.estimate.predictions:locate",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def folder(tmp_path_factory, library):
 def test_a_photograph_is_completed(run, folder, library):
     code, out, err = run(
         "photograph", "ball.exr", "--light", "light.exr", "--distance", 8, "--library", library,
-        "-o", "found.bsdf", "--picture", "--json", "found.json", cwd=folder,
+        "-o", "found.bsdf", "--picture", "--json", "found.json", "--report", "found.html", cwd=folder,
     )  # fmt: skip
     assert code == 0, err
     truth, found = (MeasuredBRDF(read_bsdf(folder / name)) for name in ("gold_rgb.bsdf", "found.bsdf"))
@@ -61,6 +62,11 @@ def test_a_photograph_is_completed(run, folder, library):
     assert document["plausibility"]["max_albedo"] <= 1.05
     assert set(document["expected"]) == {"ball", "cube_root", "linear"}
     assert "expected error" in out
+    page = (folder / "found.html").read_text()
+    assert page.count("data:image/png;base64") == 3  # two balls, and the photograph beside its prediction
+    for angle, units in document["gloss"].items():
+        assert f"<td>{angle}</td><td></td><td>{units:.3g}</td>" in page
+    assert all(note in unescape(page) for note in document["diagnostics"])
 
 
 def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):

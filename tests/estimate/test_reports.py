@@ -52,19 +52,46 @@ def test_the_report_of_a_completion_has_every_reading_with_its_difference(run, l
     assert not re.search(r'(src|href)="(?!data:|#)', page)  # nothing lies beside it
     for note in known["diagnostics"]:
         assert note in unescape(page)
+    shown = {row[0]: (row[1], row[2]) for row in rows(page) if len(row) == 3 and row[0] in known["gloss"]}
+    assert shown == {angle: ("", f"{units['completed']:.3g}") for angle, units in known["gloss"].items()}
+    assert list(shown) == ["20", "60", "85"]
 
 
 def test_a_batch_gives_a_report_each_and_a_page_that_leads_to_them(run, library, tmp_path):
     for name in ("red", "blue"):
         write_table(tmp_path / f"{name}.csv", name)
     status, _, err = run(
-        "complete", "red.csv", "blue.csv", "-L", library, "-o", "made", "--report", "all.html", cwd=tmp_path
-    )
+        "complete", "red.csv", "blue.csv", "-L", library, "-o", "made", "--report", "made/all.html",
+        "--json", "made/all.json", cwd=tmp_path,
+    )  # fmt: skip
     assert status == 0, err
-    page = (tmp_path / "all.html").read_text()
+    page = (tmp_path / "made" / "all.html").read_text()
     linked = re.findall(r'(?:src|href)="(.*?)"', page)
     assert len(linked) == 4
-    assert all((tmp_path / link).is_file() for link in linked)
+    assert all((tmp_path / "made" / link).is_file() for link in linked)
+    assert (tmp_path / "made" / "all.json").is_file()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("complete", "sample.csv", "-o", "c.bsdf"),
+        ("complete", "sample.csv", "-o", "c.bsdf", "--merge"),
+        ("complete", "--lab", "40,30,20", "--gloss", "60=50", "-o", "c.bsdf"),
+        ("complete", "sample.csv", "sample.csv", "-o", "c"),
+        ("convert", "sample.csv", "-o", "c.astm"),
+        ("calibrate", "sample.csv", "sample.csv", "-o", "c.json"),
+        ("photograph", "c.png", "--lamp", "found", "-o", "c.bsdf"),
+    ],
+    ids=lambda arguments: f"{arguments[0]} {arguments[1]} {arguments[-1]}",
+)
+def test_a_report_that_cannot_be_written_is_refused_before_the_work(run, library, tmp_path, arguments):
+    write_table(tmp_path / "sample.csv", "a")
+    for report in (".", "missing/report.html"):
+        status, _, err = run(*arguments, "--report", report, cwd=tmp_path)
+        assert status == 2
+        assert "cannot write this file" in err
+        assert [path.name for path in tmp_path.iterdir()] == ["sample.csv"]
 
 
 def test_conversions_and_colours_have_reports(run, library, tmp_path):

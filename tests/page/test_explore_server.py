@@ -132,7 +132,7 @@ def test_a_name_that_is_taken_gets_a_number_unless_its_file_may_be_replaced(serv
     assert (context.folder / "here.png").read_bytes() == b"made"
     for replace in (False, False, True):
         upload(served, "/do/complete", b"readings", {"name": "here", "replace": replace})
-    assert files(context) == ["here-2.png", "here-2_rgb.bsdf", "here.png", "here_rgb.bsdf"]
+    assert files(context) == ["here-2.png", "here-3.bsdf", "here-4.bsdf", "here.bsdf", "here.png"]
 
 
 def test_a_job_reports_its_progress_and_can_be_cancelled(context):
@@ -329,10 +329,10 @@ def test_files_need_plain_names_and_have_a_limit(served, context, headers):
 
 
 def test_dropped_readings_are_completed_under_their_name_and_removed(served, context):
-    (context.folder / "sample_rgb.png").write_bytes(b"of somebody")
+    (context.folder / "sample.png").write_bytes(b"of somebody")
     job = upload(served, "/do/complete", b"Geometry,400\n", {"name": "sample", "sample": "réd --force"})
     assert job.state == "done"
-    assert files(context) == ["sample-2_rgb.bsdf", "sample_rgb.png"]
+    assert files(context) == ["sample-2.bsdf", "sample.png"]
     assert job.call.arguments["sample"] == "réd --force"
     wait_until(lambda: not list(served.queue.inputs.iterdir()))
 
@@ -500,7 +500,7 @@ def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
         control(page, "#complete-file").set_input_files(
             {"name": "my readings.csv", "mimeType": "text/csv", "buffer": rows.encode()}
         )
-        page.locator("#jobs li[data-state=done]", has_text="complete my-readings_rgb.bsdf").wait_for()
+        page.locator("#jobs li[data-state=done]", has_text="complete my-readings.bsdf").wait_for()
         page.locator("#jobs img[alt*='my-readings']").wait_for(state="attached")
         control(page, "#action-name").fill("../mine")
         control(page, "#do-render").click()

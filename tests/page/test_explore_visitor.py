@@ -305,12 +305,12 @@ def test_dropped_files_are_located_completed_or_a_colour_by_what_they_hold(serve
     )
     page.locator("#caption", has_text="red.txt").wait_for()
     page.locator("#tab-export[aria-selected=true]").wait_for()
-    for title in ("locate b-", "complete my-sheet_rgb.bsdf"):
+    for title in ("locate b-", "complete my-sheet.bsdf"):
         page.locator("#jobs li[data-state=done]", has_text=title).wait_for()
     control(page, "#do-export").press("Enter")
     page.locator("#jobs li[data-state=done]", has_text="export here.glb").wait_for()
     called = {(job.call.command, job.call.subject) for job in served.queue.jobs}
-    assert called == {("locate", "b-"), ("complete", "my-sheet_rgb.bsdf"), ("export", "here.glb")}
+    assert called == {("locate", "b-"), ("complete", "my-sheet.bsdf"), ("export", "here.glb")}
     assert served_page.errors == []
 
 

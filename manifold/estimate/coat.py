@@ -280,21 +280,23 @@ def read_colours(
 ) -> list[ColourSample]:
     """Read the colours of a text or CSV file, of which a line is `[name] L a b`.
 
-    A header may order the columns (`name`, `L`, `a`, `b`), name their light and observer (`L* (D50/2)`), and add gloss
-    (`gloss_60`), which replaces `gloss`, that of all samples in units by angle in degrees. `viewing` is that of lists
-    which name none, by default D65/2.
+    A header may order the columns (`name`, `L`, `a`, `b`) and name their light and observer (`L* (D50/2)`); a comment
+    may name them as well. A header may add gloss (`gloss_60`), which replaces `gloss`, that of all samples in units by
+    angle in degrees. `viewing` is that of lists which name none, by default D65/2.
 
     Raises:
         FileFormatError: a line is no colour, or a name comes twice.
-        UsageError: the header names another light or observer than `viewing`.
+        UsageError: the header, or a comment, names another light or observer than `viewing`.
     """
     text = decode(disk.read_bytes(path, advice="name a text of lines of name, L, a, b", most=disk.MOST_TEXT))
-    rows = list_rows(data_lines(text.split("\n"), marks=("#",)))
+    lines = text.split("\n")
+    rows = list_rows(data_lines(lines, marks=("#",)))
     if not rows:
         raise FileFormatError(f"{path}: no colours, {_EXPECTED}")
     head = rows.pop(0)[1] if not any(number(cell) is not None for cell in rows[0][1]) else None
     width = 4 if head is None else len(head)
-    axes, seen = _lab_of_header(path, head, viewing)
+    comments = [line for line in lines if line.lstrip().startswith("#")]
+    axes, seen = _lab_of_header(path, head, column_heads.viewing_of_lines(comments), viewing)
     of_name = 0 if head is None else column_heads.name_column(head)
     found: dict[str, ColourSample] = {}
     for n, given in rows:
@@ -322,18 +324,16 @@ def read_colours(
     return list(found.values())
 
 
-def _lab_of_header(path: Path, head: list[str] | None, viewing: Viewing | None) -> tuple[list[int], Viewing]:
+def _lab_of_header(
+    path: Path, head: list[str] | None, commented: Viewing | None, viewing: Viewing | None
+) -> tuple[list[int], Viewing]:
     """Return the columns of L, a and b, and the light and observer of these values."""
-    if head is None:
-        return [1, 2, 3], viewing or DAYLIGHT
-    columns = column_heads.lab_columns(head, viewing)
+    columns = ([1, 2, 3], None) if head is None else column_heads.lab_columns(head, viewing)
     if columns is None:
-        raise FileFormatError(f"{path}: found the header {', '.join(head)[:60]}, {_EXPECTED}")
-    axes, said = columns
+        raise FileFormatError(f"{path}: found the header {', '.join(head or ())[:60]}, {_EXPECTED}")
+    axes, said = columns[0], columns[1] or commented
     if said is not None and viewing is not None and said != viewing:
-        raise UsageError(
-            f"{path}: the header says {said}, found {viewing}; leave --illuminant and --observer out"
-        )
+        raise UsageError(f"{path}: it says {said}, found {viewing}; leave --illuminant and --observer out")
     return axes, said or viewing or DAYLIGHT
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple
 
 from manifold.formats import quantities
@@ -24,13 +24,13 @@ _SEEN = (
     r"emergent)"
 )
 _POLAR = r"((theta|zenith|zen|polar|th)(angle)?|angle)"
-_POLAR_FIRST = r"((theta|zenith|zen|polar|th)(angle)?|angleof)"
+_POLAR_FIRST = r"((theta|zenith|zen|polar|th)(angle)?(of(the)?)?|angleof(the)?)"
 _AZIMUTH = r"(phi|azimuth|azimuthal|azi|az)(angle)?"
 _ANGLES = {
     "theta_i": rf"{_LIGHT}{_POLAR}|{_POLAR_FIRST}{_LIGHT}|ti|sza|aoi|incidence|inc|srcz",
-    "phi_i": rf"{_LIGHT}{_AZIMUTH}|{_AZIMUTH}{_LIGHT}|saa|poi|srca",
+    "phi_i": rf"{_LIGHT}{_AZIMUTH}|{_AZIMUTH}(of(the)?)?{_LIGHT}|saa|poi|srca",
     "theta_o": rf"{_SEEN}{_POLAR}|{_POLAR_FIRST}{_SEEN}|ts|vza|theta|viewz|emission|emi|emergence",
-    "phi_o": rf"{_SEEN}{_AZIMUTH}|{_AZIMUTH}{_SEEN}|vaa|phi|viewa",
+    "phi_o": rf"{_SEEN}{_AZIMUTH}|{_AZIMUTH}(of(the)?)?{_SEEN}|vaa|phi|viewa",
     RELATIVE: rf"(d|delta|diff|rel|relative){_AZIMUTH}|raa",
     PHASE: r"phase(angle)?|pha|angleofphase",
 }
@@ -42,6 +42,9 @@ _RADIANS = re.compile(r"(?<![a-z])rad(ians?)?(?![a-z])")
 _BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 _BAND = re.compile(
     rf"(?<![\d.,])(?P<number>\d+(?:[.,]\d+)?)[\s_]*(?P<unit>{LENGTH_UNIT}(?![a-z0-9]))?(?![\d.,]*\d)"
+)
+_MULTIPLE = re.compile(  # `1000*BRDF`, `10^3 BRDF`, `BRDF / 1000`
+    rf"\d\s*[*\u00d7\u00b7^]|[*\u00d7\u00b7]\s*\d|/\s*\d[\d.,]*(?![\d.,]|\s*{LENGTH_UNIT})"
 )
 _LEAST_NM, _MOST_NM = 150.0, 20_000.0
 _LARGEST_BARE_NM = 5000.0  # larger numbers without a unit are counts or values
@@ -85,6 +88,8 @@ _OF_VIEWING = (
 )
 _VIEWING = re.compile(_OF_VIEWING)
 _CIE_LIGHT = "(?:[ACE]|D[0-9]{2}|FL?[0-9]{1,2})"
+_LIGHT_SAID = re.compile(rf"\billuminant\W+({_CIE_LIGHT})(?![\w/])", re.IGNORECASE)
+_OBSERVER_SAID = re.compile(r"\bobserver\W+(2|10)(?![\d.,])", re.IGNORECASE)
 _VIEWING_OF_CIE = re.compile(rf"(?<![\w/]){_OF_VIEWING.replace('[A-Za-z]+[0-9]*', _CIE_LIGHT)}(?![\w/])")
 _LAB_AXES = "lab"
 _LAB = re.compile(rf"(?:CIE\s*)?(?P<axis>[LAaBbl])\s*\*?\s*([(\[]?\s*{_OF_VIEWING}\s*[)\]]?)?")
@@ -161,7 +166,7 @@ def value_head(head: str) -> ValueHead | None:
         return None
     text = quantities.plain(head)
     bands = list(_BAND.finditer(text))
-    if len(bands) > 1:
+    if len(bands) > 1 or _MULTIPLE.search(text):
         return None
     nm = None
     if bands:
@@ -202,7 +207,7 @@ def wavelength_unit(head: str) -> str | None:
     if len(head) > _LONGEST:
         return None
     text = head.strip().lower()
-    unit = re.search(rf"(?<![^\W_])({LENGTH_UNIT})(?![^\W_])[\s)\]]*$", text)
+    unit = re.search(rf"(?<![^\W_])({LENGTH_UNIT})(?![^\W_])[\s)\].]*$", text)
     words = re.findall(r"[^\W\d_]+", text[: unit.start()] if unit else text)
     words = [word for word in words if word != "in"]
     is_named = len(words) == 1 and words[0] in _WAVELENGTH_WORDS | _WAVENUMBER_WORDS
@@ -271,7 +276,7 @@ _UNCERTAIN = {
 }  # fmt: skip
 _BESIDE_UNCERTAIN = {
     "dev", "standard", "expanded", "combined", "relative", "rel", "c", "1", "one", "brdf", "bsdf", "f", "r", "brf",
-    "reff", "refl", "reflectance", "factor", "i", "k",
+    "reff", "radf", "rf", "refl", "reflectance", "factor", "i", "k",
 }  # fmt: skip
 _COVERAGE = re.compile(r"\bk\s*=\s*(\d(?:[.,]\d+)?)")
 
@@ -280,7 +285,7 @@ def uncertainty_head(head: str) -> UncertaintyHead | None:
     """Parse the head of a column of uncertainties, such as `Std. Dev.`, `u(BRDF)`; return None for others."""
     if len(head) > _LONGEST:
         return None
-    text = quantities.plain(head).replace("\u03c3", "sigma").replace("\u00b1", "std")
+    text = quantities.plain(re.sub(r"\u00b1|\+\s*/?\s*-", " std ", head)).replace("\u03c3", "sigma")
     said = _COVERAGE.search(text)
     text = _COVERAGE.sub(" ", text)
     bands = [
@@ -335,6 +340,18 @@ def viewing_in(text: str) -> Viewing | None:
     """Return the CIE light and observer that a text such as `Illuminant: D65/10` names; None for others."""
     found = _VIEWING_OF_CIE.search(text) if len(text) <= _LONGEST else None
     return None if found is None else _viewing(found)
+
+
+def viewing_of_lines(lines: Iterable[str]) -> Viewing | None:
+    """Return the CIE light and observer that lines name, such as `Illuminant: A` and `Observer: 10`; or None."""
+    lines = [line for line in lines if len(line) <= _LONGEST]
+    if (named := next((seen for line in lines if (seen := viewing_in(line)) is not None), None)) is not None:
+        return named
+    light, degrees = (
+        {found[1].upper() for line in lines for found in said.finditer(line)}
+        for said in (_LIGHT_SAID, _OBSERVER_SAID)
+    )
+    return Viewing(light.pop(), int(degrees.pop())) if len(light) == len(degrees) == 1 else None
 
 
 def _viewing(found: re.Match[str]) -> Viewing | None:

@@ -192,8 +192,9 @@ def _instrument(sheets: Mapping[str, list[list[Cell]]]) -> str:
 
 
 def _titles(sheets: Mapping[str, list[list[Cell]]]) -> list[str]:
-    """Return the texts at the top of all sheets."""
-    return [str(cell) for rows in sheets.values() for row in rows[:8] for cell in row if cell is not None]
+    """Return the texts at the top of all sheets: cells, then every row as one line."""
+    rows = [[str(cell) for cell in row if cell is not None] for top in sheets.values() for row in top[:8]]
+    return [cell for row in rows for cell in row] + [" ".join(row) for row in rows]
 
 
 def _viewing(sheets: Mapping[str, list[list[Cell]]]) -> Viewing:

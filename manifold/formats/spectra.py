@@ -35,6 +35,7 @@ _COUNTERS = {"chan", "channel", "band", "no", "nr", "index", "pixel", ""}  # col
 _PERCENT_OF_REFLECTANCE = re.compile(r"(refl\w*|\br)\W{0,3}(in\s+)?[(\[/]?\s*(%|per\s?cent)", re.IGNORECASE)
 _WAVENUMBERS_ABOVE = re.compile(r"wavenumber|cm\s?\^?-1|1\s?/\s?cm|angstrom|\beV\b", re.IGNORECASE)
 _CHANNELS = {"r": 0, "red": 0, "g": 1, "green": 1, "b": 2, "blue": 2}
+_UNITS_LINE = re.compile(r"\s*([XY])[ _]?UNITS?\s*[:=,;\t ]\s*(\S.*)", re.IGNORECASE)
 _WHOLE = "expected a text file of wavelengths and {}"
 _HEADS = {
     "reflectance": "Wavelength (nm), Reflectance (%)",
@@ -124,8 +125,8 @@ def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
             )
         rows.append([np.nan if value is None else value for value in values])
     above = [line for line in lines[: data[start][0] - 1] if line.strip()]
-    heads: list[str] = []
-    if above:
+    heads = _units_above(above, width)
+    if above and not heads:
         is_comment = above[-1].lstrip().startswith("#")
         heads = _cells(above[-1].lstrip("# "), separator)
         is_header = len(heads) == width and (
@@ -142,6 +143,12 @@ def _table(lines: list[str], wanted: Wanted, context: ErrorContext) -> _Columns:
             )
         heads, above = (heads, above[:-1]) if is_header else ([], above)
     return _Columns(heads, np.array(rows), above)
+
+
+def _units_above(above: list[str], width: int) -> list[str]:
+    """Return the heads of two columns whose units lines above say, as JASCO's texts do: `XUNITS`, `YUNITS`."""
+    said = {found[1].upper(): found[2] for line in above if (found := _UNITS_LINE.match(line)) is not None}
+    return [f"Wavelength ({said['X']})", said["Y"]] if width == len(said) == 2 else []
 
 
 def _cells(line: str, separator: str | None) -> list[str]:

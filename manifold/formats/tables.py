@@ -131,7 +131,7 @@ class Columns:
 
     def seen_under(self, texts: Iterable[str]) -> Columns:
         """Return the columns with the light and observer that one of the texts names, if no head does."""
-        named = next((seen for text in texts if (seen := column_heads.viewing_in(text)) is not None), None)
+        named = column_heads.viewing_of_lines(texts)
         if not self.is_viewing_assumed or named is None:
             return self
         return replace(self, viewing=named, is_viewing_assumed=False)

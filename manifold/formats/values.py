@@ -32,7 +32,7 @@ _PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are be
 _PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
 _STATEMENT = re.compile(
-    r"(?<![a-z])(?:wavelength|wellenl(?:\u00e4|ae)nge|lambda|\u03bb)[\s_/]*(?:in\s)?"
+    r"(?<![a-z])(?:wavelengths?|wellenl(?:\u00e4|ae)ngen?|lambda|\u03bb)[\s_/]*(?:in\s)?"
     rf"[(\[]?(?P<unit>{LENGTH_UNIT}(?![a-z]))?[)\]]?\s*(?:is\s|[:=,;])?\s*"
     r"(?P<number>(?:\d+(?:[.,]\d+)?|[.,]\d+)(?:e[-+]?\d+)?)(?P<rest>.*)"
 )

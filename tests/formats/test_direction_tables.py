@@ -114,6 +114,7 @@ def test_a_btdf_is_refused(tmp_path):
     [
         ("theta_i", "theta_i"), ("ThetaIn [rad]", "theta_i"), ("Incident angle (deg)", "theta_i"), ("AOI", "theta_i"),
         ("theta_i_deg", "theta_i"), ("\u03b8i [\u00b0]", "theta_i"), ("SZA", "theta_i"), ("Source zenith", "theta_i"),
+        ("Zenith angle of light [deg]", "theta_i"), ("Azimuth of the observer", "phi_o"),
         ("phi_in", "phi_i"), ("incident azimuth", "phi_i"), ("scatter_theta", "theta_o"), ("thetaR", "theta_o"),
         ("Viewing zenith angle", "theta_o"), ("detector angle", "theta_o"), ("\u03c6_r", "phi_o"), ("phi", "phi_o"),
         ("Viewing azimuth angle", "phi_o"), ("dphi", RELATIVE), ("relative azimuth", RELATIVE), ("theta_h", None),

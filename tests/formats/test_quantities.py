@@ -62,7 +62,8 @@ def test_numbers_keep_their_unit_whether_attached_or_in_brackets():
         ("# wavelength_nm: 633", 633), ("# Wellenl\u00e4nge: 632,8nm", 632.8),
         ("# wavelength: 633 nm (HeNe)", 633), ("Wavelength (nm), 633", 633),
         ("# wavelength 850 measured by x", 850), ("# wavelength: 400-700 nm", None), ("# wavelengths: 450, 550", None),
-        ("# wavelength: 450, 550, 650 nm", None), ("# wavelength 1 of 3", None), ("# wavelength: red", None),
+        ("# wavelength: 450, 550, 650 nm", None),
+        ("# wavelengths: 450, 550, 650 nm", None), ("# wavelength 1 of 3", None), ("# wavelength: red", None),
     ],
 )  # fmt: skip
 def test_comments_name_one_wavelength_or_none(comment, nm):
@@ -81,7 +82,8 @@ def test_a_comment_with_a_wavelength_that_is_none_is_refused(comment):
     ("head", "nm", "quantity"),
     [
         ("BRDF (633 nm)", 633, BRDF), ("R(633)", 633, FACTORS), ("BRDF@633nm", 633, BRDF), ("633 nm BRDF", 633, BRDF),
-        ("f_r (532 nm) [1/sr]", 532, BRDF), ("BRDF 1.55 \u00b5m", 1550, BRDF), ("BRDF 6328 \u00c5", 632.8, BRDF),
+        ("f_r (532 nm) [1/sr]", 532, BRDF),
+        ("BRDF/633nm", 633, BRDF), ("BRDF 1.55 \u00b5m", 1550, BRDF), ("BRDF 6328 \u00c5", 632.8, BRDF),
         ("log10(BRDF) 633nm", 633, quantity_of("lg brdf")), ("ln BRDF", None, quantity_of("ln brdf")),
         ("I/F", None, I_OVER_F), ("RADF", None, I_OVER_F), ("REFF", None, FACTORS), ("BRDF [sr^-1]", None, BRDF),
         ("Radiance coefficient (1/sr)", None, BRDF), ("Reflectance factor (%)", None, FACTORS),
@@ -111,6 +113,10 @@ def test_heads_say_what_their_values_are(head, nm, quantity):
         "Bidirectional reflectance",
         "dB",
         "BRDF 2",
+        "1000*BRDF",
+        "BRDF \u00d7 1000",
+        "10^3 BRDF",
+        "BRDF / 1000",
     ],
 )
 def test_heads_that_are_not_understood_are_no_values(head):
@@ -182,7 +188,8 @@ def test_heads_of_angles_are_understood_beside_each_other(heads, names):
     ("head", "unit"),
     [
         ("Wavelength (nm)", "nm"), ("wavelength_nm", "nm"), ("lambda", ""), ("Wavelength [um]", "um"),
-        ("cm^-1", "cm^-1"), ("Wavenumber", "cm-1"), ("Wellenl\u00e4nge / nm", "nm"), ("465nm", None), ("m", None),
+        ("cm^-1", "cm^-1"), ("Wavenumber", "cm-1"),
+        ("Wavelength nm.", "nm"), ("Wellenl\u00e4nge / nm", "nm"), ("465nm", None), ("m", None),
         ("A", None), ("theta", None),
     ],
 )  # fmt: skip
@@ -195,7 +202,8 @@ def test_heads_of_wavelengths_name_their_unit(head, unit):
     [
         ("Std. Dev.", (None, False, 1.0)), ("u(BRDF)", (None, False, 1.0)), ("sigma 633nm", (633.0, False, 1.0)),
         ("rel. uncertainty (%)", (None, True, 1.0)), ("U (k=2)", (None, False, 2.0)),
-        ("Expanded uncertainty", (None, False, 0.0)),
+        ("Expanded uncertainty", (None, False, 0.0)), ("RADF_err", (None, False, 1.0)), ("+/-", (None, False, 1.0)),
+        ("\u00b1", (None, False, 1.0)),
         ("BRDF", None), ("v", None), ("standard", None),
     ],
 )  # fmt: skip
@@ -405,6 +413,8 @@ def test_uncertainties_of_an_astm_table_weigh_its_readings(tmp_path):
     [
         ("Illuminant: A/10", Viewing("A", 10)),
         ("# 10\u00b0/D50", Viewing("D50", 10)),
+        ("# Illuminant: A, observer: 10", Viewing("A", 10)),
+        ("# Illuminant F11\n# Observer: 2\u00b0", Viewing("F11", 2)),
         ("45/0, 2026", Viewing("D65", 10)),
     ],
 )

@@ -74,6 +74,10 @@ REFLECTANCES = {
         "Chan.#\tWvl\tNorm. DN (Ref.)\tNorm. DN (Target)\tReflect. [1.0]", np.arange(7.0), NM, R + 1, R + 2, R,
         separator="\t", above=SED,
     ),
+    "a text of JASCO": table(
+        "XYDATA", 1e7 / NM, 100.0 * R, separator="\t", above="TITLE\tplate\nXUNITS\t1/CM\nYUNITS\t%R\n"
+    ),
+    "a point behind the unit": table('"Wavelength nm.","R%"', NM, 100.0 * R),
     "a .sp of Argyll": argyll("REFLECTIVE", 100.0, 100.0 * R),
     "a .sp of PerkinElmer": perkin_elmer("%R", 100.0 * R),
     "a .spdx": spdx("reflectance"),
@@ -113,6 +117,7 @@ def test_utf_16_of_spreadsheets_is_read(tmp_path):
         (table("Energy (eV),R", 1239.84 / NM, R), "columns Energy .eV., R: expected one that is called Wave"),
         (table("", 1e7 / NM, R, separator=" ", above="Wavenumber in cm-1, reflectance\n"), "expected a head for each"),
         (table("", NM, R, separator=" ", above="Absorbance of a dye\n"), "found 'Absorbance of a dye'"),
+        (table("XYDATA", NM, R, above="XUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\n"), "columns ABSORBANCE: expected"),
         (perkin_elmer("A", R), "columns A: expected exactly one of reflectance"),
         (argyll("EMISSION", 1.0, R), "columns emission: expected exactly one of reflectance"),
         (argyll("REFLECTIVE", 1.0, R[1:]), "6 values of 7 bands"),

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def by_residual(process: LatentProcess, i: int) -> Combination:
 
 RULES: dict[str, Callable[[LatentProcess, int], Combination]] = {
     "residual of raw values": by_residual,
-    "cube roots": lambda process, i: process.encode(i),
+    "cube roots": lambda process, i: replace(process, is_clipped=True).encode(i),
 }
 
 

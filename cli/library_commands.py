@@ -99,6 +99,12 @@ def fetch(
     anisotropic: Annotated[
         bool, typer.Option("--anisotropic", help="With no names: add the 11 anisotropic ones.")
     ] = False,
+    rgb: Annotated[
+        bool,
+        typer.Option(
+            "--rgb", help="RGB files instead of spectral ones; without names the 20 that the evaluation uses."
+        ),
+    ] = False,
     json: options.JsonOption = None,
 ) -> None:
     """Download measured materials of the RGL database, checksums verified.
@@ -114,6 +120,7 @@ def fetch(
             to,
             base_url=base_url or fetching.BASE_URL,
             anisotropic=anisotropic,
+            rgb=rgb,
         )
     results.rows(
         f"Files in {to}",

@@ -27,6 +27,12 @@ class Entry:
     size_bytes: int | None
     sha256: str | None
     is_isotropic: bool = True
+    is_rgb: bool = False
+
+    @property
+    def file(self) -> str:
+        """The name of its file."""
+        return f"{self.name}_{'rgb' if self.is_rgb else 'spec'}.bsdf"
 
 
 @cache
@@ -41,9 +47,27 @@ def rgl_table() -> Mapping[str, Entry]:
     return MappingProxyType({entry.name: entry for entry in entries})
 
 
+@cache
+def rgb_table() -> Mapping[str, Entry]:
+    """Return the RGB files of isotropic materials by name; those of docs/explanation/data.md have checksums."""
+    with (resources.files("manifold.library") / "rgl_rgb.tsv").open(encoding="utf-8") as lines:
+        sums = {row["material"]: row for row in csv.DictReader(lines, delimiter="\t")}
+    entries = []
+    for entry in rgl_table().values():
+        row = sums.get(entry.name, {"size_bytes": None, "sha256": None})
+        size = None if row["size_bytes"] is None else int(row["size_bytes"])
+        if entry.is_isotropic:
+            entries.append(Entry(entry.name, size, row["sha256"], is_rgb=True))
+    return MappingProxyType({entry.name: entry for entry in entries})
+
+
 def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic: bool) -> list[Entry]:
-    """Return the entries of some names, or all isotropic ones; with `anisotropic` the others as well."""
+    """Return the entries of some names, or all isotropic ones; with `anisotropic` the others as well.
+
+    RGB files without names are those with a checksum.
+    """
     if names is None:
+        table = {name: entry for name, entry in table.items() if entry.sha256 or not entry.is_rgb}
         return [entry for entry in table.values() if entry.is_isotropic or anisotropic]
     for name in names:
         if name not in table:
@@ -85,22 +109,25 @@ def fetch(
     *,
     base_url: str = BASE_URL,
     anisotropic: bool = False,
+    rgb: bool = False,
     table: Mapping[str, Entry] | None = None,
     timeout_s: float = 30.0,
     attempts: int = 4,
 ) -> FetchResult:
-    """Download `BASE/NAME/NAME_spec.bsdf` for each name into a folder, which is made if need be.
+    """Download `BASE/NAME/NAME_spec.bsdf` for each name into a folder, or with `rgb` `NAME_rgb.bsdf`.
 
     A file gets its final name when its SHA-256 is right. A file that is there already is hashed: the right one is left
     alone, any other one is replaced. One bad file does not stop the others.
 
-    Names of None are all isotropic ones, or with `anisotropic` also the others (1.2 GB more, no checksums known); the
+    Names of None are all isotropic ones, or with `anisotropic` also the others (1.2 GB more, no checksums known), or
+    with `rgb` the 20 whose checksums are known; the
     table is the database's own by default; a connection without data for `timeout_s` seconds counts as stalled;
     attempts are per file.
     """
-    entries = {
-        f"{e.name}_spec.bsdf": e for e in select(names, rgl_table() if table is None else table, anisotropic)
-    }
+    if rgb and anisotropic:
+        raise UsageError("found rgb and anisotropic, expected one: anisotropic files are spectral")
+    known = (rgb_table() if rgb else rgl_table()) if table is None else table
+    entries = {e.file: e for e in select(names, known, anisotropic)}
     _require_url(base_url)
     folder = Path(to)
     require_outside_libraries(folder, into=True)
@@ -114,10 +141,7 @@ def fetch(
         path=folder,
         base_url=base_url,
         registry={file: e.sha256 and f"sha256:{e.sha256}" for file, e in entries.items()},
-        urls={
-            file: f"{base_url.rstrip('/')}/{quote(e.name)}/{quote(e.name)}_spec.bsdf"
-            for file, e in entries.items()
-        },
+        urls={file: f"{base_url.rstrip('/')}/{quote(e.name)}/{quote(e.file)}" for file, e in entries.items()},
         retry_if_failed=attempts - 1,
     )
     downloaded: list[Path] = []
@@ -154,13 +178,14 @@ def fetch(
             failed[entry.name] = " ".join(str(error).split())
             is_reachable &= bool(downloaded) or not isinstance(error, requests.ConnectionError)
         meter.end()
-    there = [path for path in (*downloaded, *present) if path.stem.removesuffix("_spec") not in failed]
+    there = [path for path in (*downloaded, *present) if entries[path.name].name not in failed]
     unchecked = tuple(e.name for file, e in entries.items() if e.sha256 is None and folder / file in there)
     result = FetchResult(
         tuple(p for p in downloaded if p in there), tuple(p for p in present if p in there), unchecked
     )
     if failed:
-        raise IncompleteFetchError(_summary(len(entries), result, failed, folder), result, failed)
+        reasons = [f"{file}: {failed[entry.name]}" for file, entry in entries.items() if entry.name in failed]
+        raise IncompleteFetchError(_summary(len(entries), result, reasons, folder), result, failed)
     return result
 
 
@@ -217,18 +242,17 @@ class _Meter:
             raise FetchError(f"the server sends more than the expected {most} bytes")
         done = min(self._done, self._total or self._done)  # pooch counts whole blocks
         self._sizes[self._entry.name] = max(self._sizes[self._entry.name], done)
-        progress.report(self._before + done, sum(self._sizes.values()), f"{self._entry.name}_spec.bsdf")
+        progress.report(self._before + done, sum(self._sizes.values()), self._entry.file)
 
     def close(self) -> None:
         """Do nothing, because the next file follows."""
 
 
-def _summary(count: int, result: FetchResult, failed: dict[str, str], folder: Path) -> str:
-    reasons = [f"{name}_spec.bsdf: {reason}" for name, reason in failed.items()]
+def _summary(count: int, result: FetchResult, reasons: list[str], folder: Path) -> str:
     if count == 1:
         return reasons[0]
     done = len(result.downloaded) + len(result.present)
     return (
-        f"{len(failed)} of {count} files failed ({first_few(reasons, 3, '; ')}); {done} are in {folder}: "
+        f"{len(reasons)} of {count} files failed ({first_few(reasons, 3, '; ')}); {done} are in {folder}: "
         "run again for the others"
     )

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.paths import REPOSITORY
 from helpers.sample_files import write_samples
 
 from manifold import progress
 from manifold.errors import FetchError, UsageError
-from manifold.library.fetch import Entry, IncompleteFetchError, fetch, rgl_table
+from manifold.library.fetch import Entry, IncompleteFetchError, fetch, rgb_table, rgl_table, select
 
 CONTENT = np.random.default_rng(7).integers(0, 256, 300_000, dtype=np.uint8).tobytes()
 HASH = hashlib.sha256(CONTENT).hexdigest()
@@ -59,7 +60,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         name = self.path.split("/")[-2]
-        assert self.path == f"/materials/{name}/{name}_spec.bsdf"
+        assert self.path in (f"/materials/{name}/{name}_{kind}.bsdf" for kind in ("spec", "rgb"))
         self.server.requests.append(name)
         behaviour = self.server.behaviours.get(name, Behaviour(status=404))
         self.send_response(behaviour.status or (302 if behaviour.location else 200))
@@ -99,6 +100,29 @@ def test_the_table_holds_51_isotropic_and_11_anisotropic_files() -> None:
     assert len(isotropic) == 51
     assert sum(entry.size_bytes or 0 for entry in isotropic) == 397_553_744
     assert sum(not entry.is_isotropic and entry.sha256 is None for entry in rgl_table().values()) == 11
+
+
+def test_rgb_files_without_names_are_the_twenty_of_the_evaluation() -> None:
+    page = (REPOSITORY / "docs/explanation/data.md").read_text(encoding="utf-8")
+    chosen = select(None, rgb_table(), anisotropic=False)
+    assert len(chosen) == 20
+    for entry in chosen:
+        assert f"| `{entry.file}` | `{entry.sha256}` |" in page
+    assert [entry.file for entry in select(["satin_gold"], rgb_table(), False)] == ["satin_gold_rgb.bsdf"]
+
+
+def test_rgb_files_have_their_own_names(server: Server, tmp_path: Path) -> None:
+    server.behaviours = {"a": Behaviour(content=CONTENT)}
+    result = fetch(
+        ["a"],
+        tmp_path,
+        base_url=server.url,
+        rgb=True,
+        table={"a": Entry("a", len(CONTENT), HASH, is_rgb=True)},
+    )
+    assert [path.name for path in result.downloaded] == ["a_rgb.bsdf"]
+    with pytest.raises(UsageError, match="expected one"):
+        fetch(None, tmp_path, base_url=server.url, rgb=True, anisotropic=True)
 
 
 def test_files_arrive_whole_and_are_not_downloaded_again(server: Server, tmp_path: Path) -> None:

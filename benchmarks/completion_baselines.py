@@ -1,0 +1,122 @@
+"""Other ways to complete a BRDF from a few readings, with the readings and the library of `manifold complete`.
+
+Each takes `Problem` and returns f in 1/sr at the pairs where it is judged, (P, B). Materials of the library are single
+bands: every channel of every file is a sample, as Nielsen et al. take them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from manifold.brdf.measured import BRDF, values_at
+from manifold.directions import half_vector
+from manifold.pairs import Pairs, RusinkiewiczGrid
+from manifold.records import Array
+
+_EPSILON = 1e-3  # of the logarithm, in 1/sr, as Nielsen et al.
+_RIDGE = 40.0  # weight of the coefficients, as Nielsen et al.
+_STRIDE = 6  # one in so many pairs of the default grid has a part in the principal components
+_ROUGHNESS = np.geomspace(0.02, 1.0, 40)  # of the fitted lobe
+_F0 = 0.04  # reflectance of a dielectric; the strength of the lobe is free
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Readings f (R, B) in 1/sr at R pairs, the pairs at which a completion is judged, and the library's materials."""
+
+    read: Pairs
+    values: Array
+    judged: Pairs
+    materials: list[BRDF]
+
+    def samples(self, pairs: Pairs) -> Array:
+        """Values of all bands of all materials, at least 0, shape (P, n)."""
+        return np.maximum(np.hstack([values_at(material, pairs) for material in self.materials]), 0.0)
+
+
+def pca_ridge(problem: Problem) -> Array:
+    """Principal components of log-relative values, coefficients by ridge regression, band by band.
+
+    Source: Nielsen, Jensen & Ramamoorthi 2015, eq. 2 to 6: ln((f w + e) / (m w + e)), m the median of the samples.
+    """
+
+    def mapped(f: Array, pairs: Pairs) -> Array:
+        return np.log(f * np.maximum(pairs.cosines, 1e-3)[:, None] + _EPSILON)
+
+    places = [RusinkiewiczGrid.named("default").pairs(_STRIDE), problem.read, problem.judged]
+    samples = [problem.samples(pairs) for pairs in places]
+    medians = [np.median(f, axis=1, keepdims=True) for f in samples]
+    reference = [mapped(median, pairs) for median, pairs in zip(medians, places, strict=True)]
+    logs = [mapped(f, pairs) - m for f, pairs, m in zip(samples, places, reference, strict=True)]
+    means = [values.mean(axis=1, keepdims=True) for values in logs]
+    of_grid = logs[0] - means[0]
+    _, vectors = np.linalg.eigh(of_grid.T @ of_grid)
+    vectors = vectors[:, 1:]  # centred samples span one dimension less
+    _, read, judged = [(values - mean) @ vectors for values, mean in zip(logs, means, strict=True)]
+    wrong = mapped(np.maximum(problem.values, 0.0), problem.read) - reference[1] - means[1]
+    coefficients = np.linalg.solve(read.T @ read + _RIDGE * np.eye(read.shape[1]), read.T @ wrong)
+    found = np.exp(judged @ coefficients + means[2] + reference[2]) - _EPSILON
+    return np.maximum(found, 0.0) / np.maximum(problem.judged.cosines, 1e-3)[:, None]
+
+
+def nearest(problem: Problem) -> Array:
+    """The sample of the library whose cube roots, times a gain per band, are nearest to the readings."""
+    roots = np.cbrt(problem.samples(problem.read))  # [R, n]
+    target = np.cbrt(np.maximum(problem.values, 0.0))  # [R, B]
+    weight = np.cbrt(problem.read.cosines)[:, None]
+    roots, target = weight * roots, weight * target
+    gains = (roots.T @ target) / np.maximum(np.sum(roots**2, axis=0), 1e-30)[:, None]  # [n, B]
+    misfit = np.sum(target**2) - np.sum(gains**2 * np.sum(roots**2, axis=0)[:, None], axis=1)
+    best = int(np.argmin(misfit))
+    return problem.samples(problem.judged)[:, best : best + 1] * gains[best] ** 3
+
+
+def lobe(pairs: Pairs, alpha: float) -> Array:
+    """A GGX lobe with Schlick's Fresnel term and uncorrelated masking, (P,)."""
+    h = half_vector(pairs.wi, pairs.wo)
+    cos_i, cos_o, cos_h = pairs.wi[:, 2], pairs.wo[:, 2], h[:, 2]
+    cos_d = np.clip(np.sum(pairs.wi * h, axis=1), 0.0, 1.0)
+    a2 = alpha * alpha
+    D = a2 / (np.pi * (1.0 + cos_h**2 * (a2 - 1.0)) ** 2)
+
+    def masking(c: Array) -> Array:
+        return 2.0 * c / (c + np.sqrt(a2 + (1.0 - a2) * c * c))
+
+    fresnel = _F0 + (1.0 - _F0) * (1.0 - cos_d) ** 5
+    return D * fresnel * masking(cos_i) * masking(cos_o) / np.maximum(4.0 * cos_i * cos_o, 1e-9)
+
+
+def lambert_and_lobe(problem: Problem) -> Array:
+    """A Lambertian and one GGX lobe of one roughness, each with a strength per band, fitted by cube roots."""
+    target = np.cbrt(np.maximum(problem.values, 0.0))
+    best: tuple[float, float, Array] | None = None
+    for alpha in _ROUGHNESS:
+        columns = np.stack([np.full(len(problem.read), 1.0 / np.pi), lobe(problem.read, alpha)], axis=1)
+        # Weights that make small residuals of values those of cube roots: 1 / (3 f^(2/3)).
+        strengths, misfit = [], 0.0
+        for band in range(target.shape[1]):
+            weight = 1.0 / np.maximum(3.0 * target[:, band] ** 2, 1e-3)
+            found, _ = scipy.optimize.nnls(columns * weight[:, None], problem.values[:, band] * weight)
+            strengths.append(found)
+            misfit += float(np.sum((np.cbrt(columns @ found) - target[:, band]) ** 2))
+        if best is None or misfit < best[0]:
+            best = misfit, alpha, np.array(strengths).T
+    assert best is not None
+    _, alpha, strengths = best
+    return (
+        np.stack([np.full(len(problem.judged), 1.0 / np.pi), lobe(problem.judged, alpha)], axis=1) @ strengths
+    )
+
+
+def lambert(problem: Problem) -> Array:
+    """The mean of the readings everywhere."""
+    return np.tile(problem.values.mean(axis=0), (len(problem.judged), 1))
+
+
+BASELINES: dict[str, Callable[[Problem], Array]] = {
+    "pca_ridge": pca_ridge, "nearest": nearest, "lambert_and_lobe": lambert_and_lobe, "lambert": lambert,
+}  # fmt: skip

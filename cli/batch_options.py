@@ -162,9 +162,11 @@ def make_many(
     with what was made, before it is printed. For workers see `WorkerOptions.executor`.
     """
     from manifold.batch import MEASURED, batch, cell, notes_of
+    from manifold.estimate import inputs
 
     require_folder(output, outputs, command.suffix)
     folder = or_default(output, command.what)
+    inputs.require_apart([path for source in sources for path in inputs.files_of(source)], folder)
     with workers or nullcontext() as entered:
         made = batch(command, sources, folder, entered)
     if then is not None:

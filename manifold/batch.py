@@ -130,7 +130,7 @@ def batch(
     """
     made = Batch(command, folder, [])
     with ExitStack() as at_end:
-        at_end.enter_context(_only_run_in(folder, command.what))
+        at_end.enter_context(only_run_in(folder, command.what))
         index = OutputIndex(folder, command.what)
         outcomes, keys = _known(command, sources, folder, index)
         at_end.callback(made.write)  # also when it is interrupted
@@ -397,7 +397,7 @@ def make_folder(folder: Path, what: str) -> None:
 
 
 @contextmanager
-def _only_run_in(folder: Path, what: str) -> Iterator[None]:
+def only_run_in(folder: Path, what: str) -> Iterator[None]:
     """Make a folder, and hold its lock: results of two runs would be mixed."""
     make_folder(folder, what)
     lock = FileLock(folder / ".manifold.lock")

@@ -43,7 +43,7 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.pictures import renders as pictures
 from manifold.render import images
 from manifold.render.render import RenderSettings, require_d65
-from manifold.surface.files import make_surface
+from manifold.surface.files import require_textured, write_surface
 from manifold.surface.lamp_pictures import read_workbook
 
 Columns = dict[str, Callable[[Content], Any]]
@@ -149,8 +149,10 @@ def surfaces(library: Path, *, size: int, targets: Sequence[str]) -> Command[Sam
         "slope": lambda content: content["slope_std"][1],
         "glints": lambda content: content["sparkle"]["density"],
     }
-    how = {"library": Library(library).content_hash, "size": size, "targets": list(targets)}
-    make = partial(_make_surface, library=library, size=size, targets=targets)
+    require_textured(targets)
+    settings: dict[str, Any] = {"size": size, "targets": list(targets)}
+    how = {"library": Library(library).content_hash, **settings}
+    make = partial(_make_surface, library=library, **settings)
     return Command(
         "surfaces", make, how, ".json", columns=columns, under="glints", has_balls=True, beside=_textures_of
     )
@@ -160,9 +162,9 @@ def _textures_of(path: Path, content: Content) -> list[Path]:
     return [path.parent / name for name in content["files"].values()]
 
 
-def _make_surface(sample: Sample, path: Path, *, library: Path, size: int, targets: Sequence[str]) -> Content:
+def _make_surface(sample: Sample, path: Path, *, library: Path, **settings: Any) -> Content:
     pictures, readings = read_workbook(*sample.parts[0])
-    made = make_surface(library, pictures, readings, path.parent, name=path.stem, size=size, targets=targets)
+    made = write_surface(library, pictures, readings, path.parent, name=path.stem, **settings)
     seen = appearance(made.paths["mean"])
     if "picture" in made.paths:  # in place of the mean's ball: a plane, and the ball
         strip = images.read_display(made.paths["picture"])

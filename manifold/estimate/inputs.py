@@ -235,6 +235,15 @@ def require_apart(sources: Iterable[Path], folder: Path) -> None:
             raise UsageError(f"{folder}: is the folder of what is read; name another one for what is written")
 
 
+def files_of(source: object) -> list[Path]:
+    """Return the files that a source of an output is read from."""
+    if isinstance(source, Sample):
+        return [path for path, _ in source.parts]
+    if isinstance(source, Input) and isinstance(source.source, FileSource):
+        return [source.source.path]
+    return []
+
+
 MOST_POINTS = 100_000
 _COLOURS = ("like", "srgb", "reflectance")
 _SEPARATOR_LINE = re.compile(r"sep=.?", re.IGNORECASE)  # a first line for Excel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from manifold import __version__, disk
+from manifold.batch import only_run_in
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.reflectances import spectral_changes
@@ -29,6 +31,7 @@ from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.progress import Stages
+from manifold.records import Array
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, estimate_surface
@@ -110,7 +113,7 @@ def make_surface(
     size: int = 1024,
     targets: Sequence[str] = TARGETS,
 ) -> SurfaceFiles:
-    """Write the surface of a sample, as textures and as materials of engines.
+    """Write the surface of a sample, as textures and as materials of engines, while holding the folder's lock.
 
     Args:
         library: of measured materials, by which the readings are completed.
@@ -122,25 +125,37 @@ def make_surface(
         targets: of exports that take textures; none are written without readings.
 
     Raises:
-        UsageError: a target takes no textures, or the folder cannot be written.
+        UsageError: a target takes no textures, the folder cannot be written or another run writes to it, or a file
+            would replace an input.
         MissingLibraryError: there are readings, and no library.
     """
-    start = time.perf_counter()
-    textured = [name for name, target in EXPORTS.items() if target.textures]
-    if unknown := [name for name in targets if name not in textured]:
-        raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(textured)}")
-    stages = Stages({"completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder}: is a file, expected a folder for the surface's files")
+    require_textured(targets)
     if readings is not None:
         Library.open(library)  # refused before anything is written
-    folder.mkdir(parents=True, exist_ok=True)
+    _paths(pictures, readings, folder, name, targets)  # before the folder is made
+    with only_run_in(folder, "the surface's files"):
+        return write_surface(library, pictures, readings, folder, name=name, size=size, targets=targets)
+
+
+def write_surface(
+    library: Path,
+    pictures: SurfacePictures,
+    readings: Readings | None,
+    folder: Path,
+    *,
+    name: str | None,
+    size: int,
+    targets: Sequence[str],
+) -> SurfaceFiles:
+    """Write a surface into a folder whose lock is held; see `make_surface`."""
+    start = time.perf_counter()
+    paths = _paths(pictures, readings, folder, name, targets)
+    stages = Stages({"completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
+    disk.require_writable(paths["numbers"])
+    paths["numbers"].unlink(missing_ok=True)  # a run that stops leaves no numbers of other textures
     stages.begin("completing")
-    stem = name or ("surface" if readings is None else file_name(readings).removesuffix(".bsdf"))
-    paths = {}
     completed, brdf = None, None
     if readings is not None:
-        paths["mean"] = folder / f"{stem}.bsdf"
         completed = complete(library, readings, paths["mean"])
         brdf = MeasuredBRDF(read_bsdf(paths["mean"]))
     stages.begin("slopes and colours")
@@ -151,59 +166,93 @@ def make_surface(
     flakes = None
     if sparkle.flakes is not None and sparkle.density > _VISIBLE_SPARKLE:
         flakes = sparkle.flakes.drawn(size, np.random.default_rng(1))
-    paths |= _write_textures(folder, stem, surface, textures, brdf, flakes)
+    written = _write_textures(paths, surface.mean, textures, brdf, flakes)
     stages.begin("exports")
-    exports = {}
+    exports: dict[str, float] = {}
     if brdf is not None:
-        paths["picture"] = folder / f"{stem}.png"
         with ThreadPoolExecutor(1) as beside:  # drawn while models are fitted
             drawn = beside.submit(preview.strip, brdf, textures, flakes)
-            exports = write_exports(paths, folder, stem, textures, flakes, targets)
+            exports = write_exports(paths, textures, flakes, targets)
             write_image(paths["picture"], drawn.result())
+        written |= {"mean", "picture"}.union(*(_kinds_of(target, flakes) for target in exports))
     notes = _notes(pictures, surface, sparkle, completed)
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(
-        folder, surface, sparkle, textures, completed, MappingProxyType(exports), MappingProxyType(paths), notes,
+        folder, surface, sparkle, textures, completed, MappingProxyType(exports),
+        MappingProxyType({kind: path for kind, path in paths.items() if kind in {*written, "numbers"}}), notes,
         time.perf_counter() - start,
     )  # fmt: skip
-    paths["numbers"] = folder / f"{stem}.json"
     document = {"program": f"manifold {__version__}", **made.to_json()}
     disk.write_text(paths["numbers"], json.dumps(document, indent=2, allow_nan=False) + "\n")
     return made
 
 
+def require_textured(targets: Sequence[str]) -> None:
+    """Raise UsageError if a target takes no textures."""
+    textured = [name for name, target in EXPORTS.items() if target.textures]
+    if unknown := [name for name in targets if name not in textured]:
+        raise UsageError(f"found the target {unknown[0]!r}, expected one of {', '.join(textured)}")
+
+
+def _paths(
+    pictures: SurfacePictures,
+    readings: Readings | None,
+    folder: Path,
+    name: str | None,
+    targets: Sequence[str],
+) -> dict[str, Path]:
+    """Return the paths of all files that a surface may have, by kind; raise UsageError if one is an input."""
+    stem = name or ("surface" if readings is None else file_name(readings).removesuffix(".bsdf"))
+    endings = {
+        "mean": ".bsdf", "albedo": "_albedo.png", "normal": "_normal.png", "height": "_height.exr",
+        "changes": "_changes.exr", "flakes": "_flakes.png", "flake_weights": "_flake_weights.png",
+        "mitsuba": "_mitsuba.xml", "picture": ".png",
+    }  # fmt: skip
+    for target in targets:
+        endings |= {
+            target: f"_{target}{EXPORTS[target].suffix}", f"{target}_base": f"_{target}_base.png",
+            f"{target}_coat": f"_{target}_coat.png",
+        }  # fmt: skip
+    paths = {kind: folder / f"{stem}{ending}" for kind, ending in (endings | {"numbers": ".json"}).items()}
+    inputs = {os.path.realpath(source) for source in pictures.sources}
+    for path in paths.values():
+        if os.path.realpath(path) in inputs:
+            raise UsageError(f"{path}: is an input of this command; name another folder")
+    return paths
+
+
+def _kinds_of(name: str, flakes: DrawnFlakes | None) -> set[str]:
+    """Return the kinds of a target's files."""
+    return {name, f"{name}_base"} | ({f"{name}_coat"} if _shows_flakes(name, flakes) else set())
+
+
+def _shows_flakes(name: str, flakes: DrawnFlakes | None) -> bool:
+    return flakes is not None and "coat_normal" in EXPORTS[name].textures
+
+
 def _write_textures(
-    folder: Path, stem: str, surface: Surface, textures: Textures, brdf: MeasuredBRDF | None,
+    paths: Mapping[str, Path], mean: Array, textures: Textures, brdf: MeasuredBRDF | None,
     flakes: DrawnFlakes | None,
-) -> dict[str, Path]:  # fmt: skip
-    """Write the files for renderers; return their paths by kind."""
-    mean = folder / f"{stem}.bsdf"
-    paths = {
-        "albedo": folder / f"{stem}_albedo.png",
-        "normal": folder / f"{stem}_normal.png",
-        "height": folder / f"{stem}_height.exr",
-        "changes": folder / f"{stem}_changes.exr",
-    }
-    write_display(paths["albedo"], encode_srgb(np.clip(surface.mean * textures.albedo, 0.0, 1.0)))
+) -> set[str]:  # fmt: skip
+    """Write the files for renderers; return their kinds."""
+    written = {"albedo", "normal", "height", "changes"}
+    write_display(paths["albedo"], encode_srgb(np.clip(mean * textures.albedo, 0.0, 1.0)))
     write_display(paths["normal"], 0.5 + 0.5 * textures.normal)
     write_image(paths["height"], np.repeat(textures.height[..., None], 3, axis=-1))
     if flakes is not None:
-        paths |= {
-            "flakes": folder / f"{stem}_flakes.png",
-            "flake_weights": folder / f"{stem}_flake_weights.png",
-        }
         normals = np.where(flakes.mask[..., None], flakes.normal, textures.normal)
         write_display(paths["flakes"], 0.5 + 0.5 * normals)
         write_display(paths["flake_weights"], np.repeat(flakes.share * flakes.mask[..., None], 3, axis=-1))
+        written |= {"flakes", "flake_weights"}
     changes = textures.albedo
     if brdf is not None:
         wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
         changes = spectral_changes(textures.albedo, brdf.eval(wi, wo)[0], brdf.bands)
-        paths["mitsuba"] = folder / f"{stem}_mitsuba.xml"
-        disk.write_text(paths["mitsuba"], mitsuba_document(paths | {"mean": mean}, flakes))
+        disk.write_text(paths["mitsuba"], mitsuba_document(paths, flakes))
+        written.add("mitsuba")
     write_image(paths["changes"], changes.astype(np.float16))  # steps of 1 / 2000
-    return paths
+    return written
 
 
 _MITSUBA = """<!-- A surface of manifold: call manifold.surface.bsdf.register() before mi.load_file.
@@ -240,27 +289,24 @@ def _texture(name: str, path: Path, filter_type: str = "bilinear") -> str:
 
 
 def write_exports(
-    paths: dict[str, Path], folder: Path, stem: str, textures: Textures, flakes: DrawnFlakes | None,
-    targets: Sequence[str],
-) -> dict[str, float]:  # fmt: skip
-    """Fit engines' models to the mean and write them with textures; their differences on the ball.
+    paths: Mapping[str, Path], textures: Textures, flakes: DrawnFlakes | None, targets: Sequence[str]
+) -> dict[str, float]:
+    """Fit engines' models to the mean, write them with textures, and return their differences on the ball.
 
     Flakes are coats with normals of their own, in place of what coat there is around them.
     """
     from manifold.fit import exporting
 
     subject = exporting.subject_of(paths["mean"])
-    found = {}
+    balls = {}
     for name in targets:
         target = EXPORTS[name]
 
-        def written(values: Mapping[str, Any], target: Target = target) -> TextureFiles:
-            path = folder / f"{stem}_{target.name}_base.png"
+        def write_files(values: Mapping[str, Any], name: str = name, target: Target = target) -> TextureFiles:
             base = np.asarray(values[target.base_colour])
-            write_display(path, encode_srgb(np.clip(base * textures.albedo, 0.0, 1.0)))
-            if flakes is None or "coat_normal" not in target.textures:
-                return TextureFiles(path, paths["normal"])
-            coat = folder / f"{stem}_{target.name}_coat.png"
+            write_display(paths[f"{name}_base"], encode_srgb(np.clip(base * textures.albedo, 0.0, 1.0)))
+            if flakes is None or not _shows_flakes(name, flakes):
+                return TextureFiles(paths[f"{name}_base"], paths["normal"])
             ior = next((value for key, value in values.items() if key.lower() in _COAT_IORS), 1.5)
             flake = (
                 min(flakes.flakes.reflectance / ior_to_f0(ior), 1.0),
@@ -268,13 +314,14 @@ def write_exports(
                 0.0,
             )
             around = *(values[key] for key in target.coat[:2]), 0.0
-            write_display(coat, np.where(flakes.mask[..., None], flake, around))
-            return TextureFiles(path, paths["normal"], coat, paths["flakes"])
+            write_display(paths[f"{name}_coat"], np.where(flakes.mask[..., None], flake, around))
+            return TextureFiles(
+                paths[f"{name}_base"], paths["normal"], paths[f"{name}_coat"], paths["flakes"]
+            )
 
-        paths[name] = folder / f"{stem}_{name}{target.suffix}"
-        outcome = exporting.export(subject, target, paths[name], textures=written)
-        found[name] = float((outcome.content or {})["errors"]["ball"])
-    return found
+        outcome = exporting.export(subject, target, paths[name], textures=write_files)
+        balls[name] = float((outcome.content or {})["errors"]["ball"])
+    return balls
 
 
 def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, ...]:
@@ -282,7 +329,7 @@ def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, .
     notes = tuple(
         f"{name}: no flakes, its coat has the normals of its base"
         for name in targets
-        if "coat_normal" not in EXPORTS[name].textures
+        if not _shows_flakes(name, flakes)
     )
     if (reflectance := flakes.flakes.reflectance) > (most := ior_to_f0(1.5)):
         notes += (f"flakes reflect {reflectance:.2f} straight on, those of engines' materials {most:.2f}",)

@@ -44,6 +44,7 @@ class SurfacePictures:
         means: mean linear sRGB that readings give for each picture, a white diffuser being 1, shape (J, 3); NaN where
             there is no reading.
         notes: what was assumed, in sentences.
+        sources: files that they were read from.
     """
 
     name: str
@@ -53,6 +54,7 @@ class SurfacePictures:
     labels: tuple[str, ...]
     means: Array
     notes: tuple[str, ...] = ()
+    sources: tuple[Path, ...] = ()
 
     @property
     def is_diffuse(self) -> Mask:
@@ -106,7 +108,7 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
     values, registered = _registered(values)
     pictures = SurfacePictures(
         readings.name, values, in_plane(angles), in_plane(-found[captions[0]][0]), captions, np.array(means),
-        registered,
+        registered, (path,),
     )  # fmt: skip
     if (fault := odd_picture(captions, pictures.factors)) is not None:
         raise FileFormatError(f"{path}: {fault}")
@@ -141,6 +143,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
         pictures[0].parent.resolve().name, values, directions, np.array([0.0, 0.0, 1.0]),
         tuple(path.name for path in pictures), np.full((len(found), 3), np.nan),
         ("no readings: colours are relative to the brightest mean, slopes as steep as a Lambertian's would be",),
+        (*pictures, lamps),
     )  # fmt: skip
 
 

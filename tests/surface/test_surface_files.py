@@ -9,6 +9,7 @@ import shutil
 from dataclasses import replace
 
 import numpy as np
+import OpenImageIO
 import pytest
 import surface_twins
 from helpers.browser import chromium
@@ -19,9 +20,10 @@ from PIL import Image
 from surface_twins import CAPTIONS, workbook
 from typer.testing import CliRunner
 
+from manifold.batch import only_run_in
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
-from manifold.colour.conversion import decode_srgb, file_to_srgb, to_srgb
+from manifold.colour.conversion import decode_srgb, encode_srgb, file_to_srgb, to_srgb
 from manifold.colour.reflectances import spectral_changes, weights_at
 from manifold.errors import FileFormatError, MissingFileError, UsageError
 from manifold.fit.exports import TARGETS
@@ -35,7 +37,7 @@ from manifold.render import backend
 from manifold.render.images import read_display, write_display
 from manifold.surface import files, preview
 from manifold.surface.files import mitsuba_document
-from manifold.surface.lamp_pictures import in_plane
+from manifold.surface.lamp_pictures import files_in, in_plane, read_folder
 from manifold.surface.sparkle import Flakes
 from manifold.surface.tiling import Textures
 from manifold.surface.written import read_surface
@@ -232,7 +234,8 @@ def test_the_command_prints_and_writes_numbers(printed):
     assert numbers["pictures"] == list(CAPTIONS)
     assert numbers["instrument"] == [{"Name": "twin", "Geometry": "15d", "Graininess": 3.5}]
     assert "Graininess 3.5" in output
-    assert all((folder / name).is_file() for name in numbers["files"].values())
+    written = {path.name for path in folder.iterdir()} - {".manifold.lock"}
+    assert set(numbers["files"].values()) == written
     base = decode_srgb(read_display(folder / "twin_gltf_base.png")).mean(axis=(0, 1))
     np.testing.assert_allclose(base, base.mean(), rtol=0.05)  # of a grey twin
 
@@ -327,6 +330,82 @@ def test_mitsuba_loads_the_surface_s_document_with_its_flakes(printed):
     (folder / "with_flakes.xml").write_text(mitsuba_document(paths, flakes))
     loaded = str(mi.load_file(str(folder / "with_flakes.xml")))
     assert all(word in loaded for word in ("SurfaceBSDF", "RoughConductor", "BlendBSDF"))
+
+
+def _photographs(folder):
+    """Write six photographs of 16 bits, of a textured paint under lamps around; return their lamps."""
+    folder.mkdir()
+    bright = np.exp(0.4 * surface_twins.rough(np.random.default_rng(0), (280, 300)))
+    bright = 0.6 * (bright / bright.max())[..., None] * np.array([1.0, 0.8, 0.6])
+    lines = []
+    for k in range(6):
+        values = np.round(65535 * encode_srgb(bright)).astype(np.uint16)
+        spec = OpenImageIO.ImageSpec(300, 280, 3, "uint16")
+        output = OpenImageIO.ImageOutput.create(str(folder / f"{k}.png"))
+        output.open(str(folder / f"{k}.png"), spec)
+        output.write_image(values)
+        output.close()
+        lines.append(f"{0.6 * np.cos(k):.6f} {0.6 * np.sin(k):.6f} 0.8")
+    lamps = folder.parent / "lamps.txt"
+    lamps.write_text("\n".join(lines) + "\n")
+    return lamps
+
+
+@pytest.mark.parametrize("named", ["surface_albedo.png", "surface.json"])
+def test_a_surface_never_replaces_its_pictures_or_lamps(named, tmp_path):
+    folder = tmp_path / "photos"
+    lamps = _photographs(folder)
+    source = lamps if named.endswith(".json") else folder / "3.png"
+    named = source.rename(folder / named)
+    before = named.read_bytes()
+    words = ["surface", str(folder), "--lamp", str(named if source == lamps else lamps), "-o", str(folder)]
+    result = CliRunner().invoke(app, [*words, "--size", "192"])
+    assert (bool(result.exit_code), named.read_bytes()) == (True, before)
+    assert f"{named}: is an input of this command" in str(result.exception)
+    assert not (folder / ".manifold.lock").exists()
+
+
+def test_a_surface_never_replaces_its_workbook(tmp_path, library):
+    workbook(tmp_path / "twin.json.xlsx", np.random.default_rng(3))
+    path = (tmp_path / "twin.json.xlsx").rename(tmp_path / "twin.json")
+    before = path.read_bytes()
+    result = CliRunner().invoke(app, ["surface", str(path), "-L", str(library), "-o", str(tmp_path)])
+    assert (bool(result.exit_code), path.read_bytes()) == (True, before)
+    assert "twin.json: is an input of this command" in str(result.exception)
+
+
+def test_a_batch_does_not_write_beside_its_workbooks_by_default(tmp_path, library, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "surfaces").mkdir()
+    workbook(tmp_path / "surfaces" / "twin.xlsx", np.random.default_rng(3))
+    result = CliRunner().invoke(app, ["surface", "surfaces", "-L", str(library), "--target", "gltf"])
+    assert "surfaces: is the folder of what is read" in str(result.exception)
+    assert [path.name for path in (tmp_path / "surfaces").iterdir()] == ["twin.xlsx"]
+
+
+def test_two_runs_do_not_write_a_surface_into_one_folder(tmp_path):
+    lamps = _photographs(tmp_path / "photos")
+    pictures = read_folder(files_in([tmp_path / "photos"]), lamps)
+    with (
+        only_run_in(tmp_path / "made", "results"),
+        pytest.raises(UsageError, match="another run writes to it"),
+    ):
+        files.make_surface(tmp_path, pictures, None, tmp_path / "made", size=192)
+
+
+def test_a_run_that_stops_leaves_no_numbers_of_other_textures(tmp_path, monkeypatch):
+    lamps = _photographs(tmp_path / "photos")
+    pictures = read_folder(files_in([tmp_path / "photos"]), lamps)
+    made = files.make_surface(tmp_path, pictures, None, tmp_path / "made", size=192)
+    assert made.paths["numbers"].is_file()
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(files, "write_image", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        files.make_surface(tmp_path, pictures, None, tmp_path / "made", size=200)
+    assert not made.paths["numbers"].exists()
 
 
 def test_a_missing_library_leaves_no_folder_behind(tmp_path):
@@ -453,18 +532,19 @@ def test_a_sparkling_surface_has_flakes_in_engines_whose_coats_have_normals_of_t
     shutil.copytree(printed[1], folder)
     flakes = Flakes(100.0, 4.0, 0.3, 0.09, 0.02).drawn(192, np.random.default_rng(0))
     flat = Textures(np.ones((192, 192, 3)), np.zeros((192, 192, 2)), np.zeros((192, 192)))
-    paths = {
-        "mean": folder / "twin.bsdf",
-        "normal": folder / "twin_normal.png",
-        "flakes": folder / "twin_flakes.png",
+    endings = {"mean": ".bsdf", "normal": "_normal.png", "flakes": "_flakes.png", "gltf": "_gltf.glb"}
+    endings |= {"usd": "_usd.usda"} | {
+        f"{n}_{kind}": f"_{n}_{kind}.png" for n in ("gltf", "usd") for kind in ("base", "coat")
     }
+    paths = {kind: folder / f"twin{ending}" for kind, ending in endings.items()}
     write_display(paths["flakes"], 0.5 + 0.5 * flakes.normal)
-    files.write_exports(paths, folder, "twin", flat, flakes, ("gltf", "usd"))
+    files.write_exports(paths, flat, flakes, ("gltf", "usd"))
     document, _ = read_glb(folder / "twin_gltf.glb")
     assert document["materials"][0]["extras"]["textures"]["coat_normal"] == "twin_flakes.png"
     coat = read_display(folder / "twin_gltf_coat.png")[flakes.mask]
     np.testing.assert_allclose(coat, np.broadcast_to([0.5, 0.3, 0.0], coat.shape), atol=0.003)
-    assert "flakes" not in (folder / "twin_usd.usda").read_text()
+    assert "flakes" not in paths["usd"].read_text()
+    assert not paths["usd_coat"].exists()
     (note,) = files.notes_of_flakes(flakes, ("gltf", "usd"))
     assert note.startswith("usd: no flakes")
 

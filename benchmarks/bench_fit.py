@@ -22,9 +22,10 @@ import numpy as np
 from neural_fits import read_neural_fits
 
 from manifold.analytic import corpus
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.fit import fit_samples
+from manifold.fit import fit_samples, fits
 from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.identifiability import DETERMINED
@@ -153,7 +154,7 @@ def json_difference(result: FitResult, samples: FitSamples) -> float:
     """Largest difference of the BSDF that the written JSON re-creates, over the largest value."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fit.json"
-        fit_json.write_document(path, fit_json.document(result, fit_json.Source("benchmark")))
+        fit_json.write_document(path, fits.document(result, fit_json.Source("benchmark")))
         bsdf = fit_json.read_bsdf(path)
     mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
     si = dr.zeros(mi.SurfaceInteraction3f, len(samples))

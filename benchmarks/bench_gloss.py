@@ -15,7 +15,8 @@ import numpy as np
 
 from manifold.analytic.ggx import GGX, GGXMixture
 from manifold.analytic.microfacet import Plastic
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
@@ -29,8 +30,6 @@ from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error, relative_error
 from manifold.records import Array, Bands
-from manifold.render import fit_json
-from manifold.render.fitted_brdf import FittedBRDF
 
 MATT = 10.0  # gloss units at 60 degrees
 NOISE = 0.02
@@ -72,7 +71,7 @@ def errors(truth: BRDF, made: BRDF, atoms: LibraryAtoms) -> tuple[float, float, 
 def principled(read: Readings) -> BRDF:
     """Mitsuba's principled BSDF fitted to readings."""
     fitted = fit_bsdf(FitSamples.from_arrays(read.wi, read.wo, read.values, bands=read.bands))
-    return FittedBRDF(fit_json.document(fitted, fit_json.Source(read.name)))
+    return fitted.brdf
 
 
 def main() -> None:

@@ -208,8 +208,6 @@ def _write_chart(made: Chart, results: terminal.Results, output: Path | None) ->
             results.sentence(
                 f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}"
             )
-    for key, reason in made.skipped.items():
-        results.sentence(f"{key} was skipped: {reason}")
     results.document(made)
     if output is not None:
         figures.save(chart_figure.chart(made), output)

@@ -58,7 +58,7 @@ TRIED = (
 
 FIT = "predicted.fit.json"
 
-_NO_MITSUBA = "nothing is rendered or fitted, since Mitsuba is missing"
+_NO_MITSUBA = "nothing is rendered, since Mitsuba is missing"
 _STYLE = """
 :root { color-scheme: light dark; font: 16px/1.5 system-ui, sans-serif; }
 body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
@@ -109,7 +109,7 @@ def run(
     """Make a corpus, a library, a model, a prediction, its renders, a report, a fit and a page (`index.html`).
 
     Measured materials, library and fit of an earlier demo in the folder are kept; all else is made anew. Without
-    Mitsuba nothing is rendered or fitted.
+    Mitsuba nothing is rendered.
 
     Args:
         folder: where everything goes; made if missing.
@@ -171,13 +171,12 @@ def run(
     disk.write_text(text, format_report(report))
     disk.write_text(document, json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
     add(f"Report of errors. {lead(report)}", text, document)
-    if has_mitsuba:
-        _fit(folder, path)
-        add(
-            "Parameters of a game engine's model (principled), fitted to the prediction",
-            folder / "predicted.fit.png",
-            folder / FIT,
-        )
+    _fit(folder, path, has_mitsuba)
+    add(
+        "Parameters of a game engine's model (principled), fitted to the prediction",
+        *([folder / "predicted.fit.png"] if has_mitsuba else []),
+        folder / FIT,
+    )
     if everything:
         _make_the_rest(folder, fitted, has_mitsuba, add)
     with progress.shown("Writing the page"):
@@ -241,14 +240,15 @@ def _render_settings(illuminant: str) -> RenderSettings:
     return RenderSettings(illuminant=Illuminant.named(illuminant))
 
 
-def _fit(folder: Path, predicted: Path) -> None:
+def _fit(folder: Path, predicted: Path, has_mitsuba: bool) -> None:
     from manifold.fit import fits
     from manifold.fit.comparison import picture_of_fit
     from manifold.fit.fits import FitSettings
 
     with progress.shown("Fitting game parameters to the prediction"):
         fits.fit(predicted, folder / FIT, FitSettings())
-        picture_of_fit(folder / FIT, predicted, folder / "predicted.fit.png")
+        if has_mitsuba:
+            picture_of_fit(folder / FIT, predicted, folder / "predicted.fit.png")
 
 
 def _pictures(made: Sequence[Made]) -> list[Path]:

@@ -68,7 +68,7 @@ class NumericalError(ManifoldError, ArithmeticError):
 
 
 class RendererError(ManifoldError, RuntimeError):
-    """Mitsuba, which rendering and fitting need, is missing, or lacks the backend that a method needs."""
+    """Mitsuba, which rendering needs, is missing, or lacks the backend that an evaluation needs."""
 
 
 class MissingPackageError(ManifoldError, ImportError):

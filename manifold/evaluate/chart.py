@@ -48,7 +48,6 @@ class Chart:
         folds: of the cross-validation.
         reference_seconds: median processor time of the reference, in which all times are.
         scaled: what was measured in part, and how it was scaled to the whole.
-        skipped: settings that this machine cannot run, and why.
     """
 
     rows: tuple[ChartRow, ...]
@@ -58,7 +57,6 @@ class Chart:
     folds: int
     reference_seconds: float
     scaled: dict[str, float]
-    skipped: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
         """Return the chart as plain values."""
@@ -132,7 +130,6 @@ def make_chart(
         known[key]  # checks it
     kept = KeptResults(library, f"chart-3 {[*names]} {[*only]} {grid} {fitted} {platform.node()}")
     rows = _from_arrays(kept.get())
-    skipped: dict[str, str] = {}
     how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted)
     todo = [key for key in only or known if key not in rows]
     tasks: list[list[str]]
@@ -145,12 +142,9 @@ def make_chart(
         measure = partial(_measure_there, library=library.path, names=names, how=how)
         tasks = _that_share_fits(todo, known)
     reference_seconds, scaled = 0.0, dict[str, float]()
-    for k, measured, failure in work.run(measure, tasks, workers):
+    for _, measured, failure in work.run(measure, tasks, workers):
         if measured is None:
-            if isinstance(known[tasks[k][0]], Method):
-                raise ManifoldError(failure)
-            skipped[tasks[k][0]] = str(failure)
-            continue
+            raise ManifoldError(failure)
         for row in measured.rows:
             rows[row.key] = row
             kept.put(_to_arrays(rows))
@@ -160,7 +154,7 @@ def make_chart(
     kept.finish()
     return Chart(
         measured_rows, fronts(measured_rows), len(files), files[0].bands.count, min(FOLDS, len(files)),
-        reference_seconds, scaled, skipped,
+        reference_seconds, scaled,
     )  # fmt: skip
 
 

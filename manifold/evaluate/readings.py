@@ -26,8 +26,6 @@ from manifold.metrics import Errors
 from manifold.names import Registry
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Indices, plain
-from manifold.render import fit_json
-from manifold.render.fitted_brdf import FittedBRDF
 
 _RIDGE = 1e-3  # share of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
 
@@ -143,8 +141,7 @@ def _principled(task: Task, chosen: Indices) -> Predicted:
     except UsageError:
         empty = [np.full((len(p.wi), read.bands.count), np.nan) for p in (grid, lights)]
         return empty[0], empty[1]
-    brdf = FittedBRDF(fit_json.document(fitted, fit_json.Source(read.name)))
-    return brdf.eval(grid.wi, grid.wo), brdf.eval(lights.wi, lights.wo)
+    return fitted.brdf.eval(grid.wi, grid.wo), fitted.brdf.eval(lights.wi, lights.wo)
 
 
 METHODS: Registry[ReadingMethod] = Registry(

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.evaluate.cross_validation import Encode, Method
 from manifold.evaluate.held_out import ChartRow, HeldOut
 from manifold.evaluate.method_data import Data
@@ -20,9 +20,8 @@ from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values
 from manifold.pairs import Pairs
 from manifold.records import Array, BsdfFile, Indices, evenly_spaced
-from manifold.render import backend, fit_json
+from manifold.render import backend
 from manifold.render.bsdf_evaluation import evaluator
-from manifold.render.fitted_brdf import FittedBRDF
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +58,7 @@ def seen_principled() -> Method:
 
     def fit_principled(data: Data, training: Indices) -> Encode:
         def encode(i: int) -> Combination:
-            material = data.materials[i]
-            content = fit_json.document(fit_bsdf(material), fit_json.Source(material.name))
-            return FittedPrediction.of(FittedBRDF(content), data.n_bands)
+            return FittedPrediction.of(fit_bsdf(data.materials[i]).brdf, data.n_bands)
 
         return encode
 

@@ -6,23 +6,22 @@ geometries. Where it gives no numbers (learning rate, penalty, window of the con
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from manifold.analytic.principled import LUMINANCE
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
 from manifold.directions import to_rusinkiewicz
-from manifold.errors import RendererError
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import Minimum, Residuals
 from manifold.pairs import RusinkiewiczGrid
-from manifold.records import Array
-from manifold.render import backend
-from manifold.render.bsdf_evaluation import bsdf_keys, evaluator, load_bsdf
-from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter
+from manifold.records import Array, Mask
+from manifold.render.bsdf_evaluation import evaluator
+from manifold.render.bsdf_parameters import BsdfFamily, Layout
 
 
 @dataclass(frozen=True)
@@ -65,67 +64,61 @@ def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options:
     The second stage minimises the squared linear error. The cost of the result is that of the residuals,
     which Adam does not use.
 
-    Parameters are clamped to their ranges, colours, which come last, to [0, 1], after every step.
+    Parameters are clamped to their ranges, colours to [0, 1] within them, after every step.
     """
-    mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
-    if not mi.variant().startswith("llvm"):
-        raise RendererError(
-            f"method adam needs Mitsuba's LLVM backend, found {mi.variant()}; use gauss-newton"
-        )
-    keys = bsdf_keys(mi, family)
-    shared = [o for o in family.parameters if not o.per_band]
-    colours = [o for o in family.parameters if o.per_band]
-    values = {o.name: o.default for o in shared} | {o.name: [1.0] * 3 for o in colours}
-    bsdf = load_bsdf(family, values)
-    scene = mi.traverse(bsdf)
-    si = dr.zeros(mi.SurfaceInteraction3f, len(samples))
-    si.wi, wo = mi.Vector3f(samples.wi.T.astype(np.float32)), mi.Vector3f(samples.wo.T.astype(np.float32))
-    target = mi.Color3f(samples.f_cos.T.astype(np.float32))
-    weight = mi.Float(samples.weight.astype(np.float32))
+    at_samples = evaluator(family, samples.wi, samples.wo, 3)
+    layout, weight = at_samples.layout, samples.weight[:, None] / len(samples)
 
-    def loss(luminance_only: bool) -> Any:
-        difference = bsdf.eval(mi.BSDFContext(), si, wo, True) - target
-        if luminance_only:
-            return dr.mean(weight * dr.square(mi.luminance(difference)))
-        return dr.mean(weight * dr.mean(dr.square(difference)))
+    def luminance(p: Array) -> tuple[float, Array]:
+        value, J = at_samples.jacobian(p)
+        difference = (value - samples.f_cos) @ LUMINANCE
+        weighted = weight[:, 0] * difference
+        return float(weighted @ difference), 2.0 * np.einsum("m,mbk,b->k", weighted, J, LUMINANCE)
 
-    converged = not shared or _stage(mi, dr, scene, keys, shared, lambda: loss(True), options)
-    for o in colours:
-        scene[keys[o.name]] = mi.Color3f(0.5)
-    scene.update()
-    converged &= _stage(mi, dr, scene, keys, shared + colours, lambda: loss(False), options)
-    found = {o.name: np.array(scene[keys[o.name]], float).ravel() for o in family.parameters}
-    p = residuals.layout.join(found)
-    return Minimum(p, _cost(residuals, p), converged)
+    def everything(p: Array) -> tuple[float, Array]:
+        value, J = at_samples.jacobian(p)
+        difference = value - samples.f_cos
+        weighted = weight * difference / 3.0
+        return float(np.sum(weighted * difference)), 2.0 * np.einsum("mb,mbk->k", weighted, J)
+
+    p = np.where(layout.is_per_band, 1.0, layout.default)
+    is_shared = ~layout.is_per_band
+    converged = True
+    if np.any(is_shared):
+        p, converged = _stage(layout, p, is_shared, luminance, options)
+    p[layout.is_per_band] = 0.5
+    p, has_ended = _stage(layout, p, np.ones(layout.size, bool), everything, options)
+    return Minimum(p, _cost(residuals, p), converged and has_ended)
 
 
 def _stage(
-    mi: Any, dr: Any, scene: Any, keys: dict[str, str], free: list[FreeParameter], loss: Any, options: AdamOptions
-) -> bool:  # fmt: skip
-    """Run Adam until the loss is constant or the epochs are over; return whether it became constant."""
-    optimizer = mi.ad.Adam(lr=options.learning_rate)
-    for o in free:
-        optimizer[keys[o.name]] = scene[keys[o.name]]
-    scene.update(optimizer)
+    layout: Layout, p: Array, free: Mask, loss: Callable[[Array], tuple[float, Array]], options: AdamOptions
+) -> tuple[Array, bool]:
+    """Run Adam until the loss is constant or the epochs are over; return values (K,), and whether it was constant."""
+    p = p.copy()
+    low, high = _bounds(layout)
+    penalty = 2.0 * options.penalty / np.where(layout.is_per_band, layout.n_bands, 1)
+    mean, square = np.zeros(layout.size), np.zeros(layout.size)
     history: list[float] = []
-    for _ in range(options.max_epochs):
-        error = loss()
-        total = error
-        for o in free:
-            total += options.penalty * dr.mean(dr.square(optimizer[keys[o.name]] - o.default))
-        dr.backward(total)
-        optimizer.step()
-        for o in free:
-            low, high = (max(o.minimum, 0.0), min(o.maximum, 1.0)) if o.per_band else (o.minimum, o.maximum)
-            optimizer[keys[o.name]] = dr.clip(dr.detach(optimizer[keys[o.name]]), low, high)
-        scene.update(optimizer)
-        history.append(float(np.array(error).item()))
+    for epoch in range(1, options.max_epochs + 1):
+        error, slope = loss(p)
+        slope = np.where(free & np.isfinite(slope), slope + penalty * (p - layout.default), 0.0)
+        mean, square = 0.9 * mean + 0.1 * slope, 0.999 * square + 0.001 * slope**2
+        step = mean / (1.0 - 0.9**epoch) / (np.sqrt(square / (1.0 - 0.999**epoch)) + 1e-8)
+        p[free] = np.clip(p - options.learning_rate * step, low, high)[free]
+        history.append(error)
         n = options.window
         if len(history) >= 2 * n and len(history) % n == 0:
             before, now = np.mean(history[-2 * n : -n]), np.mean(history[-n:])
             if before - now <= options.threshold * before:
-                return True
-    return False
+                return p, True
+    return p, False
+
+
+def _bounds(layout: Layout) -> tuple[Array, Array]:
+    """Return the ends of the ranges (K,), those of colours within [0, 1]."""
+    low = np.where(layout.is_per_band, np.maximum(layout.minimum, 0.0), layout.minimum)
+    return low, np.where(layout.is_per_band, np.minimum(layout.maximum, 1.0), layout.maximum)
 
 
 def swarm(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: SwarmOptions) -> Minimum:
@@ -149,8 +142,7 @@ def swarm(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options
         return np.asarray(np.mean(np.sum((_lab(np.pi * f, samples) - target) ** 2, axis=-1), axis=-1))
 
     layout, rng = residuals.layout, np.random.default_rng(options.seed)
-    low = np.where(layout.is_per_band, np.maximum(layout.minimum, 0.0), layout.minimum)
-    high = np.where(layout.is_per_band, np.minimum(layout.maximum, 1.0), layout.maximum)
+    low, high = _bounds(layout)
     shape = (options.particles, layout.size)
     place = rng.uniform(low, high, shape)
     velocity = rng.uniform(-1, 1, shape) * (high - low) * 0.1

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from manifold import disk
 from manifold.batch import PREDICTED, Command, Content, Outcome, appearance
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import FIT, Input, is_rgl
@@ -25,7 +26,7 @@ from manifold.estimate.sources import (
 )
 from manifold.fit import fit_samples
 from manifold.fit.fit_samples import FitSamples
-from manifold.fit.principled import METHODS, fit_bsdf
+from manifold.fit.principled import METHODS, FitResult, fit_bsdf
 from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
@@ -37,7 +38,8 @@ from manifold.model.manifold import load_model
 from manifold.names import printable
 from manifold.progress import Stages
 from manifold.records import BsdfFile, plain
-from manifold.render import backend, fit_json
+from manifold.render import fit_json
+from manifold.render.bsdf_evaluation import bsdf_dict
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fit_json import Source
 from manifold.render.fitted_brdf import FittedBRDF
@@ -77,7 +79,7 @@ class FitSettings:
             target, self.family, method=self.method, metric=self.metric, noise=self.noise,
             wide_colours=self.wide_colours,
         )  # fmt: skip
-        return fit_json.document(replace(found, notes=(*notes, *found.notes)), source)
+        return document(replace(found, notes=(*notes, *found.notes)), source)
 
     def matches(self, content: dict[str, Any]) -> bool:
         """Return whether a written fit has these settings, and was made by this version of the program."""
@@ -93,6 +95,27 @@ class FitSettings:
         )
 
 
+def document(result: FitResult, source: Source) -> dict[str, Any]:
+    """Return a fit as plain values, which the schema describes."""
+    wavelengths, own = result.bands.wavelengths_nm, result.spectra
+    known = asdict(result) | {"errors": result.errors and result.errors.to_json()}
+    del known["bands"]
+    content = {
+        "format": "manifold fit",
+        "format_version": fit_json.FORMAT_VERSION,
+        "program": fit_json.PROGRAM,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "source": asdict(source),
+        "bsdf": known.pop("family"),
+        "mitsuba": bsdf_dict(result.family, result.values),
+        "mitsuba_spectral": bsdf_dict(result.family, result.values | own, wavelengths) if own else None,
+    } | known
+    content["spectra"] = {"wavelengths_nm": wavelengths, "values": own} if own else None
+    return fit_json.signed(
+        json.loads(json.dumps(content, allow_nan=False))
+    )  # lists for tuples, as it is read again
+
+
 def read_family(path: Path) -> BsdfFamily:
     """Read a BSDF family from a JSON file of `type`, `parameters` and `fixed`; see `BsdfFamily.to_json`."""
     return fit_json.family_of(disk.read_json(path, "a JSON description of a BSDF"), str(path))
@@ -103,7 +126,6 @@ def fit(source: Path | MaterialSource, target: Path, settings: FitSettings | Non
 
     Without a fit of measured data, the outcome says why; for a place, its source is the prediction.
     """
-    backend.imported()
     disk.require_writable(target)
     settings = settings or FitSettings()
     if isinstance(source, PlaceSource):
@@ -126,7 +148,6 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
 
     With pictures, the fit of a whole BRDF is drawn beside its material, into NAME.fit.png.
     """
-    backend.imported()
     columns: dict[str, Callable[[Content], Any]] = {
         "BSDF": lambda content: content["bsdf"]["type"],
         **PREDICTED,

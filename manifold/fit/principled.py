@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.brdf.interface import BRDF, require_brdf
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of, rotation_of_brdf
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
@@ -25,6 +26,7 @@ from manifold.metrics import BALL, Errors
 from manifold.names import Registry
 from manifold.records import Array, Bands, BsdfFile
 from manifold.render import backend
+from manifold.render.bsdf_evaluation import require_independent_bands, variant
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fitted_brdf import FittedBRDF
 
@@ -38,8 +40,6 @@ _POOR_FIT = (
 )
 
 _LEAST_ANISOTROPY = 0.01  # alphas that differ by half a per cent
-
-_MIXES_CHANNELS = ("spec_tint", "sheen_tint")  # principled's: their luminance has no meaning between bands
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class FitResult:
         statements: how well the samples determine each value.
         notes: what a user should know, one line each.
         n_pairs: number of samples.
-        variant: Mitsuba's.
+        variant: `numpy`, or Mitsuba's, of what evaluated the BSDF.
         seconds: of the fit, reading and sampling left out.
         rotation_deg: azimuth by which the material's highlights lie turned from those of the BSDF, wide along x.
     """
@@ -102,6 +102,11 @@ class FitResult:
     seconds: float = 0.0
     rotation_deg: float = 0.0
 
+    @property
+    def brdf(self) -> FittedBRDF:
+        """The fit, as a BRDF."""
+        return FittedBRDF.of(self.family, self.values, self.bands, self.spectra, self.rotation_deg)
+
     def __repr__(self) -> str:
         residual = f"{self.metric} residual {self.residuals[self.metric]:.2%}"
         return (
@@ -120,7 +125,7 @@ def fit_bsdf(
     options: GaussNewton | AdamOptions | SwarmOptions | None = None,
     wide_colours: bool = False,
 ) -> FitResult:
-    """Fit the free parameters of a Mitsuba BSDF.
+    """Fit the free parameters of a Mitsuba BSDF; only BSDFs other than `principled` and `diffuse` need Mitsuba.
 
     Spectral samples are fitted in linear sRGB under D65 first; the parameters per band, such as the base colour, are
     then found in every band with the shared ones fixed.
@@ -140,7 +145,7 @@ def fit_bsdf(
 
     Raises:
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
-        RendererError: Mitsuba is missing, or lacks the backend that the method needs.
+        RendererError: the BSDF is neither `principled` nor `diffuse`, and Mitsuba or its LLVM backend is missing.
         ShapeError: the samples have wrong shapes or values that are no numbers.
     """
     options = _options(method, options)
@@ -159,8 +164,8 @@ def fit_bsdf(
     samples = fit_samples.from_brdf(target, rotation or 0.0)
     found = _fit_or_diffuse(samples, family, method, metric, noise, options, wide_colours)
     degrees = round(float(np.rad2deg(rotation or 0.0)) % 180.0, 1) % 180.0  # highlights have no ends
-    fitted = FittedBRDF.of(found.family, found.values, found.bands, found.spectra, degrees)
-    degrees = 0.0 if fitted.is_isotropic else degrees
+    degrees = 0.0 if found.brdf.is_isotropic else degrees
+    fitted = replace(found, rotation_deg=degrees).brdf
     errors = ball_errors(fitted, target)
     notes = found.notes
     if degrees:
@@ -198,14 +203,13 @@ def _fit(
     samples: FitSamples, family: BsdfFamily, method: str, metric: str, noise: float, options: Any,
 ) -> FitResult:  # fmt: skip
     if not samples.bands.is_rgb:
-        _require_independent_bands(family)
+        require_independent_bands(family)
     rgb = samples.as_rgb()
     residuals = Residuals(family, Criterion(rgb, metric))
     layout = residuals.layout
     tried = TriedDefaults.none(layout.size)
     start = time.perf_counter()
-    # small matrices and launches: threads would only wait for each other
-    with threadpool_limits(1), backend.one_thread():
+    with threadpool_limits(1), backend.one_thread():  # small matrices and launches: threads would only wait
         if isinstance(options, GaussNewton):
             minima = gauss_newton.find_minima(residuals, options)
             assessed = _assess(residuals, minima, noise, tried)
@@ -231,19 +235,6 @@ def _options(method: str, options: Any) -> Any:
     if not isinstance(options, METHODS[method]):
         raise UsageError(f"method {method} got {type(options).__name__}, expected {METHODS[method].__name__}")
     return options
-
-
-def _require_independent_bands(family: BsdfFamily) -> None:
-    """Refuse tints of spectral samples: they depend on a luminance of three channels, which three bands do not have."""
-    mixing = [
-        name
-        for name in _MIXES_CHANNELS
-        if any(o.name == name for o in family.parameters) or family.fixed.get(name, 0)
-    ]
-    if family.type == "principled" and mixing:
-        raise UsageError(
-            f"{' and '.join(mixing)} need RGB samples: a tint has no meaning per band; leave them out, or fit RGB"
-        )
 
 
 def _noise_variance(criterion: Criterion, noise: float) -> float:
@@ -326,7 +317,7 @@ def _result(
         ),
         statements=assessed.statements,
         n_pairs=len(samples),
-        variant=backend.mitsuba(colour="rgb").variant(),
+        variant=variant(family),
         **known,
     )
     notes = _notes(result, assessed.n_different, samples.is_isotropic)

@@ -115,7 +115,7 @@ def choose() -> Backend:
 
 
 def is_available() -> bool:
-    """Return whether Mitsuba can be imported; only rendering and fitting need it."""
+    """Return whether Mitsuba can be imported; only rendering and fits by `--bsdf` need it."""
     try:
         imported()
     except RendererError:
@@ -131,7 +131,7 @@ def imported() -> Any:
         import mitsuba
     except ImportError as error:
         raise RendererError(
-            f"rendering and fitting need Mitsuba, which is not installed ({error}); pip install "
+            f"rendering, and fits by --bsdf, need Mitsuba, which is not installed ({error}); pip install "
             "'brdf-manifold[render]', on a platform for which Mitsuba has wheels"
         ) from error
     # Before the current folder, where `plugins/diffuse.so` would be loaded in place of Mitsuba's own.
@@ -267,8 +267,11 @@ def drjit() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run Dr.Jit without worker threads, which use a core while they wait for small launches."""
-    dr = drjit()
+    """Keep Dr.Jit, if it is loaded, from worker threads, which use a core while they wait for small launches."""
+    dr = sys.modules.get("drjit")
+    if dr is None:
+        yield
+        return
     before = dr.thread_count()
     dr.set_thread_count(0)
     try:

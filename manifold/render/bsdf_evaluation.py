@@ -1,8 +1,9 @@
-"""Mitsuba BSDFs evaluated for many parameter vectors at many direction pairs, with derivatives.
+"""BSDFs evaluated for many parameter vectors at many direction pairs, with derivatives.
 
-On the LLVM backend every texture slot of a plugin holds a *lane texture*, whose value is an array with one entry
-per lane of the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs, and
-a second one, with a different tangent per lane, all columns of a Jacobian. The plugin itself is Mitsuba's own.
+`principled` and `diffuse` are evaluated in NumPy (`manifold.analytic.principled`), all others by Mitsuba itself, on its
+LLVM backend: every texture slot of a plugin holds a *lane texture*, whose value is an array with one entry per lane of
+the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs, and a second one, with
+a different tangent per lane, all columns of a Jacobian.
 """
 
 from __future__ import annotations
@@ -13,12 +14,21 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.errors import UsageError
+from manifold.analytic import principled
+from manifold.errors import RendererError, UsageError
 from manifold.records import Array, Indices
 from manifold.render import backend
 from manifold.render.bsdf_parameters import BsdfFamily, Layout
 
 _LANES = 1 << 20  # lanes of one wavefront; more are evaluated one after the other
+_BLOCK = 1 << 16  # pairs times vectors that NumPy evaluates at once: what a processor's cache holds
+_COLOUR = 0.5  # Mitsuba's, of a family without a free one
+_TINTS = ("spec_tint", "sheen_tint")
+# The model of each type that NumPy evaluates, and its colour.
+_MODELS: dict[str, tuple[type[Any], str]] = {
+    "principled": (principled.Principled, "base_color"),
+    "diffuse": (principled.Diffuse, "reflectance"),
+}
 
 
 class Evaluator(Protocol):
@@ -40,13 +50,129 @@ class Evaluator(Protocol):
 
 
 def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluator:
-    """Return the evaluator for this backend, at unit vectors (M, 3).
+    """Return the evaluator at unit vectors (M, 3).
 
-    Bands are evaluated in threes, as the channels of Mitsuba's RGB variants.
+    Raises:
+        UsageError: a tint is asked for in other than three bands, or Mitsuba refuses the BSDF.
+        RendererError: the BSDF needs Mitsuba's LLVM backend, which is missing.
     """
+    if is_analytic(family):
+        return AnalyticEvaluator(family, wi, wo, n_bands)
     mi = backend.mitsuba(colour="rgb")
-    kind = LaneEvaluator if mi.variant().startswith("llvm") else ScalarEvaluator
-    return kind(mi, family, wi, wo, n_bands)
+    if not mi.variant().startswith("llvm"):
+        raise RendererError(
+            f"BSDF {family.type} is evaluated by Mitsuba's LLVM backend, found {mi.variant()}; {backend.INSTALL}"
+        )
+    return LaneEvaluator(mi, family, wi, wo, n_bands)
+
+
+def variant(family: BsdfFamily) -> str:
+    """Name what evaluates a family: `numpy`, or the variant of Mitsuba."""
+    return "numpy" if is_analytic(family) else str(backend.mitsuba(colour="rgb").variant())
+
+
+def is_analytic(family: BsdfFamily) -> bool:
+    """Return whether NumPy evaluates a family: `principled` or `diffuse`, with plain numbers for fixed parameters."""
+    if family.type not in _MODELS:
+        return False
+    colour = _MODELS[family.type][1]
+    shared = [parameter.name for parameter in family.parameters if parameter.name != colour]
+    colours = [parameter.name for parameter in family.parameters if parameter.per_band]
+    return (
+        colours in ([], [colour])
+        and {*shared, *family.fixed} <= set(principled.DEFAULTS if family.type == "principled" else ())
+        and all(isinstance(value, int | float) for value in family.fixed.values())
+    )
+
+
+def require_independent_bands(family: BsdfFamily) -> None:
+    """Refuse tints of spectral samples: they depend on a luminance of three channels, which bands do not have."""
+    free = {parameter.name for parameter in family.parameters}
+    mixing = [name for name in _TINTS if name in free or family.fixed.get(name, 0)]
+    if family.type == "principled" and mixing:
+        raise UsageError(
+            f"{' and '.join(mixing)} need RGB samples: a tint has no meaning per band; leave them out, or fit RGB"
+        )
+
+
+class AnalyticEvaluator:
+    """The evaluator of `principled` and `diffuse`, in NumPy."""
+
+    def __init__(self, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
+        if n_bands != 3:
+            require_independent_bands(family)
+        self.layout = Layout(family, n_bands)
+        model, self._colour = _MODELS[family.type]
+        self._model = model(np.asarray(wi, float), np.asarray(wo, float))
+        self._n_pairs = len(wi)
+        self._fixed = principled.DEFAULTS | {name: float(value) for name, value in family.fixed.items()}
+        self._colour_place = self.layout.slices.get(self._colour)
+        self._shared = {
+            parameter.name: self.layout.slices[parameter.name].start
+            for parameter in family.parameters
+            if parameter.name != self._colour
+        }
+
+    def values(self, p: Array, rows: Indices | None = None) -> Array:
+        """See `Evaluator`."""
+        p = np.atleast_2d(p)
+        model, n_pairs = (self._model, self._n_pairs) if rows is None else (self._model.at(rows), len(rows))
+        out = np.empty((len(p), n_pairs, self.layout.n_bands))
+        block = max(1, _BLOCK // max(n_pairs, 1))
+        for first in range(0, len(p), block):
+            part = p[first : first + block]
+            fixed = {name: np.full((len(part), 1), value) for name, value in self._fixed.items()}
+            shared = {name: part[:, place, None] for name, place in self._shared.items()}
+            coefficients = model.coefficients(fixed | shared)  # [3, P, M]
+            out[first : first + block] = np.moveaxis(coefficients, 0, -1) @ self._terms(part)
+        return out
+
+    def jacobian(self, p: Array) -> tuple[Array, Array]:
+        """See `Evaluator`."""
+        shared = {name: float(p[place]) for name, place in self._shared.items()}
+        coefficients, slopes = self._model.slopes(self._fixed | shared, shared)  # [3, M] each
+        terms = self._terms(p)
+        J = np.zeros((self._n_pairs, self.layout.n_bands, self.layout.size))
+        for name, place in self._shared.items():
+            J[..., place] = slopes[name].T @ terms
+        if self._colour_place is not None:
+            colour = p[self._colour_place]
+            J[..., self._colour_place] = coefficients[1][:, None, None] * np.eye(len(colour))
+            if np.any(coefficients[2]):
+                J[..., self._colour_place] += coefficients[2][:, None, None] * _tint_slope(colour)
+        return coefficients.T @ terms, J
+
+    def band_jacobian(self, p: Array) -> tuple[Array, Array]:
+        """See `Evaluator`."""
+        shared = {name: float(p[place]) for name, place in self._shared.items()}
+        coefficients, _ = self._model.slopes(self._fixed | shared, ())
+        n_own = int(self._colour_place is not None)  # the colour, if that is free
+        slope = np.broadcast_to(coefficients[1][:, None, None], (self._n_pairs, self.layout.n_bands, n_own))
+        return coefficients.T @ self._terms(p), slope
+
+    def _terms(self, p: Array) -> Array:
+        """Return what coefficients of vectors (..., K) multiply, (..., 3, B): 1, the colour and its tint."""
+        if self._colour_place is None:
+            colour = np.full((*p.shape[:-1], self.layout.n_bands), _COLOUR)
+        else:
+            colour = p[..., self._colour_place]
+        tint = _tint(colour) if self.layout.n_bands == 3 else np.zeros_like(colour)
+        return np.stack([np.ones_like(colour), colour, tint], axis=-2)
+
+
+def _tint(colour: Array) -> Array:
+    """Divide colours (..., 3) by their luminance; black becomes white."""
+    luminance = (colour @ principled.LUMINANCE)[..., None]
+    is_lit = luminance > 0.0
+    return np.where(is_lit, colour / np.where(is_lit, luminance, 1.0), 1.0)
+
+
+def _tint_slope(colour: Array) -> Array:
+    """Return the derivatives (3, 3) of the tint of a colour (3,)."""
+    luminance = float(colour @ principled.LUMINANCE)
+    if luminance <= 0.0:
+        return np.zeros((3, 3))
+    return np.asarray(np.eye(3) / luminance - np.outer(colour, principled.LUMINANCE) / luminance**2)
 
 
 def load_bsdf(family: BsdfFamily, values: dict[str, Any]) -> Any:
@@ -296,67 +422,3 @@ def _lane_plugin(variant: str) -> str:
 
     mi.register_texture("manifold_lane", LaneTexture)
     return "manifold_lane"
-
-
-class ScalarEvaluator:
-    """The evaluator without LLVM: one pair per call, derivatives by differences, slow."""
-
-    def __init__(self, mi: Any, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
-        self.layout = Layout(family, n_bands)
-        self._mi = mi
-        self._slots = bsdf_keys(mi, family)
-        self._bsdf = _load_at_defaults(mi, family)
-        self._parameters = mi.traverse(self._bsdf)
-        self._wi = [mi.Vector3f(*map(float, w)) for w in wi]
-        self._wo = [mi.Vector3f(*map(float, w)) for w in wo]
-
-    def values(self, p: Array, rows: Indices | None = None) -> Array:
-        """Return f_cos of parameter vectors; see `Evaluator`."""
-        p = np.atleast_2d(p)
-        pairs = range(len(self._wi)) if rows is None else [int(r) for r in rows]
-        out = np.empty((len(p), len(pairs), self.layout.n_bands))
-        context, si = self._mi.BSDFContext(), self._mi.SurfaceInteraction3f()
-        for k, one in enumerate(p):
-            for first in range(0, self.layout.n_bands, 3):
-                self._set(one, first)
-                count = min(3, self.layout.n_bands - first)
-                for i, m in enumerate(pairs):
-                    si.wi = self._wi[m]
-                    value = self._bsdf.eval(context, si, self._wo[m], True)
-                    for c in range(count):
-                        out[k, i, first + c] = value[c]
-        return out
-
-    def _set(self, p: Array, first: int) -> None:
-        for parameter in self.layout.family.parameters:
-            value = p[self.layout.slices[parameter.name]]
-            key = self._slots[parameter.name]
-            if parameter.per_band:
-                three = [float(value[min(first + c, len(value) - 1)]) for c in range(3)]
-                self._parameters[key] = self._mi.Color3f(three)
-            else:
-                self._parameters[key] = float(value[0])
-        self._parameters.update()
-
-    def jacobian(self, p: Array) -> tuple[Array, Array]:
-        """Return f_cos and its derivatives by central differences, one-sided at the ends of the ranges."""
-        return self._differentiate(p, [slice(k, k + 1) for k in range(self.layout.size)])
-
-    def band_jacobian(self, p: Array) -> tuple[Array, Array]:
-        """Return f_cos and its derivatives per band by the differences of `jacobian`, all bands moved at once."""
-        return self._differentiate(
-            p, [self.layout.slices[o.name] for o in self.layout.family.parameters if o.per_band]
-        )
-
-    def _differentiate(self, p: Array, places: list[slice]) -> tuple[Array, Array]:
-        """Return f_cos (M, B), and derivatives (M, B, n) by the values of n places, those of a place moved together."""
-        layout = self.layout
-        step = 1e-3 * (layout.maximum - layout.minimum)
-        high, low = np.tile(p, (len(places), 1)), np.tile(p, (len(places), 1))
-        for k, place in enumerate(places):
-            high[k, place] = np.minimum(p + step, layout.maximum)[place]
-            low[k, place] = np.maximum(p - step, layout.minimum)[place]
-        value, *moved = self.values(np.concatenate([p[None], high, low]))
-        pairs = zip(moved[: len(places)], moved[len(places) :], places, strict=True)
-        width = high - low
-        return value, np.stack([(u - v) / width[k, place] for k, (u, v, place) in enumerate(pairs)], axis=-1)

@@ -210,9 +210,8 @@ _PRINCIPLED = (
     _COLOUR,
     FreeParameter("metallic", 0.0, 1.0, 0.2, undetermined=0.0),
     FreeParameter("roughness", 0.02, 1.0, 0.5, transform="log", undetermined=0.5),
-    FreeParameter(  # the index is a smooth function of it
-        "specular", 0.0, 1.0, 0.5, transform="square", undetermined=0.5
-    ),
+    # The index is a smooth function of the square root. At 0, Mitsuba leaves out the metal's highlight as well.
+    FreeParameter("specular", 1e-9, 1.0, 0.5, transform="square", undetermined=0.5),
     FreeParameter("clearcoat", 0.0, 1.0, 0.2, undetermined=0.0),
     FreeParameter("clearcoat_gloss", 0.0, 1.0, 0.8, transform="gloss", undetermined=0.0),
     FreeParameter("sheen", 0.0, 1.0, 0.1, undetermined=0.0),

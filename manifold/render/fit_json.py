@@ -7,22 +7,18 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from manifold import __version__, disk
 from manifold.errors import FileFormatError, UsageError
 from manifold.extras import require
-from manifold.render.bsdf_evaluation import bsdf_dict, load_bsdf
+from manifold.render.bsdf_evaluation import bsdf_dict, is_analytic, load_bsdf
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter
 from manifold.render.plugin_names import holds_none, require_plugins, types_of
-
-if TYPE_CHECKING:
-    from manifold.fit.principled import FitResult
 
 _SLACK = 1e-6  # share of a range: single precision of a value at its end
 
@@ -62,11 +58,13 @@ def family_of(content: Any, file: str) -> BsdfFamily:
     _require_schema(content, file, "bsdf")
     if holds_none(content.get("fixed", {})):  # null ends Mitsuba's process
         raise FileFormatError(f"{file}: fixed contains null, expected a value; remove that entry")
-    require_plugins(types_of(content), file)
     try:
-        return BsdfFamily.from_json(content)
+        family = BsdfFamily.from_json(content)
     except UsageError as error:
         raise FileFormatError(f"{file}: {error}") from error
+    if not is_analytic(family):
+        require_plugins(types_of(content), file)
+    return family
 
 
 def require_fit(content: Any, file: str) -> None:
@@ -173,25 +171,6 @@ class Source:
     model_sha256: str | None = None
     colour: str | None = None
     walk: str | None = None
-
-
-def document(result: FitResult, source: Source) -> dict[str, Any]:
-    """Return a fit as plain values, as the schema describes them."""
-    wavelengths, own = result.bands.wavelengths_nm, result.spectra
-    known = asdict(result) | {"errors": result.errors and result.errors.to_json()}
-    del known["bands"]
-    content = {
-        "format": "manifold fit",
-        "format_version": FORMAT_VERSION,
-        "program": PROGRAM,
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "source": asdict(source),
-        "bsdf": known.pop("family"),
-        "mitsuba": bsdf_dict(result.family, result.values),
-        "mitsuba_spectral": bsdf_dict(result.family, result.values | own, wavelengths) if own else None,
-    } | known
-    content["spectra"] = {"wavelengths_nm": wavelengths, "values": own} if own else None
-    return signed(json.loads(json.dumps(content, allow_nan=False)))  # lists for tuples, as it is read again
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:

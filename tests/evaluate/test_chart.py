@@ -226,7 +226,7 @@ def test_times_within_their_spread_and_errors_within_a_percent_do_not_count_as_d
 
 def test_errors_of_zero_and_costs_that_hardly_differ_can_be_read():
     found = (_row("copies", 0.0, 340.0), _row("dearer", 0.5, 340.2))
-    figure = chart_figure.chart(Chart(found, fronts(found), 8, 3, 8, 1.0, {}, {}))
+    figure = chart_figure.chart(Chart(found, fronts(found), 8, 3, 8, 1.0, {}))
     for axes in figure.axes:
         low, high = axes.get_xlim()
         assert high > 2.0 * low  # a power of ten and its multiples have room beside each other
@@ -236,7 +236,7 @@ def test_errors_of_zero_and_costs_that_hardly_differ_can_be_read():
 
 def test_a_chart_says_which_setting_to_choose():
     def said(*found):
-        return conclusion(Chart(found, fronts(found), 8, 3, 8, 1.0, {}, {}))
+        return conclusion(Chart(found, fronts(found), 8, 3, 8, 1.0, {}))
 
     slow, fast, rough = _row("slow", 1.0, 100.0), _row("fast", 1.2, 20.0), _row("rough", 2.0, 1.0)
     cheat = _row("cheat", 0.1, 1.0, held_out=False)

@@ -15,6 +15,7 @@ from helpers.small_library import NAMES, measured, small_model
 from manifold import progress
 from manifold.errors import FileFormatError, LibraryError, ModelError, UsageError
 from manifold.estimate.sources import LibrarySource
+from manifold.fit import fits
 from manifold.fit.principled import fit_bsdf
 from manifold.info import inspect, inspect_source
 from manifold.io_rgl import write_bsdf
@@ -159,7 +160,7 @@ def test_verification_names_what_is_damaged(copy):
 
 
 def test_a_fit_shows_its_material_and_parameters(tmp_path):
-    content = fit_json.document(
+    content = fits.document(
         fit_bsdf(measured(NAMES[0]), FAMILY), fit_json.Source("felt", file="felt_rgb.bsdf")
     )
     fit_json.write_document(tmp_path / "felt.fit.json", content)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from manifold.analytic.principled import LUMINANCE
 from manifold.errors import UsageError
 from manifold.records import Array
 
 _END = 1e-4  # values nearer than this to an end of their range are set to the end
-_LUMINANCE = np.array([0.212671, 0.715160, 0.072169])  # of linear sRGB, as Mitsuba's
 
 
 @dataclass(frozen=True)
@@ -74,14 +74,14 @@ class Principled:
 
     @property
     def ior(self) -> float:
-        """Index of refraction: `2 / (1 - sqrt(0.08 specular)) - 1`, where Mitsuba takes no specular below 0.001."""
+        """Index of refraction: `2 / (1 - sqrt(0.08 specular)) - 1`, of a specular of 0.001 at least."""
         return float(2.0 / (1.0 - np.sqrt(0.08 * max(self.specular, 1e-3))) - 1.0)
 
     @property
     def tint(self) -> Array:
         """The base colour over its luminance, shape (3,); white for black."""
         colour = np.asarray(self.base_color)
-        luminance = float(colour @ _LUMINANCE)
+        luminance = float(colour @ LUMINANCE)
         return colour / luminance if luminance > 0 else np.ones(3)
 
     @property

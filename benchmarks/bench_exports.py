@@ -1,4 +1,4 @@
-"""What every target of exports loses: the table of docs/explanation/fits.md, CIEDE2000 on the ball, --mapped / default.
+"""What every target of exports loses: the table of docs/explanation/fits.md, CIEDE2000 on the ball.
 
     python benchmarks/bench_exports.py --files FOLDER [--targets gltf,openpbr] [--work FOLDER] [--json FILE]
     python benchmarks/bench_exports.py --files FOLDER --in-lights EXPORTED ... [--targets gltf,openpbr] [--json FILE]
@@ -33,10 +33,9 @@ TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "uni
 SUMMARIES = {"median": statistics.median, "mean": statistics.mean, "largest": max}
 
 
-def losses(files: Path, target: str, work: Path, *, is_mapped: bool) -> dict[str, dict[str, float]]:
+def losses(files: Path, target: str, work: Path) -> dict[str, dict[str, float]]:
     """CIEDE2000 of a target and of `principled`, by material."""
-    command = exports(TARGETS[target], is_mapped=is_mapped)
-    made = batch(command, export_sources(files), work / f"{target}_{is_mapped}")
+    made = batch(exports(TARGETS[target]), export_sources(files), work / target)
     made = {outcome.name: outcome.content or {} for outcome in made.outcomes}
     return {
         name: {"own": e["errors"]["ball"], "principled": e["principled_errors"]["ball"]}
@@ -47,7 +46,7 @@ def losses(files: Path, target: str, work: Path, *, is_mapped: bool) -> dict[str
 def in_lights(files: Path, target: str, exported: Path) -> dict[str, dict[str, float]]:
     """CIEDE2000 that was printed, and in every light, by material, of fits in a folder of `losses`."""
     made, lights = {}, panel.judged()
-    for line in (exported / f"{target}_False" / "exports.jsonl").read_text(encoding="utf-8").splitlines():
+    for line in (exported / target / "exports.jsonl").read_text(encoding="utf-8").splitlines():
         export = json.loads(line)["result"]
         model = TargetBRDF(TARGETS[target], TARGETS[target].defaults | export["parameters"])
         path = next(p for p in files.rglob("*.bsdf") if material_name(p) == export["material"])
@@ -90,29 +89,22 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as scratch:
         work = options.work or Path(scratch)
-        found = {
-            target: [losses(options.files, target, work, is_mapped=mapped) for mapped in (True, False)]
-            for target in targets
-        }
-    principled = {name: loss["principled"] for name, loss in found[targets[0]][0].items()}
+        found = {target: losses(options.files, target, work) for target in targets}
+    principled = {name: loss["principled"] for name, loss in found[targets[0]].items()}
     print("| file | `principled` |", " | ".join(targets), "|")
     print("|---" * (2 + len(targets)) + "|")
     for name, loss in principled.items():
-        cells = [" / ".join(f"{made[name]['own']:.2f}" for made in found[target]) for target in targets]
+        cells = [f"{found[target][name]['own']:.2f}" for target in targets]
         print(f"| {name} | {loss:.2f} |", " | ".join(cells), "|")
     for word, summary in SUMMARIES.items():
-        cells = [
-            " / ".join(f"{summary([loss['own'] for loss in made.values()]):.2f}" for made in found[target])
-            for target in targets
-        ]
+        cells = [f"{summary([loss['own'] for loss in found[target].values()]):.2f}" for target in targets]
         print(
             f"| **{word}** | {summary(principled.values()):.2f} |", " | ".join(f"**{c}**" for c in cells), "|"
         )
     if options.json:
         rows = {"principled": list(principled.values())}
-        for target, (mapped, fitted) in found.items():
-            rows[f"{target}_mapped"] = [loss["own"] for loss in mapped.values()]
-            rows[f"{target}_fitted"] = [loss["own"] for loss in fitted.values()]
+        for target, made in found.items():
+            rows[f"{target}_fitted"] = [loss["own"] for loss in made.values()]
         figures = {name: [summary(row) for summary in SUMMARIES.values()] for name, row in rows.items()}
         options.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 

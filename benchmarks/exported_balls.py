@@ -1,4 +1,4 @@
-"""Balls of materials: measured, and as a target of exports draws them, mapped from `principled` and fitted directly.
+"""Balls of materials: measured, and as a target of exports draws them.
 
     python benchmarks/exported_balls.py balls.png FILE ... [--target gltf]
 
@@ -45,9 +45,9 @@ def main() -> None:
         fit = path.with_name(path.name.replace("_rgb.bsdf", ".fit.json"))
         subject = exporting.subject_of(fit, path) if fit.exists() else exporting.subject_of(path, None)
         assert subject.material is not None
-        mapped = target.parameters(Principled.from_fit(subject.fit["bsdf"], subject.fit["values"]))
-        direct = fit_target(target, mapped, fit_samples.from_brdf(subject.material))
-        shown = (mf.read_bsdf(path), ExportedBRDF(target, mapped), ExportedBRDF(target, direct))
+        start = target.parameters(Principled.from_fit(subject.fit["bsdf"], subject.fit["values"]))
+        exported = fit_target(target, start, fit_samples.from_brdf(subject.material))
+        shown = (mf.read_bsdf(path), ExportedBRDF(target, exported))
         columns.append(np.vstack([mf.render_ball(one, size=160) for one in shown]))
     images.write_image(given.output, np.hstack(columns))
 

@@ -216,10 +216,6 @@ def export(
         Path | None,
         typer.Option(help="For a fit: the measured .bsdf to compare with.", metavar="FILE"),
     ] = None,
-    mapped: Annotated[
-        bool,
-        typer.Option("--mapped", help="Compute the parameters from those of principled: faster, less accurate."),
-    ] = False,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw the material beside the target's model, into NAME.png.")
     ] = False,
@@ -256,7 +252,7 @@ def export(
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         command = exporting.exports(
-            TARGETS[target or "gltf"], is_mapped=mapped, with_pictures=picture, is_pack=pack is not None
+            TARGETS[target or "gltf"], with_pictures=picture, is_pack=pack is not None
         )
         make_many(results, command, exporting.export_sources(material.path), pack or output)
         return
@@ -266,7 +262,7 @@ def export(
     path = or_default(output, name + TARGETS[target or "gltf"].suffix)
     drawn = path.with_suffix(".png") if picture else None
     with progress.shown("Exporting"):
-        outcome = exporting.export(material, target, path, against=against, is_mapped=mapped, picture=drawn)
+        outcome = exporting.export(material, target, path, against=against, picture=drawn)
     _show_export(results, outcome, drawn)
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from manifold import disk
 from manifold.batch import Batch, Command, Content, Outcome
-from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF, EvaluableBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
@@ -20,7 +21,7 @@ from manifold.colour.difference import VISIBLE
 from manifold.colour.panel import JUDGED
 from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
-from manifold.fit import comparison, fit_samples
+from manifold.fit import comparison, fit_samples, fits
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
@@ -141,13 +142,13 @@ def subject_of_prediction(
         "colour": predicted.colour,
     }
     stages.begin("fitting")
-    fit = fit_json.document(fit_bsdf(predicted.brdf), fit_json.Source(name))
+    fit = fits.document(fit_bsdf(predicted.brdf), fit_json.Source(name))
     return Subject(name, source, fit, predicted.brdf, "prediction", predicted.diagnostics)
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
     """Fit the material of a file; plain values name its origin."""
-    fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
+    fit = fits.document(fit_bsdf(file), fit_json.Source(file.name))
     return Subject(file.name, source, fit, MeasuredBRDF(fill_unmeasured(file)), f"{file.origin} file")
 
 
@@ -160,16 +161,16 @@ def subject_in_library(library: Library, name: str) -> Subject:
 
 def export(
     subject: Subject | MaterialSource, target: Target | str | None, path: Path, *, against: Path | None = None,
-    is_mapped: bool = False, picture: Path | None = None, balls: Path | None = None,
+    picture: Path | None = None, balls: Path | None = None,
     textures: Callable[[Mapping[str, Any]], TextureFiles] | None = None,
 ) -> Outcome[Subject]:  # fmt: skip
     """Write a material for a target, or for that of the file's suffix.
 
     `against` applies to sources, see `subject_of_source`.
 
-    With `is_mapped`, the target's parameters are computed from those of `principled`, instead of fitting its own model
-    to the material from there on. The material beside the target's model is drawn to `picture`, balls of both in two
-    lights to `balls`. `textures` writes textures for the parameters that were found; None is one material everywhere.
+    The target's own model is fitted to the material, from the parameters of `principled` on. Both are drawn to
+    `picture`, and balls of both in two lights to `balls`. `textures` writes textures for the parameters that were
+    found; None is one material everywhere.
     """
     target = target if isinstance(target, Target) else target_of(target, path)
     disk.require_writable(path)
@@ -182,19 +183,17 @@ def export(
         stages.begin("evaluating the target's model")
     rotation_deg = subject.fit.get("rotation_deg", 0.0)
     principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"], rotation_deg)
-    parameters, material = target.parameters(principled), subject.truth
-    is_flattened = principled.anisotropic > 0.0 and parameters == target.parameters(
+    start, material = target.parameters(principled), subject.truth
+    is_flattened = principled.anisotropic > 0.0 and start == target.parameters(
         replace(principled, anisotropic=0.0)
     )
-    if not is_mapped:
-        parameters = fit_target(target, parameters, subject.samples)
+    parameters = fit_target(target, start, subject.samples)
     model = TargetBRDF(target, parameters)
     made = Export(
         name=subject.name,
         target=target.name,
         parameters=parameters,
         source=subject.source,
-        method="mapping" if is_mapped else "direct",
         errors=ball_errors(model, material),
         principled_errors=subject.principled_errors,
         against=subject.against,
@@ -208,13 +207,11 @@ def export(
         _write_balls(balls, material, model)
     notes = (*subject.notes, *(f"of principled: {note}" for note in subject.fit["notes"]))
     if made.errors.ball > VISIBLE:
-        better = "; a fit of the target's own model is more accurate" * is_mapped
         worst = f": {made.errors.ball:.1f} {BALL}, in {made.errors.worst_light} {made.errors.worst:.1f}"
-        notes = (f"visibly different from the {subject.against}{worst}{better}", *notes)
+        notes = (f"visibly different from the {subject.against}{worst}", *notes)
         if (missed := missed_highlight(model, material)) is not None:
             notes = (missed, *notes)
-    ends = () if is_mapped else at_bounds(target, parameters)
-    if ends:
+    if ends := at_bounds(target, parameters):
         notes = (f"at the end of the range: {', '.join(ends)}", *notes)
     if is_flattened:
         notes = (f"anisotropic, but {target.name} has no anisotropy: the same at all azimuths", *notes)
@@ -236,9 +233,7 @@ class ExportSource(NamedTuple):
         return {"material": self.identity}
 
 
-def exports(
-    target: Target, *, is_mapped: bool = False, with_pictures: bool = False, is_pack: bool = False
-) -> Command[ExportSource]:
+def exports(target: Target, *, with_pictures: bool = False, is_pack: bool = False) -> Command[ExportSource]:
     """Return the command that writes the materials of `export_sources` for a target; existing files are kept.
 
     Each is drawn beside the target's model into NAME.png; a pack also has a page of balls, see `pack`.
@@ -249,8 +244,8 @@ def exports(
         "in the worst light": lambda content: content["errors"]["worst"],
         "worst light": lambda content: content["errors"]["worst_light"],
     }
-    make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures, is_pack=is_pack)
-    how = {"target": target.name, "mapped": is_mapped} | ({"pack": True} if is_pack else {})
+    make = partial(_export, target=target, with_pictures=with_pictures, is_pack=is_pack)
+    how = {"target": target.name} | ({"pack": True} if is_pack else {})
     conclude = partial(_write_index, target) if is_pack else None
     beside = partial(_pictures_of, target=target, with_pictures=with_pictures, is_pack=is_pack)
     return Command("exports", make, how, target.suffix, columns=columns, beside=beside, conclude=conclude)
@@ -298,11 +293,11 @@ def _write_balls(path: Path, material: EvaluableBRDF, exported: EvaluableBRDF) -
 
 
 def _export(
-    source: ExportSource, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool, is_pack: bool
+    source: ExportSource, path: Path, *, target: Target, with_pictures: bool, is_pack: bool
 ) -> Content:
     picture = path.with_suffix(".png") if with_pictures else None
     balls = path.parent / _PACK_BALLS / f"{source.name}.png" if is_pack else None
-    made = export(source.read(), target, path, is_mapped=is_mapped, picture=picture, balls=balls)
+    made = export(source.read(), target, path, picture=picture, balls=balls)
     return made.content or {}
 
 

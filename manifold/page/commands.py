@@ -231,11 +231,8 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
         "manifold.fit.exporting:export",
         lambda request, context, output, file: {
             "subject": _place(request, context), "target": request["target"], "path": output,
-            "is_mapped": not request.get("direct", True),
         },
-        _schema(
-            {**_SHOWN, "target": {"enum": list(TARGETS)}, "direct": {"type": "boolean"}}, ["latent", "target"]
-        ),
+        _schema({**_SHOWN, "target": {"enum": list(TARGETS)}}, ["latent", "target"]),
         "{target}",
     ),
     "complete": Command(

@@ -67,7 +67,7 @@ class Actions {
     }
     byId("export-target").append(...targets.map(([name, title]) => new Option(title, name)));
     byId("do-export").addEventListener("click", () => this.requestAll("export",
-      { target: byId("export-target").value, direct: byId("export-direct").checked }));
+      { target: byId("export-target").value }));
     for (const kind of ["locate", "complete"]) {
       byId(`${kind}-file`).addEventListener("change", (event) => {
         const [file] = event.target.files;

@@ -15,7 +15,7 @@ from manifold import progress
 from manifold.batch import batch
 from manifold.cli.main import app
 from manifold.errors import ManifoldError, UsageError
-from manifold.fit import exporting
+from manifold.fit import exporting, fits
 from manifold.fit.exports import TARGETS, direct
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
     write_bsdf(path / "copper_rgb.bsdf", measured(COPPER))
     result = fit_bsdf(measured(COPPER), principled(["base_color", "metallic", "roughness"]))
     source = fit_json.Source("copper", file="copper_rgb.bsdf")
-    fit_json.write_document(path / "copper_rgb.fit.json", fit_json.document(result, source))
+    fit_json.write_document(path / "copper_rgb.fit.json", fits.document(result, source))
     return path
 
 
@@ -48,9 +48,7 @@ def run(*words):
 
 
 def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
-    result = run(
-        "export", folder / "copper_rgb.fit.json", "-o", tmp_path / "x.glb", "--mapped", "--json", "-"
-    )
+    result = run("export", folder / "copper_rgb.fit.json", "-o", tmp_path / "x.glb", "--json", "-")
     assert result.exit_code == 0, result.output
     (made,) = json.loads(result.stdout)["exports"]
     assert made["against"] == "fit"
@@ -60,15 +58,16 @@ def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
     document, _ = read_glb(tmp_path / "x.glb")
     values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
     found = gltf_parameters(document["materials"][0])
-    assert found["baseColorFactor"] == pytest.approx(values["base_color"], abs=1e-4)  # ends are snapped
-    assert found["roughnessFactor"] == pytest.approx(values["roughness"], abs=1e-6)
+    # glTF's metals scatter light between facets as well, which the fit makes up for.
+    assert found["baseColorFactor"] == pytest.approx(values["base_color"], abs=0.1)
+    assert found["roughnessFactor"] == pytest.approx(values["roughness"], abs=0.05)
     assert document["materials"][0]["extras"]["errors"]["ball"] == made["errors"]["ball"]
 
 
 def test_a_file_that_is_not_named_is_called_after_the_material(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for target, name in ((), "copper.glb"), (("--target", "blender"), "copper.py"):
-        result = run("export", folder / "copper_rgb.fit.json", "--mapped", *target)
+        result = run("export", folder / "copper_rgb.fit.json", *target)
         assert result.exit_code == 0, result.output
         assert (tmp_path / name).is_file()
 
@@ -79,10 +78,6 @@ def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_
     assert made["against"] == "measured file"
     assert made["principled_errors"]["ball"] > 0.0
     assert abs(made["errors"]["ball"] - made["principled_errors"]["ball"]) < 1.0
-    assert made["method"] == "direct"
-    mapped = exporting.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx", is_mapped=True).content
-    assert mapped["method"] == "mapping"
-    assert made["errors"]["fitted_ball"] < mapped["errors"]["fitted_ball"]
 
 
 def test_an_export_that_differs_visibly_says_so(folder, tmp_path, monkeypatch):
@@ -93,7 +88,6 @@ def test_an_export_that_differs_visibly_says_so(folder, tmp_path, monkeypatch):
             exporting.subject_of(folder / "copper_rgb.fit.json", against),
             TARGETS["gltf"],
             tmp_path / "x.glb",
-            is_mapped=True,
         )
         for against in (folder / "copper_rgb.bsdf", tmp_path / "felt_rgb.bsdf")
     ]
@@ -126,7 +120,6 @@ def test_a_prediction_is_exported(tmp_path):
         tmp_path / "model.h5",
         "-o",
         tmp_path / "felt.usda",
-        "--mapped",
     ]
     result = run(*words, "--json", tmp_path / "report.json")
     assert result.exit_code == 0, result.output
@@ -137,9 +130,7 @@ def test_a_prediction_is_exported(tmp_path):
 
 
 def exported(source, out):
-    return batch(
-        exporting.exports(TARGETS["gltf"], is_mapped=True), exporting.export_sources(source), out
-    ).outcomes
+    return batch(exporting.exports(TARGETS["gltf"]), exporting.export_sources(source), out).outcomes
 
 
 def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
@@ -183,7 +174,7 @@ def fitted_as_copper(monkeypatch, folder):
     """No file is fitted: each begins as the copper of the folder."""
     content = fit_json.read(folder / "copper_rgb.fit.json")
     monkeypatch.setattr(exporting, "fit_bsdf", lambda samples: None)
-    monkeypatch.setattr(exporting.fit_json, "document", lambda result, source: content)
+    monkeypatch.setattr(exporting.fits, "document", lambda result, source: content)
 
 
 def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, folder):
@@ -192,7 +183,7 @@ def test_a_pack_has_a_page_of_balls_with_differences(tmp_path, monkeypatch, fold
     monkeypatch.setattr(exporting, "_PACK_RINGS", 12)
     monkeypatch.setattr(exporting, "_PACK_SPOKES", 8)
     out = tmp_path / "pack"
-    result = run("export", library, "--pack", out, "--mapped", "--json", tmp_path / "r.json")
+    result = run("export", library, "--pack", out, "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
     page = (out / "index.html").read_text()
     for made in json.loads((tmp_path / "r.json").read_text())["exports"]:
@@ -213,7 +204,7 @@ def test_a_name_that_is_no_file_s_on_every_system_fails_alone(folder, tmp_path):
     source.mkdir()
     for name in ("copper", "CON", "new\nline", ".hidden"):
         shutil.copy(folder / "copper_rgb.fit.json", source / f"{name}.fit.json")
-    result = run("export", source, "-o", out, "--mapped")
+    result = run("export", source, "-o", out)
     assert "'CON' cannot be the name of a material on every system" in str(result.exception)
     assert "\n" not in str(result.exception)
     assert [path.name for path in out.glob("*.glb")] == ["copper.glb"]

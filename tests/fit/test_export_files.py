@@ -63,7 +63,6 @@ def export(name, target, material):
         target,
         parameters,
         {"file": "x_rgb.bsdf"},
-        "mapping",
         Errors(1.25),
         Errors(1.5),
         "measured file",

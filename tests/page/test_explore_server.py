@@ -264,7 +264,7 @@ def test_hostile_requests_are_refused(served, context, changed):
 
 @pytest.mark.parametrize(
     "changed",
-    [{}, {"target": "obj"}, {"target": ["gltf"]}, {"target": "--force"}, {"target": "gltf", "direct": "yes"}],
+    [{}, {"target": "obj"}, {"target": ["gltf"]}, {"target": "--force"}, {"target": "gltf", "direct": True}],
     ids=str,
 )
 def test_hostile_exports_are_refused(served, changed):
@@ -294,9 +294,9 @@ def test_a_place_between_two_materials_is_passed_on(context):
 
 def test_an_export_is_named_after_its_target(served, context):
     for target in ("gltf", "unity", "unreal"):
-        job = post(served, "/do/export", HERE | {"target": target, "direct": True})
+        job = post(served, "/do/export", HERE | {"target": target})
     assert files(context) == ["here-2.json", "here.glb", "here.json"]
-    assert (job.call.arguments["target"], job.call.arguments["is_mapped"]) == ("unreal", False)
+    assert job.call.arguments["target"] == "unreal"
 
 
 def test_a_fit_of_the_page_is_found_by_an_export_of_its_folder(context):

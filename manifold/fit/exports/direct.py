@@ -20,7 +20,7 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.records import Array
 
 _PAIRS = 512
-_RIDGE = 1e-3  # towards the mapped values, which undetermined parameters keep
+_RIDGE = 1e-3  # towards the start, which undetermined parameters keep
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
 _STEP = 1.5e-8  # of differences
@@ -42,7 +42,7 @@ def fit_target(target: Target, start: Mapping[str, Any], samples: FitSamples) ->
 
     Args:
         target: whose model.
-        start: mapped parameters, which what is not fitted keeps.
+        start: parameters from those of `principled`; those that are not fitted keep them.
         samples: of the material, with its ball; at most 512 of them are used.
     """
     few = samples.as_rgb().subsample(_PAIRS)
@@ -131,7 +131,7 @@ class _Problem:
         entries = [target.entries[name] for name in self._names]
         self._lower, self._upper = np.array([e.low for e in entries]), np.array([e.high for e in entries])
         self._span = self._upper - self._lower
-        self._mapped = np.clip(self._numbers(start), self._lower, self._upper)
+        self._begin = np.clip(self._numbers(start), self._lower, self._upper)
 
     def vector(self, values: Mapping[str, Any]) -> Array:
         """Return the vector of parameters, a little inside the bounds."""
@@ -174,15 +174,15 @@ class _Problem:
         return end.x, float(end.cost)
 
     def starts(self) -> list[Array]:
-        """Return the mapped values, and those with a rough coat."""
-        mapped = self.vector(self._start)
-        coated = mapped.copy()
+        """Return the start, and the start with a rough coat."""
+        start = self.vector(self._start)
+        coated = start.copy()
         for i, name in enumerate(self._names):
             if name in self._target.coat[:1]:
                 coated[i] = max(coated[i], _COAT)
             elif name in self._target.coat:
                 coated[i] = _COAT_ROUGHNESS
-        return [mapped, coated]
+        return [start, coated]
 
     def film_starts(self, values: Mapping[str, Any]) -> list[Array]:
         """Return parameters with the thin films that lower their residual most, among all that are tried."""
@@ -210,8 +210,8 @@ class _Problem:
         return made
 
     def residuals(self, x: Array) -> Array:
-        """Return the relative residuals of the criterion, and those of the distance from the mapped values."""
-        return np.concatenate([self._rows(x).ravel(), _RIDGE * (x - self._mapped) / self._span])
+        """Return the relative residuals of the criterion, and those of the distance from the start."""
+        return np.concatenate([self._rows(x).ravel(), _RIDGE * (x - self._begin) / self._span])
 
     def _rows(self, x: Array) -> Array:
         """Return the relative residuals of the criterion, shape (R, 3)."""

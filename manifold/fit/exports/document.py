@@ -73,7 +73,6 @@ class Export:
         target: name of the target.
         parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
         source: where the parameters come from, plain values.
-        method: `direct`, a fit of the target's own model; or `mapping`, from the parameters of `principled`.
         errors: of the ball of the target's own model, from what `against` names.
         principled_errors: those of Mitsuba's `principled`; None where that is what `against` names.
         against: `measured file`, `prediction` or `fit`.
@@ -84,7 +83,6 @@ class Export:
     target: str
     parameters: Mapping[str, Any]
     source: Mapping[str, Any]
-    method: str
     errors: Errors[float]
     principled_errors: Errors[float] | None
     against: str
@@ -102,7 +100,6 @@ class Export:
             "material": self.name,
             "target": self.target,
             "source": dict(self.source),
-            "method": self.method,
             "errors": self.errors.to_json(),
             "principled_errors": self.principled_errors and self.principled_errors.to_json(),
             "against": self.against,

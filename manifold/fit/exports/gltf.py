@@ -16,7 +16,7 @@ from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f0
 from manifold.records import Array
 
-SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo, docs/how-to/export.md
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo
 
 PARAMETERS = {
     "baseColorFactor": Parameter([1.0, 1.0, 1.0], is_free=True),
@@ -58,7 +58,7 @@ _LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Return the parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
+    """Return the parameters that start a fit, all of `DEFAULTS`."""
     alpha_x, alpha_y = material.alphas
     made = DEFAULTS | {
         "baseColorFactor": list(material.base_color),

@@ -15,7 +15,7 @@ from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82_materialx, film_over_index
 from manifold.records import Array
 
-FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/how-to/export.md
+FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo
 
 PARAMETERS = {
     "base_weight": Parameter(1.0),
@@ -49,7 +49,7 @@ FILM = ("thin_film_weight", "thin_film_thickness", "thin_film_ior")
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Return parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
+    """Return the parameters that start a fit, all of `DEFAULTS`."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "base_metalness": material.metallic,

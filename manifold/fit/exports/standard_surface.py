@@ -15,7 +15,7 @@ from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.thin_film import film_over_index
 from manifold.records import Array
 
-SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/how-to/export.md
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo
 
 PARAMETERS = {
     "base": Parameter(1.0),
@@ -47,7 +47,7 @@ FILM = ("thin_film_thickness", "thin_film_IOR")
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Return the parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
+    """Return the parameters that start a fit, all of `DEFAULTS`."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "metalness": material.metallic,

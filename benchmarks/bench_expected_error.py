@@ -20,7 +20,8 @@ import numpy as np
 from scipy.spatial import Delaunay
 from scipy.stats import spearmanr
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
 from manifold.encoding import encoding_pairs
 from manifold.library.store import Library

@@ -18,7 +18,8 @@ import numpy as np
 import scipy
 from bench_published import GRID
 
-from manifold.brdf.measured import MeasuredBRDF, all_isotropic
+from manifold.brdf.interface import all_isotropic
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.evaluate.baselines import fit_linear, fit_nearest, fit_pca
 from manifold.evaluate.cross_validation import Encode

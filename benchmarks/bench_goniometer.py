@@ -22,7 +22,8 @@ from scipy.spatial import Delaunay
 
 from manifold.analytic import GGX, Plastic, corpus
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical

@@ -23,14 +23,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import Delaunay
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.estimate.predictions import predict
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.model.colours import NEAREST, choose_colour
+from manifold.model.colours import NEAREST
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
@@ -104,7 +105,7 @@ class Interior:
         """What is measured on the file of a prediction at a random place."""
         x, path = self.draw(), folder / "x.bsdf"
         found = predict(self._model, x, path, options=OutputOptions(physical=physical)).plausibility
-        brdf = ClippedBRDF(self._model.predict(x, choose_colour(self._model, x, NEAREST).colours))
+        brdf = ClippedBRDF(self._model.predict(x, self._model.choose_colour(x, NEAREST).colours))
         albedo = brdf.albedo(from_spherical(np.deg2rad(FILE_INCIDENCES_DEG), 0.0)).max()
         ball = self.apart(brdf, MeasuredBRDF(read_bsdf(path)))
         return Written(found.max_albedo, float(albedo), found.reciprocity_error, ball)

@@ -32,7 +32,7 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.layers import Layered, MixedBRDF
 from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.estimate.predictions import predict
 from manifold.io_rgl import write_bsdf

@@ -34,7 +34,8 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from manifold.brdf.measured import EvaluableBRDF, MeasuredBRDF
+from manifold.brdf.interface import EvaluableBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import file_to_srgb, srgb_to_xyz, to_srgb
 from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, lab_values
 from manifold.estimate.atoms import LibraryAtoms

@@ -27,7 +27,8 @@ import numpy as np
 
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_xyz

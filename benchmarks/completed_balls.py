@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.estimate import Completion, LibraryAtoms, suggest
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.sources import FileSource

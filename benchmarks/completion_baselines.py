@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from manifold.brdf.measured import BRDF, values_at
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import values_at
 from manifold.directions import half_vector
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import Array

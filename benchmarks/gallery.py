@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from scipy.spatial import Delaunay
 
 from manifold.model import diagnostics
-from manifold.model.colours import UNCHOSEN, ChosenColour, ColourChoice, choose_colour
+from manifold.model.colours import UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place
 from manifold.plots import figures
@@ -69,7 +69,7 @@ class Gallery:
         rows = []
         for _ in range(PLACES):
             x = self._inside(self._rng.uniform(self._model.X.min(axis=0), self._model.X.max(axis=0)))
-            chosen = [choose_colour(self._model, x, ColourChoice(srgb=colour)) for colour in COLOURS]
+            chosen = [self._model.choose_colour(x, ColourChoice(srgb=colour)) for colour in COLOURS]
             rows.append([self._cell(x, c, name) for c, name in zip(chosen, COLOURS, strict=True)])
         return rows
 

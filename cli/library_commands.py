@@ -17,7 +17,7 @@ from .application import app
 from .batch_options import THREADS, ThreadOptions
 
 if TYPE_CHECKING:
-    from manifold.brdf.measured import BRDF
+    from manifold.brdf.interface import BRDF
     from manifold.estimate.attributes import Found
     from manifold.formats.readings import Readings
 

@@ -23,7 +23,8 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 from filelock import FileLock, Timeout
 
 from manifold import __version__, disk, progress, work
-from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF, EvaluableBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.attributes import lab_of

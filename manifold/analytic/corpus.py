@@ -15,7 +15,8 @@ from manifold.analytic.ggx import GGX, GGXMixture
 from manifold.analytic.layers import Immersed, Layered, MixedBRDF, Retroreflection
 from manifold.analytic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import find_rim
 from manifold.colour.conversion import file_to_srgb, luminance
 from manifold.colour.reflectances import diffuse_reflectance, metal_ior

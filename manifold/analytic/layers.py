@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from manifold.analytic.base import AnalyticBRDF, choose_lobe, set_per_band
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.directions import hemisphere_quadrature
 from manifold.errors import UsageError
 from manifold.records import Array

@@ -15,7 +15,7 @@ import numpy as np
 
 from manifold import disk
 from manifold.analytic.corpus import Material, isotropic_materials, write_files
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.directions import from_spherical
 from manifold.formats import ma_t12
 from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12

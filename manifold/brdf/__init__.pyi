@@ -1,5 +1,5 @@
 from . import goniometer
-from .measured import BRDF
+from .interface import BRDF
 
 __all__ = [
     "BRDF",

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.brdf.measured import BRDF, require_brdf
+from manifold.brdf.interface import BRDF, require_brdf
 from manifold.brdf.unmeasured_cells import Cells, cells_of
 from manifold.brdf.warp import Warp, interpolate
 from manifold.colour.conversion import luminance as luminance_of

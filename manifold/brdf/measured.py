@@ -1,84 +1,29 @@
-"""The protocol that all BRDFs share, and the measured BRDF of an RGL file."""
+"""The measured BRDF of an RGL file."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.warp import Warp
 from manifold.compiled import loops
 from manifold.directions import require_directions, rotate_z
 from manifold.errors import UsageError
 from manifold.pairs import Pairs, Symmetry, flat_samples
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, BsdfFile
 from manifold.threads import share_rows
 
 _FEW = 512  # pairs of directions of a block: fewer take less time than starting a thread
 
 
-class EvaluableBRDF(Protocol):
-    """The part of a BRDF that fits, balls and slices use: B bands at once, directions (..., 3), z the normal."""
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-
-    @property
-    def is_isotropic(self) -> bool:
-        """Return whether f is invariant under rotation of both directions about the normal."""
-
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """Return f in 1/sr, shape (..., B); 0 for a direction that is not above the horizon."""
-
-
-@runtime_checkable
-class BRDF(EvaluableBRDF, Protocol):
-    """The interface of a BRDF."""
-
-    def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """Return f * cos(theta_o) in 1/sr, shape (..., B), like Mitsuba's `eval`."""
-
-    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Return outgoing directions (..., 3) for uniform variates (..., 2), and their pdf (...) in 1/sr.
-
-        A pdf of 0 marks an invalid sample.
-        """
-
-    def pdf(self, wi: Array, wo: Array) -> Array:
-        """Return the density in 1/sr with which `sample` returns wo, shape (...)."""
-
-    def albedo(self, wi: Array) -> Array:
-        """Return the directional albedo, the integral of f * cos(theta_o) over outgoing directions, shape (..., B)."""
-
-
-def all_isotropic(brdfs: Iterable[BRDF]) -> bool:
-    """Return whether every BRDF is isotropic, so that direction pairs of one azimuth determine all of them."""
-    return all(brdf.is_isotropic for brdf in brdfs)
-
-
 def values_at(brdf: EvaluableBRDF, pairs: Pairs) -> Array:
     """Return f in 1/sr at K pairs, shape (K, B); measured materials share the pairs' locations in their files."""
     return brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
-
-
-def require_brdf(brdf: object, where: str) -> None:
-    """Raise UsageError unless something has what evaluating a `BRDF` takes: a file or a path has not.
-
-    Args:
-        brdf: given by a user.
-        where: what it was given to.
-    """
-    missing = [name for name in ("bands", "is_isotropic", "eval", "eval_cos") if not hasattr(brdf, name)]
-    if missing:
-        raise UsageError(
-            f"{where}: found {type(brdf).__name__}, without {', '.join(missing)}, expected a BRDF; a file becomes one "
-            "by MeasuredBRDF(read_bsdf(path))"
-        )
 
 
 class MeasuredBRDF(NotebookPicture):

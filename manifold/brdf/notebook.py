@@ -11,7 +11,7 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import encode_srgb, xyz_to_srgb
 
 if TYPE_CHECKING:
-    from manifold.brdf.measured import BRDF, EvaluableBRDF
+    from manifold.brdf.interface import BRDF, EvaluableBRDF
     from manifold.colour.ball_colours import Picture
     from manifold.records import Array, Mask
 

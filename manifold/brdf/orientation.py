@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.directions import from_spherical, u_to_phi, u_to_theta
 from manifold.records import Array, BsdfFile
 

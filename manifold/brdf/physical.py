@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import (
     FILE_INCIDENCES_DEG,
     incident_directions,

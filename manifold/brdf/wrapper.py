@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.records import Array, Bands

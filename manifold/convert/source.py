@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import cells_of, fill_unmeasured
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import file_to_srgb, luminance, to_srgb

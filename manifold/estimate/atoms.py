@@ -11,7 +11,7 @@ import numpy as np
 from manifold.analytic.free_lobes import Lobes
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
-from manifold.brdf.measured import BRDF, all_isotropic
+from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.colour import ball_colours, panel
 from manifold.encoding import encoding_pairs
 from manifold.errors import UsageError

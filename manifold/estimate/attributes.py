@@ -21,7 +21,8 @@ import scipy
 from numpy.typing import ArrayLike
 
 from manifold import progress
-from manifold.brdf.measured import BRDF, EvaluableBRDF, MeasuredBRDF, values_at
+from manifold.brdf.interface import BRDF, EvaluableBRDF
+from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import panel
 from manifold.colour.ball_colours import Picture
@@ -36,7 +37,7 @@ from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.formats.readings import DAYLIGHT, Readings, gloss_fault
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
-from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.decoding import decoder_at
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place, PlaceLike
@@ -209,7 +210,7 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     >>> adjust(model, "syn_card_brown", Attributes({60.0: Wanted(40.0)}, hue=Wanted(30.0)))  # doctest: +SKIP
     """
     place = model.place(x)
-    chosen = choose_colour(model, place, colour)
+    chosen = model.choose_colour(place, colour)
     present = model.predict(place, chosen.colours).turned(place.rotation_rad)
     search = _Search(model, tuple(attributes.gloss), place.rotation_rad)
     wanted = attributes.lch(_to_lch(lab_of(present)))

@@ -19,7 +19,8 @@ from scipy.optimize import least_squares
 from manifold import __version__, disk
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
-from manifold.brdf.measured import BRDF, MeasuredBRDF, values_at
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour import panel

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.colour.conversion import to_srgb
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.colour.narrow_bands import with_spectra

@@ -14,7 +14,8 @@ from functools import cache
 import numpy as np
 
 from manifold.analytic.fresnel import fresnel_dielectric
-from manifold.brdf.measured import EvaluableBRDF, values_at
+from manifold.brdf.interface import EvaluableBRDF
+from manifold.brdf.measured import values_at
 from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.colour.conversion import luminance
 from manifold.directions import from_spherical

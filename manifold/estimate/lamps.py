@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import label, map_coordinates
 
 from manifold import disk
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.colour.lights import directions
 from manifold.directions import normalize
 from manifold.errors import FileFormatError, UsageError

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from manifold import __version__
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.estimate.sources import FileSource, MaterialSource, place_of, read_source
 from manifold.library.store import Library
 from manifold.model import diagnostics, location
-from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, ChosenColour, ColourChoice
 from manifold.model.comparison import brdf_errors
 from manifold.model.diagnostics import DiagnosedPrediction, diagnose
 from manifold.model.location import Located, Reconstruction
@@ -75,7 +76,7 @@ def predict(
     if colour != NEAREST or place.walk is not None:
         model.prepare()
     if attributes is None:
-        adjusted, chosen = None, choose_colour(model, place, colour)
+        adjusted, chosen = None, model.choose_colour(place, colour)
     else:
         from manifold.estimate.attributes import adjust  # which loads optimisers
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.directions import half_vector
 from manifold.records import Array, Indices

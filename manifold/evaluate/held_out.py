@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from manifold import metrics
-from manifold.brdf.measured import MeasuredBRDF, all_isotropic
+from manifold.brdf.interface import all_isotropic
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold.brdf.measured import all_isotropic
+from manifold.brdf.interface import all_isotropic
 from manifold.encoding import Decoder, Encoder
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.method_data import Data

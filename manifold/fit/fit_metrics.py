@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.brdf.measured import EvaluableBRDF, values_at
+from manifold.brdf.interface import EvaluableBRDF
+from manifold.brdf.measured import values_at
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000

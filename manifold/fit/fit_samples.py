@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour import panel
 from manifold.colour.conversion import to_srgb
 from manifold.colour.narrow_bands import with_spectra

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold import progress
-from manifold.brdf.measured import MeasuredBRDF, all_isotropic, values_at
+from manifold.brdf.interface import all_isotropic
+from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.plausibility import (
     LAYOUT_AZIMUTHS_DEG,
     profile_pairs,

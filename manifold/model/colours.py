@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +18,9 @@ from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import decoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace, fixed_colours
 from manifold.model.materials import MaterialCache
-from manifold.model.places import PlaceLike, require_latent
+from manifold.model.places import require_latent
 from manifold.model.settings import Settings
-from manifold.records import Array
-
-if TYPE_CHECKING:
-    from manifold.model.manifold import Manifold
+from manifold.records import Array, Bands
 
 
 @dataclass(frozen=True)
@@ -63,6 +60,19 @@ class ColourChoice:
             known = None
         return {"like": self.like, "reflectance": known, "srgb": self.srgb}
 
+    def asked(self, bands: Bands) -> tuple[Array, str]:
+        """Return the chosen reflectance in some bands, shape (B,), and its origin in words."""
+        if self.srgb is not None:
+            return srgb_reflectance(parse_srgb(self.srgb), bands), f"sRGB {self.srgb}"
+        given = self.reflectance
+        assert given is not None
+        spectrum = (
+            given.in_bands(bands)
+            if isinstance(given, ReflectanceSpectrum)
+            else read_reflectance(given, bands)
+        )
+        return spectrum, f"by {given.name}"
+
 
 NEAREST = ColourChoice()
 """No choice: the colour blended from the surrounding materials."""
@@ -85,39 +95,6 @@ class ChosenColour:
 
 UNCHOSEN = ChosenColour(None, None, 0.0)
 """No colour of its own: latents carry it, or it is interpolated with them."""
-
-
-def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> ChosenColour:
-    """Find the colours of the structure at a place x."""
-    if not model.space.takes_colours:
-        if choice != NEAREST:
-            raise UsageError(fixed_colours(model.space.kind))
-        return UNCHOSEN
-    place = model.place(x)
-    x = place.latent
-    if choice == NEAREST and place.walk is not None:
-        return ChosenColour(None, "blended from the two materials of the walk", 0.0)
-    if choice == NEAREST:
-        return ChosenColour(None, "blended from the surrounding materials", 0.0)
-    if choice.reflectance is None and choice.srgb is None:
-        name = str(choice.like)
-        colours = model.colours.like(x, name)
-        reached = model.colours.reached(x, colours)
-        off = float(np.abs(reached - model.colours.reflectance(name)).max())
-        return ChosenColour(colours, f"like {name}", off)
-    if choice.reflectance is not None:
-        given = choice.reflectance
-        asked = (
-            given.in_bands(model.bands)
-            if isinstance(given, ReflectanceSpectrum)
-            else read_reflectance(given, model.bands)
-        )
-        words = f"by {given.name}"
-    else:
-        asked = srgb_reflectance(parse_srgb(choice.srgb or ""), model.bands)
-        words = f"sRGB {choice.srgb}"
-    colours, reached = model.colours.of_reflectance(x, asked)
-    return ChosenColour(colours, words, float(np.abs(reached - asked).max()))
 
 
 def parse_srgb(text: str) -> Array:

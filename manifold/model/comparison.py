@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, all_isotropic, require_brdf, values_at
+from manifold.brdf.interface import BRDF, all_isotropic, require_brdf
+from manifold.brdf.measured import values_at
 from manifold.colour import panel
 from manifold.metrics import Errors
 from manifold.pairs import Pairs, RusinkiewiczGrid

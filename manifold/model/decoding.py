@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, values_at
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import values_at
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Picture, sums_of_runs

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from manifold import __version__
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
 from manifold.metrics import BALL, Errors
-from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.expected_error import COARSE_BELOW, NOT_CALIBRATED
 from manifold.records import Array, plain
 
@@ -116,7 +116,7 @@ def predict_and_diagnose(
 ) -> DiagnosedPrediction:
     """Return the prediction at a place in a chosen colour, with its diagnostics."""
     place = model.place(x)
-    chosen = choose_colour(model, place, choice)
+    chosen = model.choose_colour(place, choice)
     return diagnose(model, place, model.predict(place, chosen.colours), chosen)
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold import progress
-from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic, values_at
+from manifold.brdf.interface import BRDF, all_isotropic
+from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.likelihood import LatentObjective, centre_gram, require_start

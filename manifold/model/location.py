@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share

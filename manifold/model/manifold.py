@@ -12,19 +12,20 @@ from typing import Any, overload
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.brdf.interface import BRDF, require_brdf
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.gpr import LengthScaleBound
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS, Identity, ValueMapping
 from manifold.model.blend_space import BlendSpace
-from manifold.model.colours import ReflectanceColours
+from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
 from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
 from manifold.model.fitting import Gram, fit_space
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
-from manifold.model.latent_space import Embedded, LatentSpace
+from manifold.model.latent_space import Embedded, LatentSpace, fixed_colours
 from manifold.model.map import LatentMap, map_svg
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache, names_among
@@ -164,6 +165,26 @@ class Manifold(LatentMap):
             UsageError: its materials have fixed colours.
         """
         return ReflectanceColours(self.space, self.materials, self.settings)
+
+    def choose_colour(self, x: PlaceLike, choice: ColourChoice) -> ChosenColour:
+        """Find the colours of the structure at a place x."""
+        if not self.space.takes_colours:
+            if choice != NEAREST:
+                raise UsageError(fixed_colours(self.space.kind))
+            return UNCHOSEN
+        place = self.place(x)
+        latent = place.latent
+        if choice == NEAREST:
+            around = "the surrounding materials" if place.walk is None else "the two materials of the walk"
+            return ChosenColour(None, f"blended from {around}", 0.0)
+        if choice.like is not None:
+            colours = self.colours.like(latent, choice.like)
+            reached, asked = self.colours.reached(latent, colours), self.colours.reflectance(choice.like)
+            words = f"like {choice.like}"
+        else:
+            asked, words = choice.asked(self.bands)
+            colours, reached = self.colours.of_reflectance(latent, asked)
+        return ChosenColour(colours, words, float(np.abs(reached - asked).max()))
 
     @overload
     def predict(self, x: PlaceLike, colours: Array | None = None) -> PredictedBRDF: ...

@@ -12,7 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from manifold import progress
-from manifold.brdf.measured import MeasuredBRDF, all_isotropic
+from manifold.brdf.interface import all_isotropic
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.colour import panel

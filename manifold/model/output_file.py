@@ -12,7 +12,8 @@ import numpy as np
 
 from manifold import disk
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.physical import physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.errors import UsageError

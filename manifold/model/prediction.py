@@ -12,7 +12,8 @@ import numpy as np
 from manifold.analytic.base import choose_lobe, cosine_hemisphere
 from manifold.analytic.free_lobes import Lobes
 from manifold.analytic.ggx import normal_distribution, sample_normals
-from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic, values_at
+from manifold.brdf.interface import BRDF, all_isotropic
+from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.sums import WeightedSum

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from manifold.analytic.free_lobes import Lobes
-from manifold.brdf.measured import BRDF, all_isotropic, values_at
+from manifold.brdf.interface import BRDF, all_isotropic
+from manifold.brdf.measured import values_at
 from manifold.colour import panel
 from manifold.encoding import encoding_pairs
 from manifold.errors import UsageError

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from manifold.analytic.free_lobes import cos_theta_d, microfacet_lobe
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.ball_colours import ball
 from manifold.colour.conversion import srgb_to_xyz, to_srgb

@@ -17,139 +17,30 @@ from numpy.typing import NDArray
 
 from manifold.analytic.free_lobes import cos_theta_d
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.brdf.sums import WeightedSum
 from manifold.colour import ball_colours
 from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb, xyz_to_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
-from manifold.directions import from_rusinkiewicz, from_spherical, normalize
 from manifold.errors import UsageError
-from manifold.estimate.gloss import RECEPTORS_DEG, SOURCE_DEG, black_glass
 from manifold.metrics import BALL
 from manifold.model.blend_space import BlendSpace, require_blends
-from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
 from manifold.model.walks import ROUGHNESSES, Walked, walk_shares
 from manifold.page.page_surfaces import components_of, surface_document
+from manifold.page.tabulated_pairs import (
+    GRID_SHAPE,
+    SLICE_INCIDENCES_DEG,
+    THETA_D_SHARE,
+    THETA_H_MAX_RAD,
+    THETA_H_POWER,
+    TabulatedPairs,
+    tabulated_pairs,
+)
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices, evenly_spaced
 from manifold.surface.written import WrittenSurface
-
-SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
-GLOSS_DEG = 60
-_GLOSS_NODES = (19, 12)  # nodes in the plane of incidence, and across it on one side
-_SPHERE_NODES = 20  # nodes in elevation and in azimuth
-
-
-GRID_SHAPE = (45, 23, 12)
-"""Nodes over theta_h, theta_d and phi_d in [0, 180] degrees, both ends included; phi_d runs fastest."""
-
-THETA_H_MAX_RAD = float(np.deg2rad(89.0))
-THETA_H_POWER = 2.5
-"""The last theta_h, and the power of its index with which theta_h goes, dense around the mirror direction."""
-
-THETA_D_SHARE = 0.995
-"""The last theta_d, as a share of the largest."""
-
-
-def grid_directions() -> tuple[Array, Array]:
-    """Return wi and wo of all nodes of the grid, shape (P, 3) each.
-
-    theta_d is a share of the largest at which both directions are above the horizon, so that the whole grid can be
-    looked up: `tan(theta_d) = 1 / (tan(theta_h) |cos(phi_d)|)` there.
-    """
-    h, d, p = (np.arange(n) / (n - 1) for n in GRID_SHAPE)
-    angles = np.meshgrid(h**THETA_H_POWER * THETA_H_MAX_RAD, d * THETA_D_SHARE, p * np.pi, indexing="ij")
-    theta_h, share, phi_d = (a.ravel() for a in angles)
-    return from_rusinkiewicz(theta_h, share * largest_theta_d(theta_h, phi_d), phi_d)
-
-
-def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
-    """Return the theta_d at which one of the directions reaches the horizon, in radians."""
-    return np.asarray(np.arctan2(1.0, np.tan(theta_h) * np.abs(np.cos(phi_d))))
-
-
-@dataclass(frozen=True, eq=False)
-class TabulatedPairs:
-    """All pairs of a page: of the grid, then of the slices, of the gloss meter, 45/0, and of the integrating sphere.
-
-    Attributes:
-        wi, wo: unit vectors, shape (P, 3).
-        slice_angles_deg: of wo from the normal, towards the mirror direction, per incidence.
-        gloss_weights: gloss units per 1/sr at the pairs of the gloss meter.
-        sphere_measure: what makes a reflectance of values at the last pairs.
-        n_grid: pairs of the grid.
-    """
-
-    wi: Array
-    wo: Array
-    slice_angles_deg: tuple[Array, ...]
-    gloss_weights: Array
-    sphere_measure: Array
-    n_grid: int
-
-    @property
-    def amplitude(self) -> Array:
-        """Cube roots of cos(theta_i) cos(theta_o), shape (P,): values are tabulated times that."""
-        return np.cbrt(self.wi[:, 2] * self.wo[:, 2])
-
-
-def tabulated_pairs() -> TabulatedPairs:
-    """Return the pairs of a page without mirror images: materials are tabulated as the mean of both sides."""
-    wi, wo = [], []
-    *gloss, gloss_weights = _gloss_meter()
-    spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
-    for directions in (grid_directions(), *map(_slice, SLICE_INCIDENCES_DEG), gloss, spot):
-        wi.append(directions[0])
-        wo.append(directions[1])
-    sphere_wi = from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0)
-    sphere_wo, measure = mirrored_quadrature(sphere_wi, _SPHERE_NODES, _SPHERE_NODES)
-    one_side = sphere_wo[:, 1] > 0.0
-    sphere_wo = sphere_wo[one_side]
-    wi.append(np.broadcast_to(sphere_wi, sphere_wo.shape))
-    wo.append(sphere_wo)
-    angles = tuple(_slice_angles(incidence) for incidence in SLICE_INCIDENCES_DEG)
-    measure = 2.0 * measure[one_side] * sphere_wo[:, 2]
-    return TabulatedPairs(np.vstack(wi), np.vstack(wo), angles, gloss_weights, measure, len(wi[0]))
-
-
-def _gloss_meter() -> tuple[Array, Array, Array]:
-    """Return pairs of the gloss meter at 60 degrees, and gloss units per 1/sr at each.
-
-    They lie on one side of the plane of incidence.
-
-    All have the light at the centre of the source: that the source is wide is in the weights, as the wider receptor.
-    """
-    theta, (half_in, half_across) = np.deg2rad(GLOSS_DEG), 0.5 * np.deg2rad(RECEPTORS_DEG[GLOSS_DEG])
-    source_in, source_across = 0.5 * np.deg2rad(SOURCE_DEG)
-    n_in, n_across = _GLOSS_NODES
-    x_edges, y_edges = np.linspace(-1.0, 1.0, n_in + 1), np.linspace(0.0, 1.0, n_across + 1)
-    x_edges = (half_in + source_in) * x_edges * np.abs(x_edges)  # dense around the mirror direction
-    y_edges = (half_across + source_across) * y_edges**2
-    x, y = (0.5 * (edges[1:] + edges[:-1]) for edges in (x_edges, y_edges))
-    X, Y = (a.ravel() for a in np.meshgrid(x, y, indexing="ij"))
-    seen = np.clip((half_in + source_in - np.abs(X)) / (2.0 * source_in), 0.0, 1.0)
-    seen *= np.clip((half_across + source_across - Y) / (2.0 * source_across), 0.0, 1.0)
-    centre, across = from_spherical(theta, 0.0), np.array([0.0, 1.0, 0.0])
-    wo = normalize(centre + np.tan(X)[:, None] * np.cross(across, centre) + np.tan(Y)[:, None] * across)
-    cell = 2.0 * np.outer(np.diff(x_edges), np.diff(y_edges)).ravel()  # on both sides
-    weights = 100.0 * seen * cell * wo[:, 2] / black_glass(GLOSS_DEG)
-    return np.broadcast_to(from_spherical(theta, np.pi), wo.shape), wo, weights
-
-
-def _slice_angles(incidence_deg: float) -> Array:
-    """Return degrees from -85 to 85, dense around the mirror direction."""
-    near = incidence_deg + np.arange(-10.0, 10.25, 0.5)
-    return np.unique(np.concatenate([np.arange(-85.0, 85.5, 2.5), near]))
-
-
-def _slice(incidence_deg: float) -> tuple[Array, Array]:
-    angles = np.deg2rad(_slice_angles(incidence_deg))
-    wo = np.stack([-np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
-    return np.broadcast_to(from_spherical(np.deg2rad(incidence_deg), 0.0), wo.shape), wo
-
 
 _NODES = {1: 200, 2: 72, 3: 24}  # per dimension; maps of more dimensions have none
 _MARGIN = 0.25  # width around the materials, as a share of their extent

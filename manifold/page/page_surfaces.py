@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import base64
 import io
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import encode_srgb, interpolation_matrix, to_srgb
 from manifold.directions import normalize
 from manifold.errors import UsageError
 from manifold.model.location import locate_brdf
 from manifold.model.manifold import Manifold
+from manifold.page.tabulated_pairs import TabulatedPairs
 from manifold.records import Array, Bands
 from manifold.surface.sparkle import DrawnFlakes
 from manifold.surface.tiling import Textures
 from manifold.surface.written import WrittenSurface
-
-if TYPE_CHECKING:
-    from manifold.page.page_data import TabulatedPairs
 
 SIZE = 512
 """Most pixels of a side of the textures in a page: some 0.6 MB a surface."""

@@ -12,7 +12,7 @@ import numpy as np
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
 from manifold.extras import require
-from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
 from manifold.page.page import widget_module
@@ -69,4 +69,4 @@ class MapWidget(AnyWidget):  # type: ignore[misc]
         if rows is not None:
             nm, values = zip(*rows, strict=True)
             colour["reflectance"] = ReflectanceSpectrum(nm, values)
-        return self.model.predict(x, choose_colour(self.model, x, ColourChoice(**colour)).colours)
+        return self.model.predict(x, self.model.choose_colour(x, ColourChoice(**colour)).colours)

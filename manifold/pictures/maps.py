@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 
 from manifold import progress
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import blank_unmeasured, fill_unmeasured
 from manifold.errors import UsageError
 from manifold.estimate.sources import (

@@ -8,7 +8,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.brdf.interface import BRDF, require_brdf
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import lights
 from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.illuminants import Illuminant

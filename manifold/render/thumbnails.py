@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold import progress
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.model.manifold import Manifold
 from manifold.records import Array, BsdfFile
 from manifold.render import images, scenes

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_srgb
 from manifold.directions import normalize

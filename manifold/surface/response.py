@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour.conversion import to_srgb
 from manifold.records import Array
 from manifold.surface.lamp_pictures import SurfacePictures

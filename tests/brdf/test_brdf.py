@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from manifold.analytic import corpus
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.warp import Warp
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import ShapeError

@@ -11,7 +11,8 @@ from helpers.small_library import small_library
 
 from manifold.analytic.base import Lambert
 from manifold.brdf import goniometer, physical
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.physical import AlbedoScaledBRDF, ReciprocalBRDF, physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file, quadrature_albedo
 from manifold.brdf.unmeasured_cells import Cells

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from manifold.brdf.measured import MeasuredBRDF, all_isotropic
+from manifold.brdf.interface import all_isotropic
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import profile_pairs, squared_valleys, valley_depth
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours

@@ -11,7 +11,7 @@ from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, 
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.library.store import Library
-from manifold.model.colours import NEAREST, ColourChoice, choose_colour, parse_srgb
+from manifold.model.colours import NEAREST, ColourChoice, parse_srgb
 from manifold.model.manifold import Manifold, Settings
 from manifold.records import Bands
 
@@ -29,7 +29,7 @@ def model(tmp_path_factory):
 @pytest.mark.parametrize("t", [0.2, 0.5])
 def test_like_gives_the_reflectance_of_that_material(model, t):
     x = model.between("syn_felt_green", "syn_paper_white", t)
-    chosen = choose_colour(model, x, ColourChoice(like="syn_felt_orange"))
+    chosen = model.choose_colour(x, ColourChoice(like="syn_felt_orange"))
     reached = model.colours.reached(x, chosen.colours)
     assert np.abs(reached - model.colours.reflectance("syn_felt_orange")).max() == pytest.approx(
         chosen.residual
@@ -40,8 +40,8 @@ def test_like_gives_the_reflectance_of_that_material(model, t):
 def test_srgb_and_the_same_reflectance_give_the_same_colours(model, tmp_path):
     x = model.between("syn_felt_green", "syn_paper_white", 0.5)
     (tmp_path / "grey.csv").write_text("nm,R\n400,0.214041\n700,0.214041\n")
-    by_srgb = choose_colour(model, x, ColourChoice(srgb="0.5,0.5,0.5"))
-    by_file = choose_colour(model, x, ColourChoice(reflectance=tmp_path / "grey.csv"))
+    by_srgb = model.choose_colour(x, ColourChoice(srgb="0.5,0.5,0.5"))
+    by_file = model.choose_colour(x, ColourChoice(reflectance=tmp_path / "grey.csv"))
     np.testing.assert_allclose(by_srgb.colours, by_file.colours, atol=1e-3)
 
 
@@ -50,8 +50,8 @@ def test_a_spectrum_and_the_same_file_give_the_same_colours(model, tmp_path):
     np.savetxt(tmp_path / "red.txt", np.stack([nm, values], axis=1))
     x = model.between("syn_felt_green", "syn_paper_white", 0.5)
     spectrum = ReflectanceSpectrum(nm, values, "red")
-    by_spectrum = choose_colour(model, x, ColourChoice(reflectance=spectrum))
-    by_file = choose_colour(model, x, ColourChoice(reflectance=tmp_path / "red.txt"))
+    by_spectrum = model.choose_colour(x, ColourChoice(reflectance=spectrum))
+    by_file = model.choose_colour(x, ColourChoice(reflectance=tmp_path / "red.txt"))
     np.testing.assert_array_equal(by_spectrum.colours, by_file.colours)
     assert by_spectrum.words == "by red"
     assert spectrum == ReflectanceSpectrum(tuple(nm), list(values), "red")
@@ -77,9 +77,9 @@ def test_two_colours_are_refused():
 
 def test_whole_materials_carry_their_colours(model):
     whole = Manifold.fit(model.library, Settings(kind="material"), calibrate=False)
-    assert choose_colour(whole, whole.X[0], NEAREST).colours is None
+    assert whole.choose_colour(whole.X[0], NEAREST).colours is None
     with pytest.raises(UsageError, match="cannot be chosen"):
-        choose_colour(whole, whole.X[0], ColourChoice(like="syn_felt_green"))
+        whole.choose_colour(whole.X[0], ColourChoice(like="syn_felt_green"))
 
 
 @pytest.mark.parametrize(("text", "values"), [("#ff8000", [1, 128 / 255, 0]), ("1, 0.5,0", [1, 0.5, 0])])

@@ -14,7 +14,7 @@ from manifold.errors import UsageError
 from manifold.evaluate.report import make_report
 from manifold.library.store import Library
 from manifold.model import expected_error, fitting, landmarks, map
-from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.page.page_data import tabulate, to_document
@@ -58,7 +58,7 @@ def test_a_saved_map_predicts_the_same(model, folder):
     model.save(folder / "m.h5")
     loaded = Manifold.load(folder / "m.h5")
     x, ball = model.X.mean(axis=0), ball_colours.ball()
-    colours = choose_colour(model, x, ColourChoice(srgb="#aa5533")).colours
+    colours = model.choose_colour(x, ColourChoice(srgb="#aa5533")).colours
     for chosen in (None, colours):
         np.testing.assert_array_equal(
             loaded.predict(x, chosen).eval(ball.wi, ball.wo), model.predict(x, chosen).eval(ball.wi, ball.wo)
@@ -69,7 +69,7 @@ def test_a_saved_map_predicts_the_same(model, folder):
 
 def test_a_chosen_colour_is_reached_as_on_any_map(model):
     x = model.X.mean(axis=0)
-    chosen = choose_colour(model, x, ColourChoice(srgb="#808080"))
+    chosen = model.choose_colour(x, ColourChoice(srgb="#808080"))
     assert chosen.residual < 0.01  # of a reflectance, after two steps of Newton
 
 

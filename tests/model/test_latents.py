@@ -14,7 +14,7 @@ from manifold.estimate.predictions import locate, predict
 from manifold.info import inspect
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
@@ -80,7 +80,7 @@ def test_in_a_chosen_colour_a_step_is_the_place_between_the_two(model):
     if not loaded.space.takes_colours:
         pytest.skip("latents fix the colours of this kind")
     made = predict_and_diagnose(loaded, step, ColourChoice(srgb="#3366aa"))
-    colours = choose_colour(loaded, made.latent, ColourChoice(srgb="#3366aa")).colours
+    colours = loaded.choose_colour(made.latent, ColourChoice(srgb="#3366aa")).colours
     assert made.walk is None
     assert made.expected is not None
     assert distance(made.brdf, loaded.predict(made.latent, colours)) == 0.0

@@ -14,7 +14,8 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.brdf.sums import WeightedSum
 from manifold.compiled import loops

@@ -18,10 +18,11 @@ from manifold.directions import from_spherical
 from manifold.estimate.attributes import Attributes, Wanted, adjust, lab_of
 from manifold.estimate.gloss import gloss_units
 from manifold.model.blending import blend_weights
-from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.page.page import make_page
-from manifold.page.page_data import tabulate, tabulated_pairs, to_document
+from manifold.page.page_data import tabulate, to_document
+from manifold.page.tabulated_pairs import tabulated_pairs
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -188,7 +189,7 @@ def test_the_ball_of_the_page_is_that_of_mitsuba_in_the_same_light(visited, mode
 @pytest.mark.parametrize("choice", [{"like": "syn_metal_copper"}, {"srgb": "#3070c0"}, {"srgb": "#101010"}])
 def test_a_chosen_colour_gives_the_reflectance_that_python_gives(visited, model, choice, rng):
     x = rng.dirichlet(np.ones(len(NAMES))) @ model.X
-    colours = choose_colour(model, x, ColourChoice(**choice)).colours
+    colours = model.choose_colour(x, ColourChoice(**choice)).colours
     expected = model.colours.reached(x, colours)
     mode = {"colour": "like" if "like" in choice else "picked", **choice}
     visited.page.evaluate("([x, mode]) => window.explorer.change({ x, ...mode })", [x.tolist(), mode])

@@ -19,12 +19,13 @@ from manifold.metrics import BALL
 from manifold.model.manifold import Manifold, Settings
 from manifold.page import explore, page_data
 from manifold.page.page import make_page, page_script, widget_module
-from manifold.page.page_data import (
+from manifold.page.page_data import error_field
+from manifold.page.tabulated_pairs import (
     GRID_SHAPE,
     THETA_D_SHARE,
     THETA_H_MAX_RAD,
     THETA_H_POWER,
-    error_field,
+    grid_directions,
     largest_theta_d,
     tabulated_pairs,
 )
@@ -63,7 +64,7 @@ def test_no_pair_of_the_page_is_below_the_horizon():
 
 
 def test_the_grid_finds_its_own_nodes_again():
-    found = np.stack(grid_coordinates(*page_data.grid_directions()), axis=1)
+    found = np.stack(grid_coordinates(*grid_directions()), axis=1)
     expected = np.stack([a.ravel() for a in np.indices(GRID_SHAPE)], axis=1)
     has_azimuth = expected[:, 1] > 0
     inner = expected[:, 0] > 2  # nearer to the normal, angles of vectors in double precision lose digits

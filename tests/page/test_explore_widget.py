@@ -10,7 +10,7 @@ from helpers.browser import chromium
 from helpers.small_library import NAMES
 
 from manifold.errors import LatentError, UsageError
-from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice
 
 pytest.importorskip("anywidget", reason="anywidget is not installed: pip install anywidget")
 from manifold.page.widget import MapWidget
@@ -108,7 +108,7 @@ def test_the_prediction_is_that_of_the_model_in_the_chosen_colour(widget):
     model = widget.model
     wi = wo = np.array([[0.0, 0.0, 1.0]])
     widget.latent, widget.colour = [0.1, -0.1], {"srgb": "#3366aa"}
-    colours = choose_colour(model, np.array([0.1, -0.1]), ColourChoice(srgb="#3366aa")).colours
+    colours = model.choose_colour(np.array([0.1, -0.1]), ColourChoice(srgb="#3366aa")).colours
     expected = model.predict(np.array([0.1, -0.1]), colours).eval(wi, wo)
     assert np.array_equal(widget.prediction().eval(wi, wo), expected)
     widget.colour = {"spectrum": [[380.0, 0.05], [780.0, 0.8]]}

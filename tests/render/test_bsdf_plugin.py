@@ -26,7 +26,7 @@ from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.mapping import MAPPINGS
-from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.colours import ColourChoice
 from manifold.model.combination import Combination
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings, load_model
 from manifold.model.output_file import OutputOptions
@@ -116,7 +116,7 @@ def words(latent) -> str:
 
 
 class InMitsuba:
-    """A BSDF of Mitsuba with the interface of `manifold.brdf.measured.BRDF`, at fixed wavelengths."""
+    """A BSDF of Mitsuba with the interface of `manifold.brdf.interface.BRDF`, at fixed wavelengths."""
 
     def __init__(self, mi, scene, wavelengths_nm=None):
         self.mi, self.dr = mi, backend.drjit()
@@ -421,7 +421,7 @@ def test_a_reflectance_colours_a_prediction(models, rng, tmp_path):
     x = model.between(model.names[0], model.names[2], 0.4)
     spectrum = tmp_path / "blue.txt"
     spectrum.write_text("380 0.6\n480 0.5\n550 0.1\n780 0.05\n")
-    chosen = choose_colour(model, x, ColourChoice(reflectance=spectrum))
+    chosen = model.choose_colour(x, ColourChoice(reflectance=spectrum))
     mi, bands = backend.mitsuba("spectral"), [15, 40, 77, 130]
     scene = {"type": "manifold", "model": str(models["spectral blend"]), "latent": words(x)}
     plugin = InMitsuba(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import encode_srgb, srgb_to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000

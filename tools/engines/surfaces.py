@@ -13,7 +13,7 @@ import numpy as np
 from surface import surface_twins
 
 from engines.balls import Light, Scene
-from manifold.brdf.measured import EvaluableBRDF
+from manifold.brdf.interface import EvaluableBRDF
 from manifold.colour.conversion import encode_srgb, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.fit import exporting

@@ -12,7 +12,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_spherical
 from manifold.evaluate.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, named, plastic, predict

@@ -11,7 +11,7 @@ import numpy as np
 
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import RoughConductor
-from manifold.brdf.measured import BRDF
+from manifold.brdf.interface import BRDF
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical

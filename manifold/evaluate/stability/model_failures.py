@@ -12,7 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.interface import BRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.evaluate.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, in_space, named, predict
 from manifold.evaluate.stability.trials import BALL, HALF_OF_NEAREST, Limit, Measurement, Mode, Trial

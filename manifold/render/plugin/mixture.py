@@ -12,7 +12,7 @@ from manifold.errors import UsageError
 from manifold.gpr import GaussianProcess
 from manifold.mapping import ValueMapping
 from manifold.model.blend_space import BlendSpace
-from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place
 from manifold.records import AnyArray, Array, Bands, BsdfFile, Indices
@@ -85,7 +85,7 @@ class FixedLatent:
         cls, model: Manifold, place: Place, colour: ColourChoice = NEAREST, tolerance: float = 0.0
     ) -> FixedLatent:
         """Return the latent of a place, in a colour that is chosen there."""
-        return cls(model, place.latent, choose_colour(model, place, colour).colours, tolerance)
+        return cls(model, place.latent, model.choose_colour(place, colour).colours, tolerance)
 
     def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:
         """Return another latent (Q,), and other colours (B,), float32.

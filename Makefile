@@ -10,7 +10,7 @@ MINUTES ?= 10
 # Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-machines test-slow test-lowest check attack bench golden engines docs clean help
+.PHONY: demo test test-machines test-slow test-lowest check attack bench evidence golden engines docs clean help
 
 help:
 	@echo "make demo        run the main job on the built-in corpus, into $(OUT)/"
@@ -22,6 +22,7 @@ help:
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
+	@echo "make evidence    measured figures of the documents, from the data in a folder: DATA=FOLDER"
 	@echo "make engines     exports as Cycles, MaterialX and three.js draw them, into benchmarks/results/engines.json"
 	@echo "make golden      which numbers of commands and calls moved since they were kept: KEEP=1 keeps them, ONLY=words"
 
@@ -67,6 +68,11 @@ attack: .venv/readydev
 
 bench: .venv/readydev
 	$(BIN)/python benchmarks/run_all.py
+
+evidence: .venv/readydev
+	@test -n "$(DATA)" || { echo "make evidence DATA=FOLDER, with what docs/explanation/data.md lists"; exit 2; }
+	$(BIN)/python benchmarks/run_all.py --data $(DATA)
+	$(BIN)/python docs/figures.py
 
 # One thread a process: two processes share the steps.
 golden: .venv/readydev

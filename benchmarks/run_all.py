@@ -1,55 +1,74 @@
 """Run benchmarks and keep their figures in benchmarks/results/*.json, from which the documents are filled in.
 
-    python benchmarks/run_all.py [NAMES...] --files FOLDER [--neural FILE]
+    python benchmarks/run_all.py [NAMES...] [--data FOLDER] [--files FOLDER] [--neural FILE]
 
-FOLDER holds the measured RGB files of the RGL database that the documents speak of, FILE the published neural fits to
-them (Sztrajman et al. 2021). NAMES are results, by default all. What needs files that are not given is left out.
+NAMES are results of `evidence.RESULTS`, by default all. FOLDER of --data holds what is there of
+
+    rgl          the 20 measured RGB files: `manifold fetch --rgb --to FOLDER/rgl`
+    neural.zip   published neural fits to them (Sztrajman et al. 2021)
+    ma-t12       the six workbooks of docs/explanation/data.md
+    spectral     car paints of Cornell University as pbrt-v2 ships them, and PTFE after Germer 2017
+
+What needs data that are not given is left out. Then `python docs/figures.py` fills the documents in.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+from evidence import FOLDER, RESULTS, data_hash, stamp
+
 HERE = Path(__file__).resolve().parent
-RESULTS = HERE / "results"
-CHARTED = (
-    "nearest", "published", "blend_2", "nonnegative", "nonnegative_angles_2_2",
-    "blend_2_angles_2_2",
-)  # fmt: skip
-HELD_OUT = (
-    "nearest", "published", "pca_6_cube_root", "gplvm_2", "gplvm_6",
-    "blend_2", "blend_3", "nonnegative",
-)  # fmt: skip
-COMMANDS = {
-    "published": "bench_published.py FILES",
-    "held_out": "bench_nonnegative.py FILES --numbers 8 12 24 --anchors principled NEURAL --methods "
-    + " ".join(HELD_OUT),
-    "chart": "manifold chart --library LIBRARY " + " ".join(f"--only {key}" for key in CHARTED),
-    "readings": "bench_readings.py LIBRARY",
-    "fit": "bench_fit.py --files FILES --appearance-only",
-    "exports": "bench_exports.py --files FILES --targets gltf,openpbr",
-    "expected_error": "bench_expected_error.py LIBRARY",
-    "interior": "bench_interior.py LIBRARY",
-    "walks": "bench_walks.py LIBRARY",
-    "page": "bench_page.py MODEL",
-    "compact": "bench_compact.py FILES",
-    "inspection": "bench_inspection.py --files FILES",
-    "photo": "bench_photo.py FILES",
-    "lamps": "bench_lamps.py --files FILES --library LIBRARY",
-    "stability": "manifold stability",
-    "goniometer": "bench_goniometer.py",
-    "render": "bench_render.py",
-    "evaluation": "bench_evaluation.py",
-    "fluorescent": "fluorescent_light.py",
-    "gplvm": "bench_gplvm.py",
-    "prediction": "bench_prediction.py",
-    "scale": "bench_scale.py",
-}
-"""The command that writes each result; FILES, LIBRARY and MODEL stand for the measured files."""
+MEASURED = {"FILES": "rgl", "NEURAL": "neural.zip", "WORKBOOKS": "ma-t12", "SPECTRAL": "spectral"}
+"""Names of the data in a command, and where --data has them."""
+MADE_OF = {"LIBRARY": "FILES", "MODEL": "FILES", "WORKBOOK_FOLDER": "WORKBOOKS"}
+"""What is made of other data for the commands that name it."""
+
+
+class Places:
+    """The data that commands name; libraries, models and the corpus are made when a command first needs them."""
+
+    def __init__(self, given: dict[str, Path], folder: Path) -> None:
+        self._given, self._folder = given, folder
+        self._manifold = [sys.executable, "-m", "manifold"]
+
+    def missing(self, words: list[str]) -> list[str]:
+        """Which data a command needs and nobody gave."""
+        needed = {MADE_OF.get(word, word) for word in words}
+        return [word for word in (*MEASURED, "SURFACES") if word in needed and word not in self._given]
+
+    def words(self, word: str) -> list[str]:
+        """The paths that a word of a command stands for, or the word."""
+        if word == "WORKBOOKS":
+            return [str(path) for path in sorted(self._given[word].glob("*.xlsx"))]
+        if word == "WORKBOOK_FOLDER":
+            return [str(self._given["WORKBOOKS"].resolve())]
+        if word in self._given:
+            return [str(self._given[word].resolve())]
+        made = {"LIBRARY": "library.zarr", "MODEL": "model.h5", "CORPUS": "corpus"}
+        if word not in made:
+            return [word]
+        path = self._folder / made[word]
+        if not path.exists() and word == "CORPUS":
+            self._run("corpus", str(path))
+        elif not path.exists():
+            self._run("import", str(self._given["FILES"].resolve()))
+            self._run("embed")
+        return [str(path)]
+
+    def hashes(self, words: list[str]) -> dict[str, str]:
+        """Hashes of the measured data of a command."""
+        named = {MADE_OF.get(word, word) for word in words} & set(self._given)
+        return {word: data_hash([self._given[word]]) for word in sorted(named)}
+
+    def _run(self, *words: str) -> None:
+        subprocess.run([*self._manifold, *words], cwd=self._folder, check=True)
 
 
 def main() -> None:
@@ -58,41 +77,50 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="NAMES")
+    parser.add_argument("--data", type=Path, help="folder with all of it")
     parser.add_argument("--files", type=Path, help="folder of measured .bsdf files")
     parser.add_argument("--neural", type=Path, help="published neural fits, a folder or a zip file")
-    given = parser.parse_args()
-    if unknown := set(given.names) - set(COMMANDS):
-        parser.error(f"unknown: {', '.join(sorted(unknown))}; expected some of {', '.join(COMMANDS)}")
-    manifold = [sys.executable, "-m", "manifold"]
+    asked = parser.parse_args()
+    if unknown := set(asked.names) - set(RESULTS):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; expected some of {', '.join(RESULTS)}")
+    given = {"FILES": asked.files, "NEURAL": asked.neural}
+    given = {word: path for word, path in given.items() if path is not None}
+    if asked.data is not None:
+        there = {word: asked.data / name for word, name in MEASURED.items()}
+        given = {word: path for word, path in there.items() if path.exists()} | given
     failed = []
     with tempfile.TemporaryDirectory() as folder:
-        places = {"LIBRARY": Path(folder, "library.zarr"), "MODEL": Path(folder, "model.h5")}
-        places |= {"FILES": given.files, "NEURAL": given.neural}
-        wanted = {name: COMMANDS[name].split() for name in given.names or COMMANDS}
-        if given.files and any({"LIBRARY", "MODEL"} & set(words) for words in wanted.values()):
-            subprocess.run([*manifold, "import", given.files.resolve()], cwd=folder, check=True)
-            subprocess.run([*manifold, "embed"], cwd=folder, check=True)
-        RESULTS.mkdir(exist_ok=True)
-        for name, (program, *words) in wanted.items():
-            needed = {
-                "LIBRARY": given.files,
-                "MODEL": given.files,
-                "FILES": given.files,
-                "NEURAL": given.neural,
-            }
-            if missing := [word for word in words if word in needed and not needed[word]]:
+        places = Places(given, Path(folder))
+        FOLDER.mkdir(exist_ok=True)
+        for name in asked.names or RESULTS:
+            result = RESULTS[name]
+            program, *words = result.command.split()
+            if missing := places.missing(words):
                 print(f"== {name}: left out, needs {missing[0]}", flush=True)
                 continue
-            print(f"== {name}", flush=True)
-            command = manifold if program == "manifold" else [sys.executable, str(HERE / program)]
-            resolved = [str(places[word].resolve()) if word in places else word for word in words]
-            target = RESULTS / f"{name}.json"
-            target.unlink(missing_ok=True)
+            if program == "make":
+                print(f"== {name}: left out, run `{result.command}`", flush=True)
+                continue
+            expected = "" if result.minutes is None else f", about {result.minutes:g} processor minutes"
+            print(f"== {name}{expected}", flush=True)
+            command = (
+                [sys.executable, "-m", "manifold"]
+                if program == "manifold"
+                else [sys.executable, str(HERE / program)]
+            )
+            resolved = [path for word in words for path in places.words(word)]
+            target = Path(folder, f"{name}.json")
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
             subprocess.run([*command, *resolved, "--json", str(target)], check=False)
-            if (
-                not target.exists()
-            ):  # a status of 1 may be a finding: `stability` leaves so where a mode is wrong
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            # A status of 1 may be a finding: `stability` leaves so where a mode is wrong.
+            if not target.exists():
                 failed.append(name)
+                continue
+            seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            stamp(name, target, places.hashes(words), seconds)
+            shutil.move(target, FOLDER / target.name)
+            print(f"   {seconds / 60.0:.1f} processor minutes", flush=True)
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
 

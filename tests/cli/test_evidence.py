@@ -1,0 +1,60 @@
+"""Figures of the documents come from results that say how they were made."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import pytest
+from helpers.paths import REPOSITORY
+
+sys.path.insert(0, str(REPOSITORY / "benchmarks"))
+sys.path.insert(0, str(REPOSITORY / "docs"))
+
+import evidence
+import figures
+
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in evidence.FOLDER.glob("*.json")))
+def test_every_result_says_how_it_was_made(name):
+    made = evidence.made(name)
+    assert made.keys() >= {
+        "command",
+        "version",
+        "commit",
+        "code",
+        "data",
+        "date",
+        "processor",
+        "processor_seconds",
+    }
+    assert made["command"] == evidence.RESULTS[name].command
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", str(made["date"]))
+
+
+def test_every_module_that_a_result_depends_on_exists():
+    for result in evidence.RESULTS.values():
+        assert all(path.is_file() for path in result.sources), result.command
+
+
+def test_every_figure_of_a_page_belongs_to_a_result_of_the_list():
+    known = figures.figures()
+    names = {name for page in PAGES for _, name in figures.NAMED.findall(page.read_text(encoding="utf-8"))}
+    assert names
+    for name in names:
+        assert name in known, f"{name}: no such entry in benchmarks/results"
+        assert any(name.startswith(f"{result}_") for result in evidence.RESULTS), name
+
+
+def test_the_list_of_results_says_which_are_older_than_their_code():
+    page = figures.LIST.read_text(encoding="utf-8")
+    assert figures.with_list(page) == page, "run `python docs/figures.py`, or the result's command"
+
+
+def test_the_hash_of_code_sees_code_alone():
+    source = '"""A module."""\n\ndef f(x):\n    """Double."""\n    # why\n    return 2 * x\n'
+    reworded = '"""Some module."""\ndef f(x):\n    """Return the double."""\n\n    return 2*x\n'
+    assert evidence.bare(source) == evidence.bare(reworded)
+    assert evidence.bare(source) != evidence.bare(source.replace("2 *", "3 *"))

@@ -25,9 +25,9 @@ from manifold.batch import batch
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
 from manifold.fit.exporting import export_sources, exports
-from manifold.fit.exports import TARGETS
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.registries import TARGETS
 
 TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity")
 SUMMARIES = {"median": statistics.median, "mean": statistics.mean, "largest": max}

@@ -40,14 +40,14 @@ from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.gplvm import GPLVM, OPTIMIZERS
+from manifold.gplvm import GPLVM
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
 from manifold.kernels import SquaredExponential
 from manifold.likelihood import LatentObjective, centre_gram, pca_start
-from manifold.mapping import MAPPINGS
 from manifold.model.fitting import gram_matrix
 from manifold.pairs import RusinkiewiczGrid
+from manifold.registries import MAPPINGS, OPTIMIZERS
 
 STARTS = 20
 SIZES = (51, 200, 1000, 5000)

@@ -14,11 +14,11 @@ import numpy as np
 
 import manifold as mf
 from manifold.fit import exporting, fit_samples
-from manifold.fit.exports import TARGETS
 from manifold.fit.exports.direct import fit_target
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.records import Array
+from manifold.registries import TARGETS
 from manifold.render import images
 
 

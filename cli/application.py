@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from copy import copy
 from dataclasses import fields, is_dataclass
 from importlib import import_module
@@ -19,27 +19,53 @@ _REGISTRY = re.compile(r"\{(manifold[.\w]*)\.(\w+)\}")
 
 
 GROUPS = {
-    "Start": {"demo": "report"},
+    "Start": {
+        "demo": ("report", "Run the main job on built-in materials."),
+    },
     "Files": {
-        "import": "library", "info": "library", "convert": "instrument", "fetch": "library", "compact": "library",
-        "corpus": "library",
+        "import": ("library", "Import files or folders into a library."),
+        "info": ("library", "Show what a file, a library, a model or a fit contains."),
+        "convert": ("instrument", "Convert between files of BRDFs, of instruments and of simulators."),
+        "fetch": ("library", "Download files of the RGL database."),
+        "compact": ("library", "Store the materials of a library in a few per cent of their bytes."),
+        "corpus": ("library", "Write the built-in synthetic corpus."),
     },
     "Map": {
-        "embed": "model", "predict": "model", "locate": "model", "map": "picture", "walk": "picture",
-        "explore": "picture", "find": "library",
+        "embed": ("model", "Fit a manifold to a library."),
+        "predict": ("model", "Write the material at a latent coordinate."),
+        "locate": ("model", "Find the latent of a measured file."),
+        "map": ("picture", "Draw the map of materials as rendered balls."),
+        "walk": ("picture", "Draw a walk between two materials."),
+        "explore": ("picture", "Explore the map in a web page or notebook."),
+        "find": (
+            "library",
+            "Find the materials of a library nearest to a material, or to a colour and gloss.",
+        ),
     },
     "Samples": {
-        "complete": "completion", "photograph": "photograph", "reconstruct": "model", "surface": "surface",
-        "calibrate": "completion",
+        "complete": ("completion", "Complete a few readings of a material to a full BRDF."),
+        "photograph": ("photograph", "Find the BRDF of a painted ball or tin in photographs."),
+        "reconstruct": ("model", "Write a measured file as a combination of a library's materials."),
+        "surface": ("surface", "Make textures and materials of a workbook's own pictures."),
+        "calibrate": ("completion", "Fit the colour correction of an instrument to a reference instrument."),
     },
-    "Use": {"render": "picture", "compare": "picture", "export": "fit", "fit": "fit"},
+    "Use": {
+        "render": ("picture", "Render a ball of a measured or predicted material."),
+        "compare": ("picture", "Compare two pictures, or two rendered materials."),
+        "export": ("fit", "Write a material for engines and renderers."),
+        "fit": ("fit", "Fit the parameters of a BSDF, by default principled."),
+    },
     "Study": {
-        "report": "report", "chart": "report", "stability": "report", "budget": "report", "slices": "picture",
+        "report": ("report", "Evaluate a model."),
+        "chart": ("report", "Speed against accuracy of many settings on one library."),
+        "stability": ("report", "Test known failure modes, and whether they are detected."),
+        "budget": ("report", "The cheapest representation of a scene's materials that keeps its picture."),
+        "slices": ("picture", "Draw BRDF values over angles or wavelengths."),
     },
-}  # fmt: skip
-"""Commands by the groups of `manifold --help`, and the module `cli/MODULE_commands.py` of each."""
+}
+"""Commands by the groups of `manifold --help`: the module `cli/MODULE_commands.py` of each, and its line there."""
 
-MODULES = {command: module for commands in GROUPS.values() for command, module in commands.items()}
+COMMANDS = {name: entry for entries in GROUPS.values() for name, entry in entries.items()}
 COLOUR, LIGHT, TAKEN, GRID, SHARED = (
     "Colour", "Light and picture", "How the pictures were taken", "Written file", "Sharing the work",
 )  # fmt: skip
@@ -48,10 +74,13 @@ _PANELS = ("", COLOUR, LIGHT, TAKEN, GRID, SHARED)
 _MOST_SHOWN = 20  # options in a help; `--help-all` shows all
 
 
-def load(command: str | None) -> None:
-    """Import the module of a command, or of all commands if there is none of this name."""
-    for module in {MODULES[command]} if command in MODULES else dict.fromkeys(MODULES.values()):
+def load(names: Iterable[str]) -> None:
+    """Import the modules of commands, and make options of the dataclasses among their parameters."""
+    for module in dict.fromkeys(COMMANDS[name][0] for name in names):
         import_module(f".{module}_commands", __package__)
+    for each in app.registered_commands:
+        if each.name in names and each.callback is not None:
+            each.callback = with_groups(each.callback)
 
 
 class Command(TyperCommand):
@@ -61,7 +90,7 @@ class Command(TyperCommand):
     """Whether helps show all options; set by `--help-all`."""
 
     def get_help(self, ctx: Any) -> str:
-        """Return the help, in which `{manifold.mapping.MAPPINGS}` stands for the names in that registry."""
+        """Return the help, in which `{manifold.registries.MAPPINGS}` stands for the names in that registry."""
         for each in (self, *self.params):
             if text := getattr(each, "help", None):
                 each.help = _REGISTRY.sub(lambda found: str(getattr(import_module(found[1]), found[2])), text)
@@ -111,22 +140,21 @@ class Application(typer.Typer):
     """A Typer of such commands."""
 
     def only(self, command: str | None) -> Any:
-        """Return the Click group of one command, or of all if there is none of this name."""
-        load(command)
+        """Return the Click group of one command; if there is none of this name, names and lines of all commands."""
+        known = [command] if command in COMMANDS else []
+        load(known)
         chosen = copy(self)
-        if command in MODULES:
-            chosen.registered_commands = [each for each in self.registered_commands if each.name == command]
-        return typer.main.get_command(chosen)
+        chosen.registered_commands = [each for each in self.registered_commands if each.name in known]
+        group: Any = typer.main.get_command(chosen)
+        if not known:
+            group.commands = {
+                name: TyperCommand(name, short_help=line) for name, (_, line) in COMMANDS.items()
+            }
+        return group
 
-    def command(self, *args: Any, **kwargs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        """Register a command like `typer.Typer.command`; a dataclass of options becomes these options."""
-        add = super().command(*args, cls=Command, **kwargs)
-
-        def added(command: Callable[..., Any]) -> Callable[..., Any]:
-            add(with_groups(command))
-            return command
-
-        return added
+    def command(self, name: str, **kwargs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:  # type: ignore[override]
+        """Add a command, see `typer.Typer.command`; a parameter may be a dataclass of options, see `load`."""
+        return super().command(name, cls=Command, short_help=COMMANDS[name][1], **kwargs)
 
 
 def with_groups(command: Callable[..., Any]) -> Callable[..., Any]:

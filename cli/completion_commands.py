@@ -35,7 +35,6 @@ InstrumentOption = Annotated[
 
 @app.command(
     "complete",
-    short_help="Complete a few readings of a material to a full BRDF.",
     epilog="Example: manifold complete sample.xlsx -o sample_spec.bsdf --picture --suggest 3",
 )
 def complete(
@@ -267,7 +266,6 @@ def complete(
 
 @app.command(
     "calibrate",
-    short_help="Fit the colour correction of an instrument to a reference instrument.",
     epilog="Example: manifold calibrate red.xlsx red.astm blue.xlsx blue.astm -o mini-diff.json",
 )
 def calibrate(

@@ -24,7 +24,6 @@ Metric = Literal["appearance", "cube-root", "linear", "log"]
 
 @app.command(
     "fit",
-    short_help="Fit the parameters of a BSDF, by default principled.",
     epilog="Example: manifold fit satin_gold_spec.bsdf -o satin_gold.fit.json",
 )
 def fit(
@@ -44,7 +43,7 @@ def fit(
     method: Annotated[
         str,
         typer.Option(
-            help="{manifold.fit.principled.METHODS}: Gauss-Newton from many starts, or others to compare with.",
+            help="{manifold.registries.FITTERS}: Gauss-Newton from many starts, or others to compare with.",
             metavar="NAME",
         ),
     ] = "gauss-newton",
@@ -180,7 +179,6 @@ def _fit_rows(content: dict[str, Any]) -> dict[str, object]:
 
 @app.command(
     "export",
-    short_help="Write a material for engines and renderers.",
     epilog="Example: manifold export satin_gold_spec.bsdf -o satin_gold.glb",
 )
 def export(
@@ -200,14 +198,14 @@ def export(
     output: Annotated[
         Path | None,
         options.output_option(
-            "The file: {manifold.fit.exports.targets.SUFFIXES}; for many materials, a folder. "
+            "The file: {manifold.registries.EXPORTS_IN_WORDS}; for many materials, a folder. "
             "[default: the material's name, .glb; or exports]"
         ),
     ] = None,
     target: Annotated[
         str | None,
         typer.Option(
-            help="The target, if neither the suffix nor the fit determines it: {manifold.fit.exports.targets.TARGETS}. "
+            help="The target, if neither the suffix nor the fit determines it: {manifold.registries.TARGETS}. "
             "[default for folders: gltf]",
             metavar="NAME",
         ),
@@ -237,8 +235,8 @@ def export(
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
-    from manifold.fit.exports.targets import TARGETS
     from manifold.io_rgl import material_name
+    from manifold.registries import TARGETS
 
     results = terminal.Results(json)
     if pack is not None and output is not None:

@@ -17,7 +17,6 @@ from .batch_options import PER_CORE, WorkerOptions, inputs_of, is_many, make_man
 
 @app.command(
     "convert",
-    short_help="Convert between files of BRDFs, of instruments and of simulators.",
     epilog="Example: manifold convert satin_rgb.bsdf -o satin.binary",
 )
 def convert(
@@ -32,7 +31,7 @@ def convert(
     output: Annotated[
         Path,
         options.output_option(
-            "What to write: {manifold.convert.targets.SUFFIXES}; or a folder.",
+            "What to write: {manifold.registries.CONVERTED_IN_WORDS}; or a folder.",
             "OUT",
         ),
     ],
@@ -42,7 +41,7 @@ def convert(
             "--format",
             "-f",
             metavar="FORMAT",
-            help="{manifold.convert.targets.TARGETS}, where the suffix of OUT is ambiguous. [default for folders: rgl]",
+            help="{manifold.registries.CONVERTED}, where the suffix of OUT is ambiguous. [default for folders: rgl]",
         ),
     ] = None,
     sample: options.SampleOption = None,
@@ -75,7 +74,7 @@ def convert(
     """Convert a BRDF or readings into another format, and report the conversion error.
 
     Reads RGL files, and those of other programs and instruments, recognised by their content:
-    {manifold.formats.registry.FORMATS}. The result is read back and compared at the file's own nodes. Several are
+    {manifold.registries.FORMATS}. The result is read back and compared at the file's own nodes. Several are
     written into a folder, with a table and a sheet of balls.
     """
     from manifold.convert import conversion

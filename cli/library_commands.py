@@ -32,7 +32,6 @@ ToleranceOption = Annotated[
 
 @app.command(
     "corpus",
-    short_help="Write the built-in synthetic corpus.",
     epilog="Example: manifold corpus rgl_like --seed 7",
 )
 def corpus(
@@ -53,7 +52,7 @@ def corpus(
         str | None,
         typer.Option(
             help="Write instead simulated measurements of each material by an instrument, with noise: "
-            "{manifold.analytic.virtual_instruments.INSTRUMENTS}.",
+            "{manifold.registries.INSTRUMENTS}.",
             metavar="NAME",
         ),
     ] = None,
@@ -84,7 +83,6 @@ def corpus(
 
 @app.command(
     "fetch",
-    short_help="Download files of the RGL database.",
     epilog="Example: manifold fetch satin_gold paper_blue --to rgl",
 )
 def fetch(
@@ -141,7 +139,6 @@ def fetch(
 
 @app.command(
     "import",
-    short_help="Import files or folders into a library.",
     epilog="Example: manifold import rgl --library library.zarr",
 )
 def import_(
@@ -218,7 +215,6 @@ def _rotation(text: str | None) -> float | Literal["auto"] | None:
 
 @app.command(
     "compact",
-    short_help="Store the materials of a library in a few per cent of their bytes.",
     epilog="Example: manifold compact library.zarr --tolerance 0.1",
 )
 def compact(
@@ -260,7 +256,6 @@ def compact(
 
 @app.command(
     "info",
-    short_help="Show what a file, a library, a model or a fit contains.",
     epilog="Example: manifold info library.zarr --verify",
 )
 def info(
@@ -287,7 +282,7 @@ def info(
     """Show what a file, a library, a model, or a fit contains.
 
     Files may be RGL files, or those of other programs and instruments, recognised by their content:
-    {manifold.formats.registry.FORMATS}.
+    {manifold.registries.FORMATS}.
     """
     results = terminal.Results(json)
     if renderer:
@@ -321,7 +316,6 @@ def _shortened(messages: list[str], what: str) -> str:
 
 @app.command(
     "find",
-    short_help="Find the materials of a library nearest to a material, or to a colour and gloss.",
     epilog="Example: manifold find --lab 50,20,10 --gloss 60=30, or manifold find readings.xlsx",
 )
 def find(

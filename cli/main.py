@@ -53,7 +53,7 @@ def _options(
 def __getattr__(name: str) -> Any:
     """Return `app`, the application with all commands; a run imports only the module of its command."""
     if name == "app":
-        application.load(None)
+        application.load(application.COMMANDS)
         return application.app
     raise AttributeError(f"module {__name__} has no attribute {name}")
 

@@ -35,7 +35,6 @@ _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
 
 
 Kind = Literal["blend", "gplvm", "material"]
-Optimizer = Literal["dls", "l-bfgs"]
 MaterialsArgument = Annotated[
     list[str],
     typer.Argument(
@@ -61,7 +60,6 @@ WithoutOption = Annotated[
 
 @app.command(
     "embed",
-    short_help="Fit a manifold to a library.",
     epilog="Example: manifold embed --library library.zarr --model model.h5",
 )
 def embed(
@@ -89,18 +87,19 @@ def embed(
     mapping: Annotated[
         str | None,
         typer.Option(
-            help="For --kind gplvm: mapping of BRDF values, {manifold.mapping.MAPPINGS}; or auto. "
+            help="For --kind gplvm: mapping of BRDF values, {manifold.registries.MAPPINGS}; or auto. "
             "[default: cube-root]",
             metavar="NAME",
             show_default=False,
         ),
     ] = None,
     optimizer: Annotated[
-        Optimizer | None,
+        str | None,
         typer.Option(
-            help="Optimiser of the latents, started from principal components. dls: direct local search without "
-            "gradients (Hikichi & Iwasaki, section 3.4). l-bfgs: quasi-Newton. [default: dls for kind gplvm; "
-            "blends support l-bfgs only]"
+            help="Optimiser of the latents, started from principal components: {manifold.registries.OPTIMIZERS}. dls "
+            "is direct local search without gradients (Hikichi & Iwasaki, section 3.4), l-bfgs is quasi-Newton. "
+            "[default: dls for kind gplvm; blends support l-bfgs only]",
+            metavar="NAME",
         ),
     ] = None,
     mu: Annotated[
@@ -124,7 +123,7 @@ def embed(
     grid: Annotated[
         str | None,
         typer.Option(
-            help="For --kind gplvm: direction pairs, {manifold.pairs.NAMED_GRIDS}. [default: default]",
+            help="For --kind gplvm: direction pairs, {manifold.registries.NAMED_GRIDS}. [default: default]",
             metavar="NAME",
             show_default=False,
         ),
@@ -132,8 +131,8 @@ def embed(
     kernel: Annotated[
         str,
         typer.Option(
-            help="Covariance function: {manifold.kernels.KERNELS}; se is squared exponential, as published. For blends "
-            "it determines the posterior variance only, not the weights.",
+            help="Covariance function: {manifold.registries.KERNELS}; se is squared exponential, as published. For "
+            "blends it determines the posterior variance only, not the weights.",
             metavar="NAME",
         ),
     ] = "se",
@@ -263,7 +262,6 @@ def parse_latent_dim(text: str) -> int:
 
 @app.command(
     "predict",
-    short_help="Write the material at a latent coordinate.",
     epilog="Example: manifold predict -0.3,1.2 -o between_spec.bsdf",
 )
 def predict(
@@ -383,7 +381,6 @@ def show_prediction(results: terminal.Results, made: DiagnosedPrediction) -> Non
 
 @app.command(
     "locate",
-    short_help="Find the latent of a measured file.",
     epilog="Example: manifold locate my_paint_spec.bsdf",
 )
 def locate(
@@ -452,7 +449,6 @@ def locate(
 
 @app.command(
     "reconstruct",
-    short_help="Write a measured file as a combination of a library's materials.",
     epilog="Example: manifold reconstruct my_paint_spec.bsdf -o nearest_spec.bsdf",
 )
 def reconstruct(

@@ -199,7 +199,6 @@ NO_OLD = OldPhotoOptions()
 
 @app.command(
     "photograph",
-    short_help="Find the BRDF of a painted ball or tin in photographs.",
     epilog="Example: manifold photograph a.png b.png c.png --lamp found -o paint.bsdf",
 )
 def photograph(

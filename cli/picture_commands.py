@@ -30,7 +30,6 @@ SliceKind = Literal["angles", "image", "spectra"]
 
 @app.command(
     "map",
-    short_help="Draw the map of materials as rendered balls.",
     epilog="Example: manifold map --mark -0.3,1.2 -o map.png",
 )
 def latent_map(
@@ -77,7 +76,6 @@ def latent_map(
 
 @app.command(
     "walk",
-    short_help="Draw a walk between two materials.",
     epilog="Example: manifold walk syn_satin_gold syn_metallic_gold -o walk.png",
 )
 def walk(
@@ -115,7 +113,6 @@ def walk(
 
 @app.command(
     "slices",
-    short_help="Draw BRDF values over angles or wavelengths.",
     epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o slices.png",
 )
 def slices(
@@ -179,7 +176,6 @@ def parse_wavelengths(text: str) -> list[float]:
 
 @app.command(
     "explore",
-    short_help="Explore the map in a web page or notebook.",
     epilog="Example: manifold explore, or manifold explore --html map.html",
 )
 def explore(
@@ -262,7 +258,6 @@ SeedOption = Annotated[
 
 @app.command(
     "render",
-    short_help="Render a ball of a measured or predicted material.",
     epilog="Example: manifold render satin_gold_spec.bsdf --illuminant F11 -o gold.png",
 )
 def render(
@@ -359,7 +354,6 @@ def _show_render(results: terminal.Results, made: Rendered) -> None:
 
 @app.command(
     "compare",
-    short_help="Compare two pictures, or two rendered materials.",
     epilog="Example: manifold compare satin_gold_spec.bsdf predicted_spec.bsdf -o difference.png",
 )
 def compare(

@@ -26,7 +26,6 @@ Grid = Literal["default", "hikichi"]
 
 @app.command(
     "report",
-    short_help="Evaluate a model.",
     epilog="Example: manifold report --json report.json --picture map.png",
 )
 def report(
@@ -78,7 +77,6 @@ def report(
 
 @app.command(
     "demo",
-    short_help="Run the main job on built-in materials.",
     epilog="Example: manifold demo demo",
 )
 def demo(
@@ -118,7 +116,6 @@ _LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 
 @app.command(
     "chart",
-    short_help="Speed against accuracy of many settings on one library.",
     epilog="Example: manifold chart --library library.zarr -o chart.png --json chart.json",
 )
 def chart(
@@ -263,7 +260,6 @@ def _chart_readings(
 
 @app.command(
     "stability",
-    short_help="Test known failure modes, and whether they are detected.",
     epilog="Example: manifold stability --only duplicates --picture stability.png",
 )
 def stability(
@@ -315,7 +311,6 @@ _NAME = 16  # columns of a material's name in the table; below it stands in full
 
 @app.command(
     "budget",
-    short_help="The cheapest representation of a scene's materials that keeps its picture.",
     epilog="Example: manifold budget scene.xml --max-delta-e 0.5 -o lean",
 )
 def budget(
@@ -325,7 +320,7 @@ def budget(
     example: Annotated[
         str | None,
         typer.Option(
-            help="Instead of a scene: {manifold.evaluate.budget.example_scenes.EXAMPLES}.", metavar="NAME"
+            help="Instead of a scene: {manifold.registries.EXAMPLES}.", metavar="NAME"
         ),
     ] = None,
     max_delta_e: Annotated[

@@ -18,7 +18,6 @@ from .outputs import or_default
 
 @app.command(
     "surface",
-    short_help="Make textures and materials of a workbook's own pictures.",
     epilog="Example: manifold surface sample.xlsx -o sample_surface",
 )
 def surface(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import textwrap
 import threading
@@ -143,7 +142,9 @@ class Results:
         """Write results, a record or a mapping, as JSON where they were asked for."""
         if self._target is None:
             return
-        from manifold.records import plain  # help needs no arrays
+        import json  # helps need none, and no arrays
+
+        from manifold.records import plain
 
         document = {"program": f"manifold {__version__}", **plain(document), "warnings": list(warned)}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"

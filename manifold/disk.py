@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +22,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     require_writable(path)
     target = Path(os.path.realpath(path))
-    partial = target.with_name(f".manifold-{secrets.token_hex(8)}.{target.name[-128:]}")
+    partial = target.with_name(f".manifold-{os.urandom(8).hex()}.{target.name[-128:]}")
     try:
         yield partial
         if target.exists():
@@ -106,6 +104,8 @@ def read_text(path: Path, *, advice: str) -> str:
 
 def read_json(path: Path, expected: str) -> Any:
     """Return the content of a JSON file; `expected` describes it in the error message."""
+    import json  # helps need none
+
     content = read_bytes(path, advice=f"name {expected}", most=MOST_TEXT)
     try:
         return json.loads(content, parse_constant=refuse_constant)

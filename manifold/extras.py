@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from manifold.errors import MissingPackageError
@@ -53,6 +52,8 @@ def versions() -> dict[str, dict[str, str | None]]:
 
 
 def _version(distribution: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, version  # parses mail, which takes a tenth of a help
+
     try:
         return version(distribution)
     except PackageNotFoundError:

@@ -34,8 +34,8 @@ from manifold.likelihood import (
     require_prior,
     require_start,
 )
-from manifold.names import Registry
 from manifold.records import Array
+from manifold.registries import OPTIMIZERS
 
 FitCallback = Callable[[int, float], Any]
 
@@ -150,11 +150,6 @@ def log_likelihood(
     covariance = kernel_named(kernel, mu, length_scale)
     F = LatentObjective(centre_gram(S), n_outputs, covariance, output_variance=output_variance).value(X)
     return -n_outputs * (F + 0.5 * len(S) * (1.0 + float(np.log(2.0 * np.pi))))
-
-
-OPTIMIZERS: Registry[Callable[[Run, Array], Any]] = Registry(
-    "optimizer", [("dls", search), ("l-bfgs", descend)]
-)
 
 
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample

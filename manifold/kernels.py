@@ -17,8 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.names import Registry
 from manifold.records import Array, Indices, Mask
+from manifold.registries import KERNELS
 
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 LARGEST_MU = 1e6  # above, everything is noise
@@ -148,8 +148,6 @@ class Matern52(Kernel):
 
 
 _COMPILED = (SquaredExponential, Matern32, Matern52)  # in the order of `radial_of_pair` in cpp/models.cpp
-KERNELS: Registry[type[Kernel]] = Registry("kernel", ((kernel.family, kernel) for kernel in _COMPILED))
-"""What `kernel_named` takes."""
 
 
 def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:

@@ -26,7 +26,7 @@ from manifold.batch import (
 from manifold.colour.correction import read_correction
 from manifold.convert import conversion
 from manifold.convert.source import open_source
-from manifold.convert.targets import TARGETS, Options
+from manifold.convert.targets import Options
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate import coat, completions, instruments, predictions, reports
 from manifold.estimate.attributes import readings_of_colour
@@ -41,6 +41,7 @@ from manifold.model.location import Reconstruction
 from manifold.model.manifold import load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.pictures import renders as pictures
+from manifold.registries import CONVERTED
 from manifold.render import images
 from manifold.render.render import RenderSettings, require_d65
 from manifold.surface.files import require_textured, write_surface
@@ -276,8 +277,8 @@ def _shown(made: Reconstruction, source: Input, path: Path) -> Content:
 
 
 def conversions(to: str, *, correction: Path | None = None, options: Options) -> Command[Input]:
-    """Convert files, or every sample of those with several, into one of `TARGETS`; see `conversion.convert`."""
-    target = TARGETS[to]
+    """Convert files, or every sample of those with several, into one of `CONVERTED`; see `conversion.convert`."""
+    target = CONVERTED[to]
     columns: Columns = {
         "from": lambda content: content["source"],
         "bands": lambda content: content["bands"],

@@ -20,7 +20,6 @@ from typing import Protocol
 import numpy as np
 
 from manifold.errors import ShapeError
-from manifold.names import Registry
 from manifold.records import Array
 
 
@@ -167,7 +166,5 @@ class LogRelative:
         return np.maximum(weight, self.floor)[..., None]
 
 
-MAPPINGS: Registry[ValueMapping] = Registry(
-    "mapping", ((mapping.name, mapping) for mapping in (Identity(), CubeRoot(), Log(), LogRelative()))
-)
-"""The mappings by name, with their default parameters."""
+IDENTITY, CUBE_ROOT, LOG, LOG_RELATIVE = Identity(), CubeRoot(), Log(), LogRelative()
+"""The mappings of `MAPPINGS`, with their default parameters."""

@@ -1,13 +1,10 @@
-"""Names that a user chooses, and words of messages: similar names, names on one line, lists, counts."""
+"""Words of messages: similar names, names on one line, lists, counts."""
 
 from __future__ import annotations
 
 import difflib
 import unicodedata
 from collections.abc import Iterable, Sequence
-from typing import Generic, TypeVar
-
-from manifold.errors import UnknownNameError
 
 _SHOWN = 5
 
@@ -58,28 +55,3 @@ def in_one_line(name: str) -> str:
 def counted(count: int, what: str) -> str:
     """Return a count with its noun: `1 material`, `2 materials`."""
     return f"{count} {what}{'s' * (count != 1)}"
-
-
-T = TypeVar("T")
-_ALL_NAMED = 16  # names up to which a message lists all
-
-
-class Registry(dict[str, T], Generic[T]):
-    """A dictionary by name, in the order in which help texts list it; a name that is not there is a `UsageError`.
-
-    `what` is an entry in the singular.
-    """
-
-    def __init__(self, what: str, entries: Iterable[tuple[str, T]]) -> None:
-        super().__init__(entries)
-        self.what = what
-
-    def __missing__(self, name: str) -> T:
-        known = f"expected one of {', '.join(self)}"
-        if len(self) > _ALL_NAMED:
-            known = names_like(self, name, "there are")
-        raise UnknownNameError(f"no {self.what} is called '{name}'; {known}")
-
-    def __str__(self) -> str:
-        *names, last = self
-        return f"{', '.join(names)} or {last}" if names else last

@@ -11,8 +11,8 @@ import numpy as np
 from manifold.compiled import loops
 from manifold.directions import from_rusinkiewicz, require_directions, rotate_z
 from manifold.errors import ShapeError, UsageError
-from manifold.names import Registry
 from manifold.records import Array, Indices, Mask
+from manifold.registries import NAMED_GRIDS
 
 LEVEL = 1e-9
 """Cosine of a direction at the horizon: a right angle rounds to 6e-17, by which f_cos must not be divided."""
@@ -190,5 +190,6 @@ class RusinkiewiczGrid:
             yield self.directions(start, start + size)
 
 
-_PUBLISHED = RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0)
-NAMED_GRIDS = Registry("grid", [("default", RusinkiewiczGrid()), ("hikichi", _PUBLISHED)])
+DEFAULT = RusinkiewiczGrid()
+HIKICHI = RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0)
+"""The grids of `NAMED_GRIDS`."""

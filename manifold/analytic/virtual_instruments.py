@@ -19,8 +19,8 @@ from manifold.brdf.interface import BRDF
 from manifold.directions import from_spherical
 from manifold.formats import ma_t12
 from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
-from manifold.names import Registry
 from manifold.records import Array, Bands
+from manifold.registries import INSTRUMENTS
 
 MA_T12_BANDS = Bands(tuple(float(nm) for nm in range(400, 701, 10)))
 MINI_DIFF_BANDS = Bands((465.0, 525.0, 630.0))
@@ -118,10 +118,8 @@ def _flake_image(rng: np.random.Generator, flakes: bool) -> bytes:
     return out.getvalue()
 
 
-INSTRUMENTS = Registry(
-    "instrument", [("ma-t12", (MA_T12_BANDS, ".xlsx")), ("mini-diff", (MINI_DIFF_BANDS, ".astm"))]
-)
-"""Their bands, and the suffix of their files."""
+MA_T12, MINI_DIFF = (MA_T12_BANDS, ".xlsx"), (MINI_DIFF_BANDS, ".astm")
+"""Bands, and the suffix of files, of the instruments in `INSTRUMENTS`."""
 
 
 def write(

@@ -8,8 +8,8 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.names import Registry
 from manifold.records import Array
+from manifold.registries import Registry
 
 FLOOR_REFLECTANCE = 0.22
 

@@ -24,7 +24,7 @@ from manifold.convert.source import (
     source_of_prediction,
     with_estimated_spectra,
 )
-from manifold.convert.targets import TARGETS, Options, target_of
+from manifold.convert.targets import Options, target_of
 from manifold.errors import UsageError
 from manifold.estimate import reports
 from manifold.estimate.predictions import predict
@@ -36,6 +36,7 @@ from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.pairs import cosine_weight
 from manifold.plots import html_page
 from manifold.records import Array, Bands, BsdfFile, plain
+from manifold.registries import CONVERTED
 
 _SAME_PAIR = 1e-6  # largest difference between unit vectors that were written with nine digits
 _DARK = 1e-3  # share of the brightest value, with which darker ones are compared
@@ -108,7 +109,7 @@ def convert(
     Args:
         paths: one file, or the files of one sample; or a place, whose prediction is converted itself.
         output: what to write; its suffix chooses the format.
-        to: one of `TARGETS`, where the suffix does not tell.
+        to: one of `CONVERTED`, where the suffix does not tell.
         sample: which of a file's samples.
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
         options: of RGL files.
@@ -150,7 +151,7 @@ def convert(
     elif target.holds == "one" and not is_single:
         notes.append(f"luminance (CIE Y under D65) is written: {target.title} holds one band")
         source = in_luminance(source if is_rgb else opened(rgb=True))
-    elif target is TARGETS["rgl"]:
+    elif target is CONVERTED["rgl"]:
         source = with_estimated_spectra(source)
     notes += target.write(output, source, options or Options()) + target.left_out(source.nodes)
     nodes, back = source.nodes, open_source([output])

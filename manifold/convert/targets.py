@@ -17,9 +17,9 @@ from manifold.formats import astm, bird, csv_table, fred, lighttools, merl, open
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
-from manifold.names import Registry
 from manifold.pairs import LEVEL, RusinkiewiczGrid
 from manifold.records import Array
+from manifold.registries import CONVERTED, CONVERTED_IN_WORDS, CONVERTED_SUFFIXES
 
 _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
@@ -35,6 +35,9 @@ Holds = Literal["any", "RGB", "RGB or one", "one", "wavelengths"]
 """The bands that a format holds."""
 
 
+Write = Callable[[Path, "Source", "Options"], list[str]]
+
+
 class Target(NamedTuple):
     """A format to write: its title, suffixes that stand for it, the bands that it holds, and a function.
 
@@ -44,7 +47,7 @@ class Target(NamedTuple):
     title: str
     suffixes: tuple[str, ...]
     holds: Holds
-    write: Callable[[Path, Source, Options], list[str]]
+    write: Write
     keeps: tuple[str, ...] = ()
 
     def left_out(self, readings: Readings) -> list[str]:
@@ -293,38 +296,34 @@ def _off_horizon(w: Array) -> Array:
     return lifted
 
 
-TARGETS: Registry[Target] = Registry(
-    "format",
-    {
-        "rgl": Target("RGL file", (".bsdf",), "any", _write_rgl),
-        "merl": Target("MERL", (".binary",), "RGB", _write_merl),
-        "utia": Target("UTIA", (".bin",), "RGB", _write_utia),
-        "lighttools": Target("LightTools BSDF text", (), "any", _write_lighttools),
-        "zemax": Target("Zemax BSDF text", (), "RGB or one", _write_zemax),
-        "fred": Target("FRED table", (), "one", _write_fred),
-        "speos": Target("Ansys Speos BRDF", (".brdf",), "wavelengths", _write_speos),
-        "speos-anisotropic": Target(
-            "Ansys Speos anisotropic BSDF", (".anisotropicbsdf",), "one", _write_speos_anisotropic
-        ),
-        "openmaterial": Target("OpenMATERIAL 3D", (".xompt",), "wavelengths", _write_openmaterial),
-        "bird": Target("BiRD JSON", (".json",), "wavelengths", _write_bird, ("uncertainties",)),
-        "astm": Target("ASTM table", (".astm",), "any", _write_astm),
-        "csv": Target("CSV table", (".csv",), "any", _write_csv, ("weights", "uncertainties", "gloss")),
-    }.items(),
-)
+def _target(name: str, title: str, holds: Holds, write: Write, keeps: tuple[str, ...] = ()) -> Target:
+    return Target(title, CONVERTED_SUFFIXES[name], holds, write, keeps)
 
-SUFFIXES = ", ".join(f"{suffix} ({name})" for name, target in TARGETS.items() for suffix in target.suffixes)
-"""Suffixes of files and the formats that they stand for, in words."""
+
+RGL = _target("rgl", "RGL file", "any", _write_rgl)
+MERL = _target("merl", "MERL", "RGB", _write_merl)
+UTIA = _target("utia", "UTIA", "RGB", _write_utia)
+LIGHTTOOLS = _target("lighttools", "LightTools BSDF text", "any", _write_lighttools)
+ZEMAX = _target("zemax", "Zemax BSDF text", "RGB or one", _write_zemax)
+FRED = _target("fred", "FRED table", "one", _write_fred)
+SPEOS = _target("speos", "Ansys Speos BRDF", "wavelengths", _write_speos)
+SPEOS_ANISOTROPIC = _target(
+    "speos-anisotropic", "Ansys Speos anisotropic BSDF", "one", _write_speos_anisotropic
+)
+OPENMATERIAL = _target("openmaterial", "OpenMATERIAL 3D", "wavelengths", _write_openmaterial)
+BIRD = _target("bird", "BiRD JSON", "wavelengths", _write_bird, ("uncertainties",))
+ASTM = _target("astm", "ASTM table", "any", _write_astm)
+CSV = _target("csv", "CSV table", "any", _write_csv, ("weights", "uncertainties", "gloss"))
 
 
 def target_of(output: Path, to: str | None) -> Target:
-    """Return the format to write: `to`, one of `TARGETS`, or the one that the suffix of the output denotes."""
+    """Return the format to write: `to`, one of `CONVERTED`, or the one that the suffix of the output denotes."""
     if to is not None:
-        return TARGETS[to]
-    by_suffix = {suffix: target for target in TARGETS.values() for suffix in target.suffixes}
+        return CONVERTED[to]
+    by_suffix = {suffix: target for target in CONVERTED.values() for suffix in target.suffixes}
     suffix = output.suffix.lower()
     if suffix not in by_suffix:
         raise UsageError(
-            f"{output}: suffix '{suffix}', expected one of {SUFFIXES}; or name one of the formats {TARGETS}"
+            f"{output}: suffix '{suffix}', expected one of {CONVERTED_IN_WORDS}; or name one of the formats {CONVERTED}"
         )
     return by_suffix[suffix]

@@ -19,8 +19,8 @@ from manifold.estimate.residual import NOISE, coordinates, covariance
 from manifold.formats.light_side import LEAST_HIDDEN
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
-from manifold.names import Registry
 from manifold.records import Array, Indices, Mask
+from manifold.registries import Registry
 
 _BALL = 3.0  # weight of the ball against all directions
 _LEAST = 1e-4  # added to the standard deviation of every pixel

@@ -23,9 +23,10 @@ from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
 from manifold.library.store import Library
 from manifold.metrics import BALL, Errors
-from manifold.names import Registry, counted
+from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, plain
+from manifold.registries import Registry
 
 ERRORS = {
     "ball": BALL, "cube_root": "cube-root error", "linear": "linear error",

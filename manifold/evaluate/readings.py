@@ -23,9 +23,9 @@ from manifold.fit.principled import fit_bsdf
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.names import Registry
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Indices, plain
+from manifold.registries import Registry
 
 _RIDGE = 1e-3  # share of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
 

@@ -73,7 +73,7 @@ def seen_principled() -> Method:
 
 
 METHODS = ("gauss-newton", "adam", "swarm")
-"""Methods of `principled.METHODS`."""
+"""Methods of `registries.FITTERS`."""
 
 FAMILY = "fit of the seen material"
 _TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "fit, swarm"}

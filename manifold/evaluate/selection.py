@@ -24,13 +24,13 @@ from manifold.evaluate.errors import Result, measure_errors
 from manifold.evaluate.latent_models import fit_settings
 from manifold.evaluate.method_data import Data
 from manifold.library.store import Library
-from manifold.mapping import MAPPINGS
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable, names_without
 from manifold.model.settings import Settings
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import evenly_spaced
+from manifold.registries import MAPPINGS
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
 MAX_BANDS = 12  # evenly spaced, besides those that are samples

@@ -26,7 +26,7 @@ from manifold.estimate.sources import (
 )
 from manifold.fit import fit_samples
 from manifold.fit.fit_samples import FitSamples
-from manifold.fit.principled import METHODS, FitResult, fit_bsdf
+from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
@@ -38,6 +38,7 @@ from manifold.model.manifold import load_model
 from manifold.names import printable
 from manifold.progress import Stages
 from manifold.records import BsdfFile, plain
+from manifold.registries import FITTERS
 from manifold.render import fit_json
 from manifold.render.bsdf_evaluation import bsdf_dict
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
@@ -91,7 +92,7 @@ class FitSettings:
             content["program"] == fit_json.PROGRAM
             and content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families if family]
             and (content["method"], content["metric"]) == (self.method, self.metric)
-            and content["hyperparameters"] == asdict(METHODS[self.method]()) | {"noise": self.noise}
+            and content["hyperparameters"] == asdict(FITTERS[self.method]()) | {"noise": self.noise}
         )
 
 

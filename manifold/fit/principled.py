@@ -23,17 +23,12 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
 from manifold.metrics import BALL, Errors
-from manifold.names import Registry
 from manifold.records import Array, Bands, BsdfFile
+from manifold.registries import FITTERS
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import require_independent_bands, variant
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fitted_brdf import FittedBRDF
-
-METHODS: Registry[type] = Registry(
-    "method", [("gauss-newton", GaussNewton), ("adam", AdamOptions), ("swarm", SwarmOptions)]
-)
-"""The methods by name, with the class of their hyperparameters."""
 
 _POOR_FIT = (
     0.12  # relative residual: beyond it balls of measured materials look wrong, docs/explanation/fits.md
@@ -136,7 +131,7 @@ def fit_bsdf(
             ball is lit in two lights: one for the fit, one for its error alone.
         family: the BSDF with its free parameters. If None, `default_principled`; and from method gauss-newton
             `diffuse()` where that fits better: no parameters make `principled` Lambertian.
-        method: one of `METHODS`.
+        method: one of `FITTERS`.
         metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` is that of the
             colours of the ball and of cube roots at the samples; of samples without a ball, cube roots alone.
         noise: relative standard deviation of the samples that the statements assume at least.
@@ -231,9 +226,9 @@ def _fit(
 
 def _options(method: str, options: Any) -> Any:
     if options is None:
-        return METHODS[method]()
-    if not isinstance(options, METHODS[method]):
-        raise UsageError(f"method {method} got {type(options).__name__}, expected {METHODS[method].__name__}")
+        return FITTERS[method]()
+    if not isinstance(options, FITTERS[method]):
+        raise UsageError(f"method {method} got {type(options).__name__}, expected {FITTERS[method].__name__}")
     return options
 
 

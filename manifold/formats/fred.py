@@ -16,7 +16,7 @@ import numpy as np
 from manifold import disk
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometries import directions
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, data_lines, decode, read_lines
 from manifold.formats.values import unnamed_band
 
@@ -56,7 +56,10 @@ def read(path: Path) -> list[Readings]:
     notes: list[str] = []
     kept, wi, wo = directions({key: np.deg2rad(a) for key, a in angles.items()}, context, notes)
     nm = unnamed_band(notes, context)
-    return [Readings(path.stem, "FRED table", wi, wo, nm, values[kept, None], notes=tuple(notes))]
+    values = values[kept, None]
+    return [
+        Readings(path.stem, "FRED table", wi, wo, nm, values, notes=tuple(notes), repeatability=GONIOMETER)
+    ]
 
 
 def write(path: Path, table: DenseTable) -> None:

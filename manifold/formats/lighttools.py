@@ -24,7 +24,7 @@ from manifold.formats.bsdf_text import (
 )
 from manifold.formats.dense import DenseTable
 from manifold.formats.light_side import hidden
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 from manifold.names import in_one_line
@@ -97,6 +97,7 @@ def read(path: Path) -> list[Readings]:
         Readings(
             path.stem, "Mini-Diff (LightTools text)" if is_mini_diff else "LightTools BSDF",
             wi, np.tile(wo, (len(incidences), 1)), nm, values, notes=tuple(notes),
+            repeatability=GONIOMETER,
         )
     ]  # fmt: skip
 

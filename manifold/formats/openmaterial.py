@@ -20,7 +20,7 @@ from manifold import disk
 from manifold.formats.column_heads import RELATIVE
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometries import by_band, directions, exceed_radians
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, decode, read_bytes
 from manifold.names import in_one_line
 from manifold.records import Array
@@ -60,7 +60,12 @@ def read(path: Path) -> list[Readings]:
         raise context.error("angles beyond a full turn, as in degrees, expected radians")
     kept, wi, wo = directions(angles, context, notes)
     values = cells.table(table[:, 4])[kept]
-    return [Readings(str(name), "OpenMATERIAL 3D", wi, wo, cells.wavelengths_nm, values, notes=tuple(notes))]
+    return [
+        Readings(
+            str(name), "OpenMATERIAL 3D", wi, wo, cells.wavelengths_nm, values, notes=tuple(notes),
+            repeatability=GONIOMETER,
+        )
+    ]  # fmt: skip
 
 
 def _table(rows: Any, context: ErrorContext) -> Array:

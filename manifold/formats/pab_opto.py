@@ -12,7 +12,7 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.formats.quantities import quantity_in_prose
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import (
     NUMBER,
     ErrorContext,
@@ -78,7 +78,7 @@ def read(path: Path) -> list[Readings]:
     else:
         raise context.error(f"rows of {values.shape[1]} values, expected 1, or 3 of CIE XYZ")
     name = header.get("sample_name") or path.stem
-    return [Readings(name, "pab-opto", wi, wo, nm, values, notes=tuple(notes))]
+    return [Readings(name, "pab-opto", wi, wo, nm, values, notes=tuple(notes), repeatability=GONIOMETER)]
 
 
 def _header(lines: list[str]) -> dict[str, str]:

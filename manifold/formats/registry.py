@@ -1,6 +1,6 @@
 """Formats of instruments, recognised by their content.
 
-A format is a module with `sniff(head) -> bool` and `read(path) -> list of records`.
+A format is a module with `sniff(head) -> bool` and `read(path) -> list of records`; `registries.FORMATS` names them.
 """
 
 from __future__ import annotations
@@ -12,32 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from manifold.errors import FileFormatError, UnknownNameError, UsageError
-from manifold.formats import (
-    astm,
-    bird,
-    csv_table,
-    cxf,
-    fred,
-    lighttools,
-    ma_t12,
-    merl,
-    openmaterial,
-    pab_opto,
-    rt300s,
-    speos,
-    utia,
-    zemax,
-)
+from manifold.errors import FileFormatError, ManifoldError, UnknownNameError, UsageError
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
 from manifold.formats.light_side import with_light_side_note, without_hidden
-from manifold.formats.readings import GONIOMETER, REPEATABILITY, Readings
+from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import read_bytes
 from manifold.formats.values import LONGEST_NM, SHORTEST_NM
-from manifold.names import Registry, first_few, names_like, printable
+from manifold.names import first_few, names_like, printable
+from manifold.registries import FORMATS
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
@@ -51,41 +36,36 @@ class Format(NamedTuple):
     Attributes:
         sniff: whether a file's first bytes are of it.
         read: all samples of a file.
-        repeatability: of the instruments that write it, see `Readings`; None if the reader decides.
+        package: the other package that adds it; empty for this one's.
     """
 
     name: str
     sniff: Callable[[bytes], bool]
     read: Callable[[Path], Sequence[Record]]
-    repeatability: float | None = GONIOMETER
-
-
-_KNOWN = (
-    Format("spectrophotometer workbook (.xlsx)", ma_t12.sniff, ma_t12.read, None),
-    Format("MERL", merl.sniff, merl.read),
-    Format("RT-300S workbook (.xls)", rt300s.sniff, rt300s.read),
-    Format("Ansys Speos text", speos.sniff, speos.read),
-    Format("FRED table", fred.sniff, fred.read),
-    Format("OpenMATERIAL 3D (.xompt)", openmaterial.sniff, openmaterial.read),
-    Format("BiRD (.brdf, JSON)", bird.sniff, bird.read, None),
-    Format("CxF3", cxf.sniff, cxf.read, REPEATABILITY),
-    Format("pab-opto text", pab_opto.sniff, pab_opto.read),
-    Format("LightTools BSDF text", lighttools.sniff, lighttools.read),
-    Format("Zemax BSDF text", zemax.sniff, zemax.read),
-    Format("ASTM table", astm.sniff, astm.read, None),
-    Format("UTIA", utia.sniff, utia.read),
-    Format("CSV table", csv_table.sniff, csv_table.read, None),
-)
-FORMATS = Registry("format", ((known.name, known) for known in _KNOWN))
-"""Formats in the order of their trial: those with magic numbers first, merely plausible ones last."""
+    package: str = ""
 
 
 def identify(path: Path | str) -> Format | None:
-    """Return the format of a file's content, or None; RGL files are not among these, see `manifold.io_rgl`."""
+    """Return the format of a file's content, or None; RGL files are not among these, see `manifold.io_rgl`.
+
+    Formats of other packages are tried first: whoever installs one has such files.
+    """
     head = _head(Path(path))
-    return next(
-        (known for known in FORMATS.values() if not head.startswith(MAGIC) and known.sniff(head)), None
-    )
+    if head.startswith(MAGIC):
+        return None
+    for name in [*FORMATS.packages, *FORMATS]:
+        if name in FORMATS and (known := FORMATS.get(name)) is not None:
+            package = FORMATS.packages.get(name, "")
+            try:
+                is_of_it = known.sniff(head)
+            except Exception as error:
+                if not package:
+                    raise
+                FORMATS.leave_out(name, error)
+                continue
+            if is_of_it:
+                return Format(name, known.sniff, known.read, package)
+    return None
 
 
 def _head(path: Path) -> bytes:
@@ -124,7 +104,7 @@ def read_all(path: Path | str) -> list[Record]:
     known = identify(path)
     if known is None:
         raise unknown(path)
-    records = list(known.read(path))
+    records = _read_by(known, path)
     for record in records:
         largest = float(np.max(np.abs(np.nan_to_num(record.values)), initial=0.0))
         if largest > _LARGEST_VALUE:
@@ -139,14 +119,28 @@ def read_all(path: Path | str) -> list[Record]:
                 f"{LONGEST_NM:g}; give wavelengths in nanometres"
             )
     found = map(without_hidden, records)
-    return [
-        with_light_side_note(_repeated(r, known.repeatability)) if isinstance(r, Readings) else r
-        for r in found
-    ]
+    return [with_light_side_note(r) if isinstance(r, Readings) else r for r in found]
 
 
-def _repeated(readings: Readings, repeatability: float | None) -> Readings:
-    return readings if repeatability is None else replace(readings, repeatability=repeatability)
+def _read_by(known: Format, path: Path) -> list[Record]:
+    """Read the samples of a file; whatever a reader of another package raises is an error of the file."""
+    if not known.package:
+        return list(known.read(path))
+    try:
+        records = list(known.read(path))
+    except (ManifoldError, OSError):
+        raise
+    except Exception as error:
+        raise FileFormatError(
+            f"{printable(path.name, 255)}: the reader of {known.name} in the package {known.package} failed "
+            f"({type(error).__name__}: {error})"
+        ) from error
+    if not records or not all(isinstance(record, Readings | DenseTable) for record in records):
+        raise FileFormatError(
+            f"{printable(path.name, 255)}: the reader of {known.name} in the package {known.package} returned "
+            f"{[type(record).__name__ for record in records[:3]]}, expected records of class Readings or DenseTable"
+        )
+    return records
 
 
 def read(

@@ -15,7 +15,7 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.extras import require
-from manifold.formats.readings import Readings, mean_of_repeats
+from manifold.formats.readings import GONIOMETER, Readings, mean_of_repeats
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
 from manifold.records import Array
@@ -64,7 +64,12 @@ def read(path: Path) -> list[Readings]:
     f = signal[kept] / (np.pi * wo[kept, 2])
     nm = unnamed_band(notes, context)
     wi, wo, values, scatter, repeats = mean_of_repeats(wi[kept], wo[kept], f[:, None])
-    return [Readings(path.stem, "RT-300S", wi, wo, nm, values, notes=(*notes, *repeats), scatter=scatter)]
+    return [
+        Readings(
+            path.stem, "RT-300S", wi, wo, nm, values, notes=(*notes, *repeats), scatter=scatter,
+            repeatability=GONIOMETER,
+        )
+    ]  # fmt: skip
 
 
 def _table(path: Path, context: ErrorContext) -> Array:

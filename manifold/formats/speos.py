@@ -19,7 +19,7 @@ from manifold import disk
 from manifold.directions import from_spherical
 from manifold.formats.bsdf_text import Words, total_scatter, unique_directions
 from manifold.formats.dense import DenseTable
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import ErrorContext, read_bytes
 from manifold.formats.values import unnamed_band
 from manifold.names import in_one_line
@@ -185,7 +185,9 @@ def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: lis
         wo.append(out[above])
         values.append(np.swapaxes(block.f, 0, 1).reshape(-1, block.f.shape[-1])[rows][above])
     all_wi, all_wo, f = (np.concatenate(arrays) for arrays in (wi, wo, values))
-    return Readings(context.path.stem, "Ansys Speos", all_wi, all_wo, nm, f, notes=tuple(notes))
+    return Readings(
+        context.path.stem, "Ansys Speos", all_wi, all_wo, nm, f, notes=tuple(notes), repeatability=GONIOMETER
+    )
 
 
 def write(path: Path, table: DenseTable) -> None:

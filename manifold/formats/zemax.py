@@ -22,7 +22,7 @@ from manifold.formats.bsdf_text import (
     read_blocks,
     total_scatter,
 )
-from manifold.formats.readings import Readings
+from manifold.formats.readings import GONIOMETER, Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 from manifold.names import in_one_line
@@ -115,7 +115,10 @@ def _readings(
     table = np.concatenate(kept)
     if nm is None:
         table = converted(table, notes)
-    return Readings(name, "Zemax BSDF", np.concatenate(wi), np.concatenate(wo), nm, table, notes=tuple(notes))
+    return Readings(
+        name, "Zemax BSDF", np.concatenate(wi), np.concatenate(wo), nm, table, notes=tuple(notes),
+        repeatability=GONIOMETER,
+    )  # fmt: skip
 
 
 def write(

@@ -14,12 +14,12 @@ from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.directions import from_spherical
 from manifold.encoding import Decoder, encoding_pairs
-from manifold.mapping import MAPPINGS
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.pairs import Pairs
 from manifold.records import Array
+from manifold.registries import MAPPINGS
 
 REFLECTANCE_INCIDENCE_DEG = 8.0  # incidence in integrating spheres, specular included
 

@@ -15,7 +15,7 @@ from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.likelihood import LatentObjective, centre_gram, require_start
-from manifold.mapping import MAPPINGS, ValueMapping
+from manifold.mapping import ValueMapping
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
@@ -24,6 +24,7 @@ from manifold.model.settings import MOST_LAID_OUT, Settings
 from manifold.names import counted
 from manifold.pairs import Pairs, RusinkiewiczGrid, cosine_weight
 from manifold.records import Array, evenly_spaced
+from manifold.registries import MAPPINGS
 
 BLOCK_PAIRS = 1024  # direction pairs held at once: 51 materials x 195 bands x 1024 pairs are 80 MB
 

@@ -17,7 +17,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.gpr import LengthScaleBound
 from manifold.library.store import Library
-from manifold.mapping import MAPPINGS, Identity, ValueMapping
+from manifold.mapping import Identity, ValueMapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
@@ -36,6 +36,7 @@ from manifold.model.reconstruction import reconstruct
 from manifold.model.settings import Settings
 from manifold.model.walks import Walk, Walked
 from manifold.records import Array, Bands, evenly_spaced
+from manifold.registries import MAPPINGS
 from manifold.threads import one_blas_thread
 
 _ONE = np.ones(1)

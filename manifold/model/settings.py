@@ -8,14 +8,13 @@ from typing import Any, cast
 
 from manifold.errors import UsageError
 from manifold.kernels import Kernel, kernel_named, require_mu
-from manifold.mapping import MAPPINGS
 from manifold.pairs import RusinkiewiczGrid
+from manifold.registries import MAPPINGS, OPTIMIZERS
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
     "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},
     "gplvm": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
 }
-_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "gplvm": ("dls", "l-bfgs")}
 _OLD_KINDS = {"material": "gplvm"}  # names of earlier versions
 
 KINDS = tuple(_KIND_DEFAULTS)
@@ -34,7 +33,7 @@ class Settings:
             which was called `material`.
         latent_dim: Q.
         mapping: name of the mapping.
-        optimizer: of `GPLVM`; None is the kind's own. Blends have `l-bfgs` only.
+        optimizer: one of `registries.OPTIMIZERS`; None is the kind's own. Blends have `l-bfgs` only.
         mu: noise filter of the kernel; None is the kind's own.
         prior: weight of the Gaussian prior on the latents; None is the kind's own.
         length_scale: l, in units of the latents.
@@ -76,7 +75,7 @@ class Settings:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
         MAPPINGS[self.mapping]  # checks it
-        optimizers = _KIND_OPTIMIZERS[self.kind]
+        optimizers = ("l-bfgs",) if self.kind == "blend" else tuple(OPTIMIZERS)
         if self.optimizer not in optimizers:
             raise UsageError(
                 f"optimizer '{self.optimizer}' for kind {self.kind}, expected {' or '.join(optimizers)}"

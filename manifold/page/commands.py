@@ -22,10 +22,9 @@ from manifold.estimate.inputs import FIT
 from manifold.estimate.sightings import PhotoRequest
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.extras import require
-from manifold.fit.exports import TARGETS
 from manifold.model.colours import ColourChoice
 from manifold.model.places import parse_walk
-from manifold.names import Registry
+from manifold.registries import TARGETS, Registry
 
 Request = Mapping[str, Any]
 

@@ -10,7 +10,6 @@ from typing import Any
 from manifold import disk
 from manifold.errors import UsageError
 from manifold.extras import require
-from manifold.fit.exports import TARGETS
 from manifold.library.identity import require_outside_libraries
 from manifold.model.blend_space import require_blends
 from manifold.model.manifold import Manifold
@@ -18,6 +17,7 @@ from manifold.page.commands import Context
 from manifold.page.page import make_page
 from manifold.page.page_data import tabulate, to_document
 from manifold.page.server import ExplorerServer
+from manifold.registries import TARGETS
 from manifold.surface.written import read_surface
 
 

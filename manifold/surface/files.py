@@ -25,13 +25,13 @@ from manifold.errors import UsageError
 from manifold.estimate.completions import Completed, complete, file_name
 from manifold.fit.exports.document import TextureFiles
 from manifold.fit.exports.principled_values import ior_to_f0
-from manifold.fit.exports.targets import TARGETS as EXPORTS
 from manifold.fit.exports.targets import Target
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.progress import Stages
 from manifold.records import Array
+from manifold.registries import TARGETS as EXPORTS
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, estimate_surface

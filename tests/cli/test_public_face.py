@@ -17,6 +17,7 @@ from helpers.small_library import NAMES, measured
 
 import manifold
 from manifold.io_rgl import write_bsdf
+from manifold.registries import Registry
 
 PACKAGES = sorted(
     ".".join(file.parent.relative_to(REPOSITORY).parts)
@@ -50,7 +51,7 @@ def test_every_package_lists_its_names_and_has_them(package):
 def summary(package, name):
     """The first line of a public object's docstring; of a registry, what it is of."""
     found = getattr(importlib.import_module(package), name)
-    if isinstance(found, dict):
+    if isinstance(found, Registry):
         return f"Every {found.what}, by name."
     return (inspect.getdoc(found) or "").split("\n")[0]
 

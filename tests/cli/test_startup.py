@@ -9,6 +9,8 @@ import sys
 import pytest
 from helpers.small_library import small_model
 
+from manifold.cli.application import COMMANDS
+
 SCRIPT = """
 import contextlib, io, json, sys
 from manifold.cli.main import run
@@ -40,8 +42,10 @@ def _loaded(folder, *commands, heavy=HEAVY):
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def test_the_version_and_help_load_no_numbers(folder):
-    assert _loaded(folder, ["--version"], ["predict", "--help"], heavy=["numpy", *HEAVY]) == [[], []]
+def test_helps_load_no_numbers_no_formats_and_no_packages_of_others(folder):
+    commands = [["--version"], ["--help"], *([command, "--help-all"] for command in COMMANDS)]
+    heavy = ["numpy", "email", "importlib.metadata", "manifold.records", *HEAVY]
+    assert _loaded(folder, *commands, heavy=heavy) == [[]] * len(commands)
 
 
 def test_a_prediction_loads_neither_optimisers_nor_scikit_learn_nor_mitsuba(folder):

@@ -19,9 +19,9 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import luminance, to_srgb
 from manifold.convert.conversion import convert
-from manifold.convert.targets import TARGETS
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
+from manifold.registries import CONVERTED
 
 BANDS = Bands((450.0, 520.0, 590.0, 650.0))
 XYZ_OF_SRGB = np.array(  # IEC 61966-2-1
@@ -262,7 +262,7 @@ def lifted(w):
 
 
 def test_every_format_but_the_source_s_own_is_read_here():
-    assert set(READERS) | {"rgl"} == set(TARGETS)
+    assert set(READERS) | {"rgl"} == set(CONVERTED)
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -24,11 +24,11 @@ from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import AFTER_PUBLISHED, PUBLISHED, chart_methods, fit_nearest
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.library.store import Library
-from manifold.mapping import MAPPINGS
 from manifold.metrics import Errors
 from manifold.model.combination import Combination
 from manifold.pairs import RusinkiewiczGrid
 from manifold.plots import figures
+from manifold.registries import MAPPINGS
 
 FILES = [small_library.measured(name) for name in small_library.NAMES]
 HELD_OUT = [s.key for s in chart_methods(3)]

@@ -18,10 +18,10 @@ from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import STANDARD, standard_methods
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
-from manifold.mapping import MAPPINGS
 from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.pairs import RusinkiewiczGrid
+from manifold.registries import MAPPINGS
 
 GRID = RusinkiewiczGrid(14, 8, 6)
 METHODS = {m.key: m for m in standard_methods()}

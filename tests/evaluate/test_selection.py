@@ -12,8 +12,8 @@ from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.evaluate.selection import PAYS, choose
-from manifold.mapping import MAPPINGS
 from manifold.model.settings import Settings
+from manifold.registries import MAPPINGS
 
 NAMES = [m.name for m in corpus.isotropic_materials()][::6]
 

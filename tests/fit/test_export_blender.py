@@ -13,8 +13,9 @@ from test_export_files import MATERIALS, export, written
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import normalize
-from manifold.fit.exports import TARGETS, blender
+from manifold.fit.exports import blender
 from manifold.fit.exports.lobes import ShadingPairs
+from manifold.registries import TARGETS
 
 NAMES = ["it's a \"\"\"'''{NAME}\\n %s", "x" * 90, "a\x00b\udc80\n", "é" * 40]
 """That Blender, or a script, could stumble over; a name has at most 63 bytes in Blender 4."""

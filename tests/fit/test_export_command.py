@@ -16,10 +16,11 @@ from manifold.batch import batch
 from manifold.cli.main import app
 from manifold.errors import ManifoldError, UsageError
 from manifold.fit import exporting, fits
-from manifold.fit.exports import TARGETS, direct
+from manifold.fit.exports import direct
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.model.manifold import Manifold
+from manifold.registries import TARGETS
 from manifold.render import fit_json
 from manifold.render.bsdf_parameters import principled
 

@@ -25,13 +25,14 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import normalize
 from manifold.errors import UsageError
-from manifold.fit.exports import TARGETS, blender, gltf, materialx, openpbr, preview_surface, standard_surface
+from manifold.fit.exports import blender, gltf, materialx, openpbr, preview_surface, standard_surface
 from manifold.fit.exports.document import Export
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import target_of
 from manifold.fit.exports.usd import OPENPBR_ID
 from manifold.metrics import Errors
+from manifold.registries import TARGETS
 
 NO_USD = "USD is not installed (pip install usd-exchange, or usd-core)"
 FULL = Principled(

@@ -9,8 +9,8 @@ from manifold.encoding import Decoder, Encoder, Products, decoded_error, likelih
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.kernels import kernel_named
-from manifold.mapping import MAPPINGS
 from manifold.metrics import cube_root_error, relative_error
+from manifold.registries import MAPPINGS
 
 N, P = 12, 60
 WAYS = ("values", "residual", "likelihood")

@@ -13,10 +13,11 @@ from threadpoolctl import threadpool_limits
 
 from manifold.dls import hooke_jeeves
 from manifold.errors import ShapeError, UsageError
-from manifold.gplvm import GPLVM, OPTIMIZERS
+from manifold.gplvm import GPLVM
 from manifold.gpr import FlatModelWarning, GaussianProcess, IsolatedLatentsWarning
-from manifold.kernels import KERNELS, Kernel, Matern52, SquaredExponential, kernel_named
+from manifold.kernels import Kernel, Matern52, SquaredExponential, kernel_named
 from manifold.likelihood import IncrementalObjective, LatentObjective, centre_gram, fix_gauge, pca_start
+from manifold.registries import KERNELS, OPTIMIZERS
 
 
 # A few rounds exercise every path; hundreds would only cost time.

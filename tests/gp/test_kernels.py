@@ -15,8 +15,9 @@ from manifold.compiled import loops
 from manifold.errors import UsageError
 from manifold.estimators import GPRegressor
 from manifold.gplvm import GPLVM
-from manifold.kernels import KERNELS, SquaredExponential, kernel_named
+from manifold.kernels import SquaredExponential, kernel_named
 from manifold.model.settings import Settings
+from manifold.registries import KERNELS
 
 
 @given(n=st.integers(1, 6), m=st.integers(1, 6), q=st.integers(1, 4), length_scale=st.floats(0.1, 10))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from manifold.errors import ShapeError, UsageError
-from manifold.mapping import MAPPINGS, CubeRoot, Identity, Log, LogRelative
+from manifold.mapping import CubeRoot, Identity, Log, LogRelative
+from manifold.registries import MAPPINGS
 
 EVERY = pytest.mark.parametrize("name", list(MAPPINGS))
 

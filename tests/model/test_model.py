@@ -28,10 +28,9 @@ from manifold.errors import (
     UsageError,
 )
 from manifold.io_rgl import write_bsdf
-from manifold.kernels import KERNELS, Kernel
+from manifold.kernels import Kernel
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.mapping import MAPPINGS
 from manifold.metrics import rmse
 from manifold.model import blending, fitting, model_file
 from manifold.model.fitting import BrightMaterialWarning
@@ -40,6 +39,7 @@ from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
 from manifold.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.records import Bands
+from manifold.registries import KERNELS, MAPPINGS
 
 
 @pytest.fixture(scope="module")

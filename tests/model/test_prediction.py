@@ -21,11 +21,12 @@ from manifold.brdf.sums import WeightedSum
 from manifold.compiled import loops
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
-from manifold.mapping import MAPPINGS, CubeRoot
+from manifold.mapping import CubeRoot
 from manifold.model.combination import Combination, Dictionary, Values
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.pairs import Pairs
 from manifold.records import Bands
+from manifold.registries import MAPPINGS
 
 RGB = Bands(None)
 MATERIALS = [

@@ -24,11 +24,11 @@ from helpers.small_library import NAMES, small_library, small_model
 from manifold.batch import batch
 from manifold.errors import UsageError
 from manifold.fit import exporting
-from manifold.fit.exports import TARGETS
 from manifold.page import explore
 from manifold.page.commands import COMMANDS, Context, call_of
 from manifold.page.jobs import Queue
 from manifold.page.server import MOST_FILE, MOST_JSON, ExplorerServer
+from manifold.registries import TARGETS
 
 
 def worker(body):

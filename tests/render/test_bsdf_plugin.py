@@ -25,13 +25,13 @@ from manifold.estimate import predictions
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.mapping import MAPPINGS
 from manifold.model.colours import ColourChoice
 from manifold.model.combination import Combination
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings, load_model
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Bands
+from manifold.registries import MAPPINGS
 from manifold.render import backend, scenes
 from manifold.render.plugin import mixture
 from manifold.render.plugin.bsdf import NAME

@@ -26,13 +26,13 @@ from manifold.cli.main import app
 from manifold.colour.conversion import decode_srgb, encode_srgb, file_to_srgb, to_srgb
 from manifold.colour.reflectances import spectral_changes, weights_at
 from manifold.errors import FileFormatError, MissingFileError, UsageError
-from manifold.fit.exports import TARGETS
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.formats import ma_t12
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import Errors
 from manifold.records import Bands
+from manifold.registries import TARGETS
 from manifold.render import backend
 from manifold.render.images import read_display, write_display
 from manifold.surface import files, preview

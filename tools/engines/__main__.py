@@ -39,8 +39,9 @@ from engines.balls import BALL, EDGE, Pictures, Scene, y_up  # noqa: E402
 from manifold.fit import exporting  # noqa: E402
 from manifold.fit.exports.document import Export  # noqa: E402
 from manifold.fit.exports.principled_values import Principled  # noqa: E402
-from manifold.fit.exports.targets import TARGETS, Target, TargetBRDF  # noqa: E402
+from manifold.fit.exports.targets import Target, TargetBRDF  # noqa: E402
 from manifold.metrics import Errors  # noqa: E402
+from manifold.registries import TARGETS  # noqa: E402
 
 MATERIALS = (
     "acrylic_felt_green", "paper_blue", "satin_purple", "vch_golden_yellow", "chm_mint", "ilm_l3_37_matte",

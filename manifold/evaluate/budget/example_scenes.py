@@ -12,7 +12,7 @@ from manifold.analytic import corpus
 from manifold.colour.conversion import sensor_responses
 from manifold.colour.illuminants import Illuminant
 from manifold.io_rgl import write_bsdf
-from manifold.names import Registry
+from manifold.registries import EXAMPLES
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,9 @@ class Example:
     lamps: tuple[tuple[float, float, float, float], ...]
 
 
-EXAMPLES: Registry[Example] = Registry(
-    "example",
-    {
-        "felt": Example("syn_felt_yellow", "D65", 0.10, ((-4.0, -3.0, 5.0, 2.0), (5.0, -2.0, 3.0, 1.0))),
-        "paint": Example("syn_satin_rose", "A", 0.06, ((-4.0, -3.0, 5.0, 1.6), (5.0, -2.0, 2.5, 0.8))),
-        "chrome": Example("syn_chrome_orange", "F11", 0.10, ((-4.0, -3.0, 5.0, 1.8), (4.5, -3.0, 2.5, 1.2))),
-    }.items(),
-)
+FELT = Example("syn_felt_yellow", "D65", 0.10, ((-4.0, -3.0, 5.0, 2.0), (5.0, -2.0, 3.0, 1.0)))
+PAINT = Example("syn_satin_rose", "A", 0.06, ((-4.0, -3.0, 5.0, 1.6), (5.0, -2.0, 2.5, 0.8)))
+CHROME = Example("syn_chrome_orange", "F11", 0.10, ((-4.0, -3.0, 5.0, 1.8), (4.5, -3.0, 2.5, 1.2)))
 
 _SCENE = """<scene version="3.0.0">
   <integrator type="path"><integer name="max_depth" value="6"/></integrator>

@@ -19,10 +19,11 @@ from manifold.evaluate.stability.testbed import TestBed
 from manifold.evaluate.stability.trials import Limit, Measurement, Mode
 from manifold.fit.fit_samples import FitSamples, from_brdf
 from manifold.fit.identifiability import DETERMINED
-from manifold.fit.principled import METHODS, FitResult, fit_bsdf
+from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.metrics import relative_error
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Bands
+from manifold.registries import FITTERS
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import PRINCIPLED_DEFAULT, BsdfFamily, principled
 
@@ -180,7 +181,7 @@ def _colour(method: str, bed: TestBed, width: float) -> Measurement:
 MODES: tuple[Mode, ...] = (
     Mode(
         "local_minima", "fits of samples that the BSDF can represent exactly", "free parameters",
-        (1.0, 3.0, 7.0), _AS_MEASURED, {method: partial(_minima, method) for method in METHODS},
+        (1.0, 3.0, 7.0), _AS_MEASURED, {method: partial(_minima, method) for method in FITTERS},
         "Use gauss-newton, which starts from several points and lists every minimum found.",
     ),
     Mode(
@@ -221,7 +222,7 @@ MODES: tuple[Mode, ...] = (
         Limit(
             "error of the fitted colour, in linear sRGB", 0.02, "twice the tolerance of a colour parameter"
         ),
-        {method: partial(_colour, method) for method in METHODS},
+        {method: partial(_colour, method) for method in FITTERS},
         "Render in spectral mode, where the fit keeps the reflectance of every band.",
     ),
 )  # fmt: skip

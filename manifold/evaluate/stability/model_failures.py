@@ -21,13 +21,13 @@ from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.kernels import SquaredExponential
 from manifold.likelihood import centre_gram, pca_start
-from manifold.mapping import MAPPINGS
 from manifold.model.combination import Combination
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.manifold import Manifold
 from manifold.model.material_space import MaterialSpace
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, BsdfFile
+from manifold.registries import MAPPINGS
 
 KINDS = ("gplvm", "blend")
 

@@ -19,8 +19,8 @@ from typing import Any
 from manifold import progress, work
 from manifold.errors import ManifoldError, RendererError
 from manifold.evaluate.stability.testbed import TestBed
-from manifold.names import Registry
 from manifold.records import plain
+from manifold.registries import Registry
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 

@@ -27,8 +27,8 @@ from manifold.fit.exports import (
 from manifold.fit.exports.document import Export, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.names import Registry
 from manifold.records import Array, Bands
+from manifold.registries import EXPORT_SUFFIXES, EXPORTS_IN_WORDS, TARGETS
 
 Brdf = Callable[[Mapping[str, Any], ShadingPairs], Array]
 Content = Callable[[Export, Principled], bytes]
@@ -119,13 +119,13 @@ _FLAKES = (*_RELIEF, "coat", "coat_normal")
 
 
 def _target(
-    name: str, suffix: str, title: str, model: ModuleType, content: Content, textures: tuple[str, ...] = ()
+    name: str, title: str, model: ModuleType, content: Content, textures: tuple[str, ...] = ()
 ) -> Target:
     """Make a target from the parameters and shading model of a module."""
     sheen, film, curve, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "CURVE", "HUED"))
     return Target(
         name,
-        suffix,
+        EXPORT_SUFFIXES[name],
         title,
         model.PARAMETERS,
         model.parameters,
@@ -141,43 +141,29 @@ def _target(
     )
 
 
-_ALL = (
-    _target(
-        "gltf", ".glb", "glTF 2.0, metallic-roughness and extensions", gltf, lambda e, _: glb.glb(e), _FLAKES
-    ),
-    _target(
-        "openpbr", ".mtlx", "MaterialX, open_pbr_surface", openpbr, lambda e, _: materialx.mtlx(e), _FLAKES
-    ),
-    _target(
-        "standard-surface", ".mtlx", "MaterialX, standard_surface", standard_surface,
-        lambda e, _: materialx.mtlx(e), _FLAKES,
-    ),
-    _target(
-        "usd", ".usda", "USD, UsdPreviewSurface", preview_surface, lambda e, _: usd.usda(e).encode(), _RELIEF
-    ),
-    _target(
-        "usd-materialx", ".usda", "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
-        preview_surface, _usd_materialx,
-    ),
-    _target(
-        "blender", ".py", "Blender 4 and later, Principled BSDF, a script", blender,
-        lambda e, _: blender.script(e).encode(), _FLAKES,
-    ),
-    _target("blender-json", ".json", "Blender 4 and later, Principled BSDF, values", blender, _json(_BLENDER)),
-    _target(
-        "unreal", ".json", "Unreal Engine 5, Default Lit or Clear Coat", unreal, _json(unreal.CONVENTIONS)
-    ),
-    _target("unity", ".json", "Unity, High Definition pipeline, Lit", unity, _json(unity.CONVENTIONS)),
-)  # fmt: skip
-
-TARGETS = Registry("target", ((target.name, target) for target in _ALL))
-"""The targets by name."""
-
-SUFFIXES = ", ".join(
-    f"{suffix} ({', '.join(name for name, target in TARGETS.items() if target.suffix == suffix)})"
-    for suffix in dict.fromkeys(target.suffix for target in _ALL)
+GLTF = _target("gltf", "glTF 2.0, metallic-roughness and extensions", gltf, lambda e, _: glb.glb(e), _FLAKES)
+OPENPBR = _target("openpbr", "MaterialX, open_pbr_surface", openpbr, lambda e, _: materialx.mtlx(e), _FLAKES)
+STANDARD_SURFACE = _target(
+    "standard-surface",
+    "MaterialX, standard_surface",
+    standard_surface,
+    lambda e, _: materialx.mtlx(e),
+    _FLAKES,
 )
-"""Suffixes of files and the targets that have them, in words."""
+USD = _target("usd", "USD, UsdPreviewSurface", preview_surface, lambda e, _: usd.usda(e).encode(), _RELIEF)
+USD_MATERIALX = _target(
+    "usd-materialx", "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers", preview_surface,
+    _usd_materialx,
+)  # fmt: skip
+BLENDER = _target(
+    "blender", "Blender 4 and later, Principled BSDF, a script", blender, lambda e, _: blender.script(e).encode(),
+    _FLAKES,
+)  # fmt: skip
+BLENDER_JSON = _target(
+    "blender-json", "Blender 4 and later, Principled BSDF, values", blender, _json(_BLENDER)
+)
+UNREAL = _target("unreal", "Unreal Engine 5, Default Lit or Clear Coat", unreal, _json(unreal.CONVENTIONS))
+UNITY = _target("unity", "Unity, High Definition pipeline, Lit", unity, _json(unity.CONVENTIONS))
 
 
 def target_of(name: str | None, path: Path) -> Target:
@@ -192,9 +178,9 @@ def target_of(name: str | None, path: Path) -> Target:
         if path.suffix.lower() != target.suffix:
             raise UsageError(f"{path}: {suffix}, expected {target.suffix} for {name}")
         return target
-    fitting = [target for target in _ALL if target.suffix == path.suffix.lower()]
+    fitting = [target for target in TARGETS.values() if target.suffix == path.suffix.lower()]
     if not fitting:
-        raise UsageError(f"{path}: {suffix}, expected one of {SUFFIXES}")
+        raise UsageError(f"{path}: {suffix}, expected one of {EXPORTS_IN_WORDS}")
     if path.suffix.lower() == ".json":
         names = ", ".join(target.name for target in fitting)
         raise UsageError(f"{path}: several targets are JSON; name one of {names}")

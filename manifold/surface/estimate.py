@@ -18,6 +18,7 @@ SPARKLE = 1.8
 """The least ratio of a glint's brightness to its surroundings."""
 
 _SURROUNDINGS_PX = 9
+_BRIGHTEST = 0.999  # quantile of points; brighter ones are glints and dust
 _MIDDLE_COSINE = np.cos(np.deg2rad(50.0))  # lamps farther from the normal make relief sparkle, too
 _ROUNDS = 3  # in which what no smooth relief explains is left out
 _OUTLIER = 3.0  # standard deviations
@@ -101,13 +102,17 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
         for picture, is_trusted, s in zip(residual, trusted, spread, strict=True):
             is_trusted[...] = np.abs(picture) <= _OUTLIER * s
         trusted[:, np.count_nonzero(trusted, axis=0) < 3] = True  # of what is left, a point needs three
-    made = np.exp(albedo)
+    relative = np.exp(albedo)
+    relative /= relative.mean(axis=(0, 1))
     factors = pictures.factors
     is_diffuse = pictures.is_diffuse
-    scale = np.nanmedian(factors, axis=0) if np.isfinite(factors).any() else np.max(values.mean(axis=(1, 2)))
-    colour = (values[is_diffuse] if is_diffuse.any() else values).mean(axis=(0, 1, 2)) / scale
+    colour = (values[is_diffuse] if is_diffuse.any() else values).mean(axis=(0, 1, 2))
+    if np.isfinite(factors).any():
+        colour = np.minimum(colour / np.nanmedian(factors, axis=0), 1.0)
+    else:  # nothing says how bright it is: its brightest points are as bright as can be
+        colour /= np.max(np.quantile(colour * relative, _BRIGHTEST, axis=(0, 1)))
     return Surface(
-        pictures.name, np.minimum(colour, 1.0), made / made.mean(axis=(0, 1)), state[..., :2],
+        pictures.name, colour, relative, state[..., :2],
         np.sqrt(np.diagonal(covariance)[:2]), state[..., 2], _glints(values, residual, pictures), gain,
         pictures,
     )  # fmt: skip

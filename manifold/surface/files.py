@@ -43,6 +43,7 @@ TARGETS = ("gltf", "openpbr", "usd", "blender")
 """Targets of exports that are written by default."""
 
 _COAT_IORS = ("coat_ior", "coat ior")
+_FEW_CUT = 0.005  # share of points that nobody misses
 _VISIBLE_SPARKLE = 1.0  # glints per 10,000 pixels and lamp that a note mentions
 
 
@@ -169,13 +170,14 @@ def write_surface(
     written = _write_textures(paths, surface.mean, textures, brdf, flakes)
     stages.begin("exports")
     exports: dict[str, float] = {}
+    cut = {"albedo": textures.cut_share(surface.mean)}
     if brdf is not None:
         with ThreadPoolExecutor(1) as beside:  # drawn while models are fitted
             drawn = beside.submit(preview.strip, brdf, textures, flakes)
-            exports = write_exports(paths, textures, flakes, targets)
+            exports = write_exports(paths, textures, flakes, targets, cut)
             write_image(paths["picture"], drawn.result())
         written |= {"mean", "picture"}.union(*(_kinds_of(target, flakes) for target in exports))
-    notes = _notes(pictures, surface, sparkle, completed)
+    notes = (*_notes(pictures, surface, sparkle, completed), *_cut_notes(cut))
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(
@@ -289,11 +291,13 @@ def _texture(name: str, path: Path, filter_type: str = "bilinear") -> str:
 
 
 def write_exports(
-    paths: Mapping[str, Path], textures: Textures, flakes: DrawnFlakes | None, targets: Sequence[str]
-) -> dict[str, float]:
+    paths: Mapping[str, Path], textures: Textures, flakes: DrawnFlakes | None, targets: Sequence[str],
+    cut: dict[str, float],
+) -> dict[str, float]:  # fmt: skip
     """Fit engines' models to the mean, write them with textures, and return their differences on the ball.
 
-    Flakes are coats with normals of their own, in place of what coat there is around them.
+    Flakes are coats with normals of their own, in place of what coat there is around them. `cut` receives the share of
+    points that are cut in each base texture.
     """
     from manifold.fit import exporting
 
@@ -304,6 +308,7 @@ def write_exports(
 
         def write_files(values: Mapping[str, Any], name: str = name, target: Target = target) -> TextureFiles:
             base = np.asarray(values[target.base_colour])
+            cut[f"{name} base"] = textures.cut_share(base)
             write_display(paths[f"{name}_base"], encode_srgb(np.clip(base * textures.albedo, 0.0, 1.0)))
             if flakes is None or not _shows_flakes(name, flakes):
                 return TextureFiles(paths[f"{name}_base"], paths["normal"])
@@ -334,6 +339,14 @@ def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, .
     if (reflectance := flakes.flakes.reflectance) > (most := ior_to_f0(1.5)):
         notes += (f"flakes reflect {reflectance:.2f} straight on, those of engines' materials {most:.2f}",)
     return notes
+
+
+def _cut_notes(cut: Mapping[str, float]) -> tuple[str, ...]:
+    """Return a note on textures that lose bright points."""
+    lost = [f"{name} {100.0 * share:.2g} %" for name, share in cut.items() if share > _FEW_CUT]
+    if not lost:
+        return ()
+    return (f"points brighter than a white diffuser are cut in textures, of all points: {', '.join(lost)}",)
 
 
 def _notes(

@@ -142,7 +142,7 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
     return SurfacePictures(
         pictures[0].parent.resolve().name, values, directions, np.array([0.0, 0.0, 1.0]),
         tuple(path.name for path in pictures), np.full((len(found), 3), np.nan),
-        ("no readings: colours are relative to the brightest mean, slopes as steep as a Lambertian's would be",),
+        ("no readings: colours are relative to the brightest points, slopes as steep as a Lambertian's would be",),
         (*pictures, lamps),
     )  # fmt: skip
 

@@ -46,6 +46,10 @@ class Textures:
     slope: Array
     height: Array
 
+    def cut_share(self, mean: Array) -> float:
+        """Return the share of points that are cut where the albedo of a mean colour (3,) exceeds 1 in a channel."""
+        return float(np.mean(np.any(mean * self.albedo > 1.0, axis=-1)))
+
     @property
     def normal(self) -> Array:
         """Unit normals, shape (S, S, 3)."""

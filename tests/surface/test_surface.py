@@ -23,7 +23,7 @@ from manifold.surface.estimate import estimate_surface, integrated
 from manifold.surface.lamp_pictures import SurfacePictures, files_in, read_folder, read_workbook
 from manifold.surface.response import Response
 from manifold.surface.sparkle import Flakes, sparkle_of
-from manifold.surface.tiling import blend, dust_in, tile, uncropped
+from manifold.surface.tiling import Textures, blend, dust_in, tile, uncropped
 
 
 def test_slopes_in_the_plane_of_the_lamps_and_albedo_are_found(rng):
@@ -267,6 +267,30 @@ def test_a_folder_of_pictures_and_a_table_of_lamps_are_read(rng, tmp_path):
     lamps.write_text("1 0 1\n0 1 1\n0 0 -1\n")
     with pytest.raises(UsageError, match="z above 0"):
         read_folder(files, lamps)
+
+
+def test_without_readings_no_colour_is_cut(rng):
+    """Squares of contrast 3 in one hue: the brightest are as bright as white in the brightest channel."""
+    hue, lamps = (
+        np.array([1.0, 0.8, 0.6]),
+        np.array([[0.5, 0.0, 0.9], [-0.25, 0.45, 0.9], [-0.25, -0.45, 0.9]]),
+    )
+    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
+    is_bright = np.kron(np.indices((6, 6)).sum(axis=0) % 2 == 0, np.ones((40, 40))).astype(bool)
+    albedo = np.where(is_bright, 0.6, 0.2)[..., None] * hue
+    values = 0.5 * lamps[:, 2, None, None, None] * albedo
+    values = values * np.exp(0.005 * rng.standard_normal(values.shape))
+    unknown = np.full((3, 3), np.nan)
+    pictures = SurfacePictures("squares", values, lamps, np.array([0.0, 0.0, 1.0]), ("a", "b", "c"), unknown)
+    surface = estimate_surface(pictures)
+    colours = surface.mean * surface.albedo
+    for part, expected in ((is_bright, hue), (~is_bright, hue / 3.0)):
+        np.testing.assert_allclose(
+            np.median(colours[part], axis=0), expected, rtol=0.02
+        )  # three noises of 0.5 %
+    textures = Textures(surface.albedo, surface.slope, surface.height)
+    assert textures.cut_share(surface.mean) < 0.005
+    assert textures.cut_share(1.1 * surface.mean) > 0.4
 
 
 def test_pictures_that_are_too_large_together_are_refused_after_the_first(rng, tmp_path, monkeypatch):

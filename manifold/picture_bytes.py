@@ -17,6 +17,10 @@ from manifold.records import Array
 
 _MOST_PIXELS = 1 << 26
 _MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG"}
+_OTHERS = {
+    b"GIF8": "a GIF", b"%!PS": "a PostScript", b"BM": "a BMP", b"II*\0": "a TIFF", b"MM\0*": "a TIFF",
+    b"RIFF": "a WebP", b"\xd7\xcd\xc6\x9a": "a WMF", b"\x01\0\0\0": "an EMF", b"<svg": "an SVG", b"<?xml": "an SVG",
+}  # fmt: skip
 _MODES = ("L", "LA", "P", "RGB", "RGBA")  # of 8 bits
 
 
@@ -31,7 +35,8 @@ def decode(content: bytes, mode: Literal["RGB", "RGBA"] = "RGB", *, most_pixels:
 
     kind = kind_of(content)
     if kind is None:
-        raise FileFormatError(f"begins with {content[:8]!r}, expected PNG or JPEG")
+        named = next((name for magic, name in _OTHERS.items() if content.startswith(magic)), "no known")
+        raise FileFormatError(f"is {named} picture, expected PNG or JPEG")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of large pictures, which are refused below

@@ -74,4 +74,4 @@ def test_a_picture_that_cannot_be_decoded_is_said(whole):
     images = whole.texture["images"] | {"15as80": b"no picture"}
     found = with_picture_colours(_without(replace(whole, texture={"images": images}), MISSING, rows="absent"))
     assert len(found) == 10
-    assert found.notes[-1].startswith("a picture begins with b'no pictu', expected PNG or JPEG")
+    assert found.notes[-1].startswith("a picture is no known picture, expected PNG or JPEG")

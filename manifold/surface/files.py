@@ -346,7 +346,7 @@ def _cut_notes(cut: Mapping[str, float]) -> tuple[str, ...]:
     lost = [f"{name} {100.0 * share:.2g} %" for name, share in cut.items() if share > _FEW_CUT]
     if not lost:
         return ()
-    return (f"points brighter than a white diffuser are cut in textures, of all points: {', '.join(lost)}",)
+    return (f"bright points are cut in textures, of all points: {', '.join(lost)}",)
 
 
 def _notes(

@@ -32,7 +32,7 @@ from manifold.records import Array, Bands
 READ = 12
 REGIONS = {"within_12": (0.0, 12.0), "12_to_30": (12.0, 30.0), "beyond_30": (30.0, 181.0)}
 """Angles between the outgoing direction and the mirror direction, in degrees."""
-_GAIN, _SCATTER, _OFFSET = 0.01, 0.005, 0.001
+GAIN, SCATTER, OFFSET = 0.01, 0.005, 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +152,8 @@ def main() -> None:
     rng = np.random.default_rng(0)
     result: dict[str, object] = {}
     for sample in samples:
-        scale = (1.0 + _GAIN * rng.standard_normal()) * (1.0 + _SCATTER * rng.standard_normal(sample.f.shape))
-        noisy = replace(sample, f=sample.f * scale + _OFFSET / np.pi * rng.standard_normal(sample.f.shape))
+        scale = (1.0 + GAIN * rng.standard_normal()) * (1.0 + SCATTER * rng.standard_normal(sample.f.shape))
+        noisy = replace(sample, f=sample.f * scale + OFFSET / np.pi * rng.standard_normal(sample.f.shape))
         random = rng.choice(len(sample.f), READ, replace=False)
         cases = {"instrument": (sample, like_instrument(sample)), "random": (sample, random)}
         cases["noisy"] = noisy, cases["instrument"][1]

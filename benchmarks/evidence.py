@@ -78,6 +78,7 @@ RESULTS = {
     "fair_corpus": Result("bench_fair.py CORPUS --every 5", (*_GPLVM, *_BLEND, *_LIGHTS), 10),
     "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic"), 5),
     "spectral": Result("bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS), 2),
+    "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS), 2),
     "met": Result("bench_met.py LIBRARY WORKBOOKS", (*_COMPLETE, *_LIGHTS)),
     "published": Result("bench_published.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS)),
     "held_out": Result(

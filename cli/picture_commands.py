@@ -379,7 +379,8 @@ def compare(
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are rendered alike first.
 
-    A CIEDE2000 of 1, or a Delta E_ITP of 1 on a display with a white of 100 cd/m2, is visible side by side. FLIP
+    CIEDE2000 is defined for uniform patches side by side, of which most observers tell a difference of 1 apart, and
+    Delta E_ITP of 1 likewise on a display with a white of 100 cd/m2; means over a ball have no such threshold. FLIP
     ranges from 0 to 1 and ignores detail too fine to be visible. All three include the noise of the renders, which
     decreases with --samples.
     """

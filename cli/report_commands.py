@@ -356,7 +356,7 @@ def budget(
     """Find the cheapest representation of each measured material that keeps the rendered picture.
 
     BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
-    or are kept. A CIEDE2000 of 1 is visible side by side.
+    or are kept. By convention a CIEDE2000 above 1 is called visible.
     """
     from manifold.evaluate.budget import budgets
     from manifold.evaluate.budget.search import Tolerance

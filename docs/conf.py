@@ -46,6 +46,7 @@ exclude_patterns = [
     "**/sg_execution_times.rst",
     "sg_execution_times.rst",
     "gallery/*.ipynb",
+    "paper/*",
     "examples/*",
 ]
 suppress_warnings = ["config.cache"]  # sphinx_gallery_conf holds a function

@@ -408,7 +408,9 @@ def _wrong(one: Material, taken: Sequence[Taken], rows: dict[str, dict[int, list
         except ManifoldError:
             continue
         notes = (*ball.notes, *material.notes)
-        said = any(word in note for note in notes for word in ("was given", "nothing explains", "lie on it"))
+        said = any(
+            word in note for note in notes for word in ("was given", "no material explains", "lie on it")
+        )
         rows.setdefault(f"wrong: {name}", {}).setdefault(1, []).append(one.ball(material))
         rows.setdefault(f"noted: {name}", {}).setdefault(1, []).append(float(said))
 

@@ -48,7 +48,7 @@ SchedulerOption = Annotated[
     str | None,
     typer.Option(
         "--scheduler",
-        help="Let the workers of this Dask scheduler share the work, such as tcp://10.0.0.1:8786.",
+        help="Share the work among the workers of this Dask scheduler, such as tcp://10.0.0.1:8786.",
         metavar="ADDRESS",
         rich_help_panel=SHARED,
     ),

@@ -41,8 +41,8 @@ def complete(
     readings: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Files of readings, or folders of them. Of a sample that several instruments read under one name, "
-            "the readings are put together.",
+            help="Files of readings, or folders of them. Readings of one sample by several instruments are "
+            "merged by its name.",
             metavar="READINGS",
             show_default=False,
         ),
@@ -59,7 +59,7 @@ def complete(
         typer.Option("--into", help="Also import the completed samples into this library.", metavar="FOLDER"),
     ] = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="All files are of one sample, whatever its names.")
+        bool, typer.Option("--merge", help="Treat all files as one sample, whatever its names.")
     ] = False,
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
@@ -68,8 +68,8 @@ def complete(
     repeatability: Annotated[
         float | None,
         typer.Option(
-            help="How well the instrument repeats a reading, in per cent of its value; the completion meets readings "
-            "as well.  [default: 0.25 of spectrophotometers, 3 of goniometers]",
+            help="Repeatability of the instrument, in per cent of a reading; the completion reproduces "
+            "readings to that accuracy.  [default: 0.25 of spectrophotometers, 3 of goniometers]",
             metavar="PERCENT",
             min=0.0,
             max=100.0,
@@ -78,8 +78,8 @@ def complete(
     lab: Annotated[
         str | None,
         typer.Option(
-            help="Instead of READINGS: the CIELAB colour (45/0), with --gloss where it is known; or a file of such, "
-            "a line each: name, L, a, b; a head may name columns gloss_20, gloss_60, gloss_85.",
+            help="Instead of READINGS: a CIELAB colour (45/0), with --gloss if it is known; or a file with "
+            "one colour per line: name, L, a, b. A header may name columns gloss_20, gloss_60, gloss_85.",
             metavar="L,a,b|FILE",
         ),
     ] = None,
@@ -87,8 +87,8 @@ def complete(
         bool,
         typer.Option(
             "--mixture",
-            help="Of --lab and --gloss: mix the library's materials, metals included, where a dielectric coat over a "
-            "diffuse base is made otherwise, which reaches both.",
+            help="For --lab and --gloss: mix the library's materials, metals included. Without it the result "
+            "is a dielectric coat over a diffuse base, which reaches both.",
         ),
     ] = False,
     illuminant: options.IlluminantOption = None,
@@ -168,7 +168,7 @@ def complete(
         results.document({"suggested_deg": first.angles_deg.tolist()})
         return
     if instrument is not None and not suggest:
-        raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
+        raise UsageError("--instrument restricts the suggested directions; also give --suggest K")
     units = completions.parse_gloss(gloss or [])
     if lab is not None:
         from manifold.estimate import coat

@@ -48,7 +48,7 @@ def fit(
         ),
     ] = "gauss-newton",
     metric: Annotated[
-        Metric, typer.Option(help="Residuals: of a lit ball and cube roots of samples; or of samples alone.")
+        Metric, typer.Option(help="Residuals: of a lit ball and of cube roots of samples; or only of samples.")
     ] = "appearance",
     free: Annotated[
         str | None,
@@ -230,7 +230,7 @@ def export(
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
     The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 of the ball
-    between the two, mean of five lights that the fit did not see, beside that of Mitsuba's principled, where the
+    between the two, mean of five lights that the fit did not use, beside that of Mitsuba's principled, where the
     fit starts.
     """
     from manifold.estimate.sources import FileSource

@@ -41,7 +41,7 @@ def convert(
             "--format",
             "-f",
             metavar="FORMAT",
-            help="{manifold.registries.CONVERTED}, where the suffix of OUT is ambiguous. [default for folders: rgl]",
+            help="{manifold.registries.CONVERTED}, if the suffix of OUT is ambiguous. [default for folders: rgl]",
         ),
     ] = None,
     sample: options.SampleOption = None,
@@ -50,7 +50,8 @@ def convert(
     resolution: Annotated[
         int | None,
         typer.Option(
-            help="Of RGL files: nodes per axis of the outgoing grid; 64, but what is an RGL file stays as it is.",
+            help="For RGL files: nodes per axis of the outgoing grid; 64 by default, but an RGL file is "
+            "copied unchanged.",
             metavar="N",
             min=2,
             max=512,
@@ -59,13 +60,16 @@ def convert(
     incidences: Annotated[
         int | None,
         typer.Option(
-            help="Of RGL files: incident elevations, beside the file's own.", metavar="N", min=2, max=512
+            help="For RGL files: incident elevations, in addition to the file's own.",
+            metavar="N",
+            min=2,
+            max=512,
         ),
     ] = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="Several files are of one sample, whatever its names.")
+        bool, typer.Option("--merge", help="Treat several files as one sample, whatever its names.")
     ] = False,
     report: options.ReportOption = None,
     workers: WorkerOptions = PER_CORE,

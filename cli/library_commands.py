@@ -35,9 +35,7 @@ ToleranceOption = Annotated[
     epilog="Example: manifold corpus rgl_like --seed 7",
 )
 def corpus(
-    folder: Annotated[
-        Path, typer.Argument(help="Where to write the files; made if missing.", metavar="FOLDER")
-    ],
+    folder: Annotated[Path, typer.Argument(help="The folder to write; made if missing.", metavar="FOLDER")],
     seed: Annotated[
         int,
         typer.Option(
@@ -88,14 +86,14 @@ def corpus(
 def fetch(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help="Materials; all 51 isotropic ones if none.", metavar="NAME"),
+        typer.Argument(help="Names of materials; by default all 51 isotropic ones.", metavar="NAME"),
     ] = None,
-    to: Annotated[Path, typer.Option(help="Where to put the files.", metavar="FOLDER")] = Path("rgl"),
+    to: Annotated[Path, typer.Option(help="The folder for the files.", metavar="FOLDER")] = Path("rgl"),
     base_url: Annotated[
         str | None, typer.Option(help="Another server with the same folders and files.", metavar="URL")
     ] = None,
     anisotropic: Annotated[
-        bool, typer.Option("--anisotropic", help="With no names: add the 11 anisotropic ones.")
+        bool, typer.Option("--anisotropic", help="Without names: also the 11 anisotropic ones.")
     ] = False,
     rgb: Annotated[
         bool,
@@ -147,7 +145,8 @@ def import_(
     replace: Annotated[
         bool,
         typer.Option(
-            "--replace", help="Replace materials whose file has changed, or that are compact or not."
+            "--replace",
+            help="Replace materials whose file has changed, or whose form differs (compact or not).",
         ),
     ] = False,
     compact: Annotated[
@@ -322,8 +321,8 @@ def find(
     material: Annotated[
         str | None,
         typer.Argument(
-            help="A file of a BRDF or of readings, a material of the library, or a place on the map, to find what "
-            "looks most like it.",
+            help="A file of a BRDF or of readings, a material of the library, or a place on the map; the "
+            "command finds the materials that look most like it.",
             metavar="MATERIAL",
             show_default=False,
         ),
@@ -331,7 +330,7 @@ def find(
     lab: Annotated[
         str | None,
         typer.Option(
-            help="CIELAB colour (45/0): L,a,b with commas between; or a file of such, a line each: name, L, a, b.",
+            help="CIELAB colour (45/0): L,a,b with commas between; or a file with one colour per line: name, L, a, b.",
             metavar="L,a,b|FILE",
         ),
     ] = None,

@@ -282,7 +282,7 @@ def predict(
     gloss: Annotated[
         list[str] | None,
         typer.Option(
-            help="Gloss units it should have at 20, 60 or 85 degrees; may be repeated.",
+            help="Gloss units that the material should have at 20, 60 or 85 degrees; may be repeated.",
             metavar="60=UNITS",
             rich_help_panel=COLOUR,
         ),
@@ -290,7 +290,7 @@ def predict(
     lightness: Annotated[
         str | None,
         typer.Option(
-            help="CIELAB lightness (45/0, D65) it should have, or a change.",
+            help="CIELAB lightness (45/0, D65) that the material should have, or a change of it.",
             metavar="L|+L|-L",
             rich_help_panel=COLOUR,
         ),
@@ -299,7 +299,12 @@ def predict(
         str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C", rich_help_panel=COLOUR)
     ] = None,
     hue: Annotated[
-        str | None, typer.Option(help="Hue in degrees, likewise.", metavar="H|+H|-H", rich_help_panel=COLOUR)
+        str | None,
+        typer.Option(
+            help="Hue in degrees that it should have, or a change of it.",
+            metavar="H|+H|-H",
+            rich_help_panel=COLOUR,
+        ),
     ] = None,
     physical: options.PhysicalOption = False,
     output: Annotated[
@@ -347,7 +352,7 @@ def predict(
     if latent is None:
         raise UsageError(
             "found no place; name one, such as -0.3,1.2 or a material, or give --from with a table of them; `manifold "
-            "complete --lab L,a,b --gloss 60=UNITS` makes a material of a colour and gloss alone"
+            "complete --lab L,a,b --gloss 60=UNITS` makes a material from only a colour and gloss"
         )
     with progress.shown("Reading materials"):
         made = predictions.predict(
@@ -390,8 +395,8 @@ def locate(
     output: Annotated[
         Path | None,
         options.output_option(
-            "Also write the reconstruction: the prediction at the latent, in the colours of the file. Of several "
-            "materials, the folder. [default for several: locations]"
+            "Also write the reconstruction: the prediction at the latent, in the colours of the file. For "
+            "several materials, the folder. [default for several: locations]"
         ),
     ] = None,
     photos: photograph_commands.OldPhotoOptions = photograph_commands.NO_OLD,
@@ -460,7 +465,7 @@ def reconstruct(
         int | None,
         typer.Option(
             min=1,
-            help="Describe the material by at most so many numbers, e.g. 12. [default: as many as it takes]",
+            help="Describe the material by at most this many numbers, such as 12. [default: as many as needed]",
             metavar="N",
         ),
     ] = None,

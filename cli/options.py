@@ -103,7 +103,7 @@ PhysicalOption = Annotated[
     bool,
     typer.Option(
         "--physical",
-        help="Change impossible values alone: no negative ones, albedo at most 1, reciprocal within 5 %; may "
+        help="Change only impossible values: none negative, albedo at most 1, reciprocal within 5 %; may "
         "refine grids.",
         rich_help_panel=GRID,
     ),
@@ -121,7 +121,7 @@ IncidencesOption = Annotated[
     ),
 ]
 SampleOption = Annotated[
-    str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
+    str | None, typer.Option("--sample", help="The sample to take from a file with several.", metavar="NAME")
 ]
 IlluminantOption = Annotated[
     str | None,
@@ -134,7 +134,7 @@ IlluminantOption = Annotated[
 ObserverOption = Annotated[
     int | None,
     typer.Option(
-        help="Their observer in degrees: 2 (CIE 1931) or 10 (CIE 1964).  [default: that of the file, or 2]",
+        help="Observer of Lab values in degrees: 2 (CIE 1931) or 10 (CIE 1964).  [default: that of the file, or 2]",
         metavar="DEGREES",
         rich_help_panel=COLOUR,
     ),
@@ -150,7 +150,7 @@ ReportOption = Annotated[
 UnitOption = Annotated[
     str | None,
     typer.Option(
-        help="Of values in a table that says none: brdf (1/sr), factor (1 is the perfect diffuser) or percent.",
+        help="Unit of values in a table that names none: brdf (1/sr), factor (1 is the perfect diffuser) or percent.",
         metavar="UNIT",
     ),
 ]

@@ -254,7 +254,7 @@ def photograph(
     if not pictures:
         if not suggest or readings or lab or gloss or report:
             raise UsageError(
-                "found no picture; name one, or give --suggest K alone for the first places of the lamp"
+                "found no picture; name one, or give only --suggest K for the first places of the lamp"
             )
         suggest_lamps(results, library, suggest)
         return

@@ -33,7 +33,9 @@ def report(
     library: options.MovedLibraryOption = None,
     grid: Annotated[
         Grid,
-        typer.Option(help="12,420 direction pairs, or the 1,458,000 of Hikichi & Iwasaki, eq. 22 (minutes)."),
+        typer.Option(
+            help="Direction pairs: 12,420, or the 1,458,000 of Hikichi & Iwasaki, eq. 22 (minutes)."
+        ),
     ] = "default",
     json: options.JsonOption = None,
     compare: Annotated[
@@ -81,7 +83,7 @@ def report(
 )
 def demo(
     folder: Annotated[
-        Path, typer.Argument(help="Where to put everything; made if missing.", metavar="FOLDER")
+        Path, typer.Argument(help="The folder for all files; made if missing.", metavar="FOLDER")
     ] = Path("demo"),
     everything: Annotated[
         bool,

@@ -38,8 +38,9 @@ def surface(
         Path | None,
         typer.Option(
             "--lamp",
-            help="Instead of workbooks, photographs of a flat sample from above: a text of their lamps, a line each in "
-            "the order of the pictures' names: right, up, towards the camera, and intensity where it differs.",
+            help="Instead of workbooks, photographs of a flat sample from above: a text of their lamps with "
+            "one line per picture, in the order of their names: right, up, towards the camera, and "
+            "intensity if it differs.",
             metavar="FILE",
         ),
     ] = None,

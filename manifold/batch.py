@@ -55,7 +55,7 @@ class Source(Protocol):
 S = TypeVar("S", bound=Source)
 T = TypeVar("T")
 Content = dict[str, Any]
-"""What is known of an output, plain values."""
+"""The content of an output, plain values."""
 Beside = Callable[[Path, Content], Sequence[Path]]
 """Returns the other files that belong to an output, from its path and content."""
 

@@ -100,7 +100,7 @@ def _connected(address: str) -> Iterator[Client]:
     try:
         client = found.get(timeout=_CONNECT_S + 1.0)
     except queue.Empty:
-        client = TimeoutError(f"nothing was heard in {_CONNECT_S + 1.0:g} s")
+        client = TimeoutError(f"no answer within {_CONNECT_S + 1.0:g} s")
     if isinstance(client, Exception):
         raise ManifoldError(
             f"{address}: no Dask scheduler answers ({printable(str(client), 160)}); start one, or check the address"

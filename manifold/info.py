@@ -442,7 +442,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
     if left_out is None:
         rows["left-out errors"] = list(NOT_CALIBRATED)
     else:
-        kept = "the places of the others kept (reports fit them anew)"
+        kept = "the places of the others kept (reports fit them again)"
         rows["left-out errors"] = [*_quantiles(left_out.errors), kept]
         if left_out.blended is not None:
             rows["if the colour is blended"] = _quantiles(left_out.blended)

@@ -57,7 +57,8 @@ def with_spectra(readings: Readings) -> Readings:
     nm = ", ".join(f"{at:g}" for at in readings.bands.wavelengths_nm or ())
     note = (
         f"spectra are estimated from three bands at {nm} nm: expected colour error {median:.1f} CIEDE2000 (D65/2), "
-        f"above {most:.1f} for one colour in ten; a correction of this instrument (`manifold calibrate`) has less"
+        f"above {most:.1f} for one colour in ten; a correction of this instrument (`manifold calibrate`) has "
+        "a smaller error"
     )
     estimated = replace(
         readings, wavelengths_nm=np.array(SPECTRUM.wavelengths_nm), values=values, colour_error=median

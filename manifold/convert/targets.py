@@ -173,7 +173,7 @@ def _write_openmaterial(path: Path, source: Source, options: Options) -> list[st
     openmaterial.write(path, _about_the_normal(source, steps, one_turn=True))
     return [
         *_one_turn(source),
-        "copyright, license and authors are to be filled in: 'not stated' stands there",
+        "fill in copyright, license and authors, which are 'not stated'",
     ]
 
 
@@ -229,9 +229,7 @@ def _write_bird(path: Path, source: Source, options: Options) -> list[str]:
     rows = _rows(source)
     is_estimated = source.file is not None and source.file.origin != "measured"
     bird.write(path, rows, "simulation" if is_estimated else "measurement")
-    notes = [
-        "organisation, contact, place, instrument and time are to be filled in: 'not stated' or 'NA' stands there"
-    ]
+    notes = ["fill in organisation, contact, place, instrument and time, which are 'not stated' or 'NA'"]
     if np.any(rows.scatter > 0.0):
         of = "as the file says" if source.expected_error is None else "those expected of cube roots"
         notes.append(

@@ -175,15 +175,15 @@ class Adjusted:
     def shortfalls(self) -> tuple[str, ...]:
         """Return sentences on the attributes that could not be reached."""
         shortfalls = [
-            f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} asked; nothing near it in this colour "
-            "has that gloss"
+            f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} requested; no material near it "
+            "in this colour has that gloss"
             for angle, (asked, reached) in self.gloss.items()
             if abs(reached - asked) > GLOSS_TOLERANCE * asked
         ]
         if self.difference > COLOUR_TOLERANCE:
             asked, reached = ("L {:.1f}, C {:.1f}, h {:.0f}".format(*lch) for lch in self.lch)
             difference = f"CIEDE2000 {self.difference:.1f} ({DAYLIGHT}, 45/0)"
-            shortfalls.append(f"colour: {reached} reached, {asked} asked, {difference}")
+            shortfalls.append(f"colour: {reached} reached, {asked} requested, {difference}")
         return tuple(shortfalls)
 
     def warn(self) -> None:

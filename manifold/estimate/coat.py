@@ -115,9 +115,9 @@ class Coated:
         return {
             "made": f"a dielectric coat (alpha {self.alpha:.3g}, index {self.index:.3g}) over a diffuse base",
             "colour": f"L,a,b {', '.join(f'{v:.1f}' for v in self.lab)} ({DAYLIGHT}, 45/0), "
-            f"CIEDE2000 {self.difference:.1f} from what was asked",
+            f"CIEDE2000 {self.difference:.1f} from the requested one",
             "gloss": [
-                f"{self.gloss[a]:.3g} at {a:g} degrees, {u:g} asked" for a, u in self.sample.gloss.items()
+                f"{self.gloss[a]:.3g} at {a:g} degrees, {u:g} requested" for a, u in self.sample.gloss.items()
             ],
             "expected error": self.expected.words,
             "albedo": f"at most {self.plausibility.max_albedo:.2f}",
@@ -239,7 +239,8 @@ def complete(
 def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> list[str]:
     """Return sentences on the values that were not reached."""
     notes = [
-        f"gloss at {angle:g} degrees: {gloss[angle]:.3g} reached, {asked:.3g} asked; no dielectric coat of this colour "
+        f"gloss at {angle:g} degrees: {gloss[angle]:.3g} reached, {asked:.3g} requested; no dielectric coat "
+        "of this colour "
         "has it: metals have more, and --mixture looks among the library's materials"
         for angle, asked in sample.gloss.items()
         if abs(gloss[angle] - asked) > GLOSS_TOLERANCE * asked
@@ -248,7 +249,8 @@ def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> l
     if difference > COLOUR_TOLERANCE:
         reached = ", ".join(f"{v:.1f}" for v in lab)
         notes.append(
-            f"colour: L,a,b {reached} reached, CIEDE2000 {difference:.1f} ({DAYLIGHT}, 45/0) from what was asked; the "
+            f"colour: L,a,b {reached} reached, CIEDE2000 {difference:.1f} ({DAYLIGHT}, 45/0) from the "
+            "requested one; the "
             "coat's own light or the base's largest reflectance, 1, does not allow it"
         )
     return notes

@@ -189,15 +189,15 @@ class Completion:
             )
         notes += [
             f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units, "
-            f"{self.readings.gloss[angle]:.3g} read; no combination has it and the readings"
+            f"{self.readings.gloss[angle]:.3g} read; no combination reproduces both it and the readings"
             for angle, misfit in self.gloss_misfits.items()
             if misfit > _GLOSS_MISSED
         ]
         if self.residual_of_mixtures > _UNEXPLAINED:
             notes.append(
                 f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
-                f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % after): "
-                "it follows them, and says little of other directions"
+                f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
+                "after): the result follows them, and other directions are uncertain"
             )
         return tuple(notes)
 

@@ -248,7 +248,7 @@ MOST_POINTS = 100_000
 _COLOURS = ("like", "srgb", "reflectance")
 _SEPARATOR_LINE = re.compile(r"sep=.?", re.IGNORECASE)  # a first line for Excel
 _EXPECTED = (
-    "expected a header of x,y,... or latent or material, and maybe name, like, srgb, reflectance; "
+    "expected a header of x,y,... or latent or material, and optionally name, like, srgb, reflectance; "
     "the first lines could be: x,y,name and -0.3,1.2,between"
 )
 

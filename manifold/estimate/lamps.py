@@ -84,8 +84,9 @@ def parse_lamp(text: str, pictures: Sequence[str] = ()) -> list[Lamp]:
     numbers = [number(cell) for cell in text.split(",")]
     if len(numbers) not in (3, 4) or None in numbers:
         raise UsageError(
-            f"lamp '{text}', expected X,Y,Z to the right, up and towards the camera, with a distance in radii of the "
-            "ball where it is near, such as 0.5,0.5,1 or 0,1,1,8; or a file of such lines, flash, or found"
+            f"lamp '{text}', expected X,Y,Z to the right, up and towards the camera, with a distance in radii "
+            "of the ball if it is near, such as 0.5,0.5,1 or 0,1,1,8; or a file of such lines, flash, or "
+            "found"
         )
     x, y, z, *distance = (value for value in numbers if value is not None)
     return [Lamp.towards(np.array([x, y, z]), distance[0] if distance else np.inf)]

@@ -169,8 +169,8 @@ class Outline(NamedTuple):
         if self.share >= _LEAST_SHARE:
             return ()
         return (
-            f"outline {self.circle}: {self.share:.0%} of the edges near it lie on it, of a ball lit from one side the "
-            "others may be its terminator; give its --circle, or pictures under other lamps",
+            f"outline {self.circle}: {self.share:.0%} of the edges near it lie on it; on a ball lit from one "
+            "side the others may be its terminator; give its --circle, or pictures under other lamps",
         )
 
 

@@ -118,9 +118,9 @@ class PhotoMaterial:
         if self.residual <= _UNEXPLAINED or not self.calibration.is_beyond(self.residual):
             return notes
         return (
-            f"nothing explains the pixels (residual {100.0 * self.residual:.3g} %, of left-out materials at most "
-            f"{100.0 * self.calibration.largest_residual:.3g} %): is the light that of the photograph, turned and "
-            "exposed alike, and the circle that of the ball?",
+            f"no material explains the pixels (residual {100.0 * self.residual:.3g} %, of left-out materials at most "
+            f"{100.0 * self.calibration.largest_residual:.3g} %): check the light, its turn and exposure, and "
+            "the circle",
             *notes,
         )
 

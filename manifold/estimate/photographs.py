@@ -200,8 +200,8 @@ def locate(
     place = location.locate_brdf(loaded, seen)
     notes += (
         *place.diagnostics,
-        "the expected error and the residual of pixels are those of the material that the pixels show, the "
-        "reconstruction error is that of the prediction at the place against it",
+        "the expected error and the residual of pixels belong to the material of the pixels; the "
+        "reconstruction error compares the prediction at the place with it",
     )
     stages.begin("writing")
     plausibility = None
@@ -263,8 +263,8 @@ def _found(
     if readings is not None:
         if not library.bands.is_rgb:
             raise UsageError(
-                f"photographs and readings together, and a library of {library.bands}, expected one in RGB; give the "
-                "readings or the photographs alone, or convert the library"
+                f"photographs and readings together, and a library of {library.bands}, expected one in RGB; "
+                "give only the readings or only the photographs, or convert the library"
             )
         readings = in_srgb(for_library(readings, library.bands))
     stages.begin("reading materials")

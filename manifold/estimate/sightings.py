@@ -181,7 +181,7 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
     if request.lamps:
         return _with_doubts(_under_lamps(request, photographs, circles), circles)
     if request.grey is not None:
-        raise UsageError("--grey goes with --lamp; of a --light, give the --exposure")
+        raise UsageError("--grey goes with --lamp; for a --light, give the --exposure")
     if request.light_balls:
         if any(request.turns_deg):
             raise UsageError("--turn goes with --light; a mirror ball is seen by the same camera")
@@ -226,7 +226,7 @@ def _under_lamps(
             outlines = [_outline_of([one], text) for one, text in zip(photographs, circles, strict=True)]
     if request.grey is None:
         notes += (
-            "the lamp is taken as white: whatever colour it has, the material's is off by it; balance the picture's "
+            "the lamp is taken as white, and its colour changes the material's; balance the picture's "
             "white, or give a grey card (--grey)",
         )
     balls = []
@@ -384,6 +384,6 @@ def unlit(sightings: Sequence[Sighting]) -> tuple[str, ...]:
         if is_dark
     ]
     return (
-        f"no lamp shows highlights at incidences of {', '.join(ranges)} degrees: there they are those of the library's "
-        "materials",
+        f"no lamp shows highlights at incidences of {', '.join(ranges)} degrees: highlights there follow the "
+        "library's materials",
     )

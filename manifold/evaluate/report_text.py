@@ -62,9 +62,9 @@ _LIGHTS: Columns = (
     ("p90", lambda m: f"{m.p90.worst:.1f}"),
 )
 _LIGHTS_NOTE = """\
-Median CIEDE2000 of the ball in lights that no fit sees: the studio, the same
-light from everywhere, suns so many degrees beside the view; worst: in the light
-where it is largest for each material, median and 90th percentile."""
+Median CIEDE2000 of the ball in lights that no fit uses: the studio, uniform
+light, suns at the given degrees beside the view; worst: in the light where it is
+largest for each material, median and 90th percentile."""
 
 
 def _short(error: float) -> str:
@@ -120,11 +120,11 @@ _EXPECTED_NAMES = {
     "blended_ball": "ball, blended", "blended_cube_root": "cube root, blended",
 }  # fmt: skip
 _EXPECTED_NOTE = f"""\
-Of materials left out of the map, the others kept where they are, and errors
-expected without them, in the colours of the material or in colours blended from
-the surrounding materials; ball: {BALL}; rank
-corr.: of expected with true errors; below 2x: true errors that are below twice
-the expected."""
+Each material is left out of the map, and the others keep their places; its errors
+are expected without it, in its own colours or in colours blended from the
+surrounding materials. ball: {BALL}; rank
+corr.: of expected with true errors; below 2x: true errors below twice the
+expected."""
 
 
 def lead(report: Report) -> str:
@@ -138,9 +138,9 @@ def lead(report: Report) -> str:
     how = "a model fitted without it" if "refitted" in own.key else "the map of the others"
     expected = report.expected_errors and report.expected_errors["ball"]
     last = (
-        "The model is not calibrated: it expects no errors."
+        "The model is not calibrated: it has no expected errors."
         if not expected
-        else f"For {expected.below_twice:.0%} of the materials the error is less than twice what the model expects."
+        else f"For {expected.below_twice:.0%} of the materials the error is less than twice the expected one."
     )
     return (
         f"A left-out material, found by {how} from its own data, differs from the measured one by "
@@ -243,8 +243,8 @@ def _expected_errors(report: Report) -> list[str]:
     columns = ("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x", "bound")
     most = next(iter(report.expected_errors.values())).most_level
     guarantee = (
-        f"bound: {LEVEL:.0%} of new materials err by less than so many times what is expected, as\n"
-        f"far as left-out ones tell; guaranteed, if they are drawn like these, are {GUARANTEED:.0%}\n"
+        f"bound: the factor on the expected error below which {LEVEL:.0%} of left-out materials lie;\n"
+        f"for new materials drawn like these, {GUARANTEED:.0%} are guaranteed\n"
         f"(jackknife+, Barber et al. 2021). This many materials allow levels up to {most:.0%}."
     )
     return _table(columns, rows, f"{_EXPECTED_NOTE}\n{guarantee}")

@@ -271,7 +271,7 @@ def _write_index(target: Target, made: Batch[ExportSource]) -> None:
     intro = (
         "Each picture: measured, exported; measured, exported. Left in the studio, right under a sun "
         f"{_PACK_SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
-        f"{len(JUDGED)} lights that the fit did not see, and in the worst."
+        f"{len(JUDGED)} lights that the fit did not use, and in the worst."
     )
     title = f"{len(cards)} measured materials for {target.title}"
     html_page.write(made.folder / _PACK_PAGE, title, intro, f"<main>{''.join(cards)}</main>")

@@ -152,7 +152,7 @@ def fit_bsdf(
             rotation -= target.rotation_rad
         target = MeasuredBRDF(fill_unmeasured(target))
     elif not isinstance(target, FitSamples):
-        require_brdf(target, "what is fitted")
+        require_brdf(target, "the material to fit")
         rotation = rotation_of_brdf(target)
     if isinstance(target, FitSamples):
         return _fit_or_diffuse(target, family, method, metric, noise, options, wide_colours)

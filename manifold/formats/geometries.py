@@ -218,8 +218,8 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
         )
     if alone and angles:
         raise context.error(
-            f"geometries '{next(iter(alone))}' and '{next(iter(angles))}' in one column, expected aspecular angles "
-            "alone, or names such as 45as15 alone"
+            f"geometries '{next(iter(alone))}' and '{next(iter(angles))}' in one column, expected only "
+            "aspecular angles, or only names such as 45as15"
         )
     if alone:
         angles |= {name: (45.0, angle, 0.0) for name, angle in alone.items()}

@@ -478,7 +478,7 @@ def read_table(
         kind = FACTORS
         of_whom = ", which no head says (--illuminant, --observer)" if columns.is_viewing_assumed else ""
         notes.append(
-            f"colours are read as CIELAB under {columns.viewing}{of_whom}; they say nothing of spectra"
+            f"colours are read as CIELAB under {columns.viewing}{of_whom}; they do not determine spectra"
         )
     white = 100.0 if is_percent else 1.0
     assumed: Assumed | None = None
@@ -643,8 +643,8 @@ def _geometry_pairs(
         first = sample.rows[sample.keys.index([text])]
         if columns.name is None and first != row:
             raise context.error(
-                f"geometry '{text[:24]}' stands in {table.where(first)}, too; expected a column Name that "
-                "tells samples apart",
+                f"geometry '{text[:24]}' is also in {table.where(first)}; expected a column Name that "
+                "distinguishes the samples",
                 table.where(row),
             )
     wi, wo = (np.array(w) for w in zip(*pairs, strict=True))

@@ -67,7 +67,7 @@ export const attributes = {
     const apart = Math.hypot(...fromLch(asked).map((v, k) => v - fromLch(found)[k]));
     if (apart > 2) missed.push(`colour: L ${found[0].toFixed(0)}, C ${found[1].toFixed(0)}, h ${found[2].toFixed(0)}° reached`);
     if (this.glossFrom && Math.abs(Math.log(gloss / this.glossWanted)) > 0.05) {
-      missed.push(`gloss: ${gloss.toPrecision(2)} reached, ${this.glossWanted.toPrecision(2)} asked`);
+      missed.push(`gloss: ${gloss.toPrecision(2)} reached, ${this.glossWanted.toPrecision(2)} requested`);
     }
     this.byId("attributes-missed").textContent = missed.join("; ");
   },

@@ -165,7 +165,7 @@ def _photographed(request: Request, context: Context, output: Path, file: Path) 
     if "light_bytes" in request:
         size = photograph.stat().st_size - int(request["light_bytes"])  # 100.0 is an integer in JSON
         if size < 1:
-            raise UsageError("light_bytes: expected less than what was sent")
+            raise UsageError("light_bytes: expected less than the size of the body")
         light = file.with_name(f"{file.name}-light{request['light_suffix']}")
         with photograph.open("r+b") as stream:
             stream.seek(size)

@@ -71,7 +71,7 @@ export const facts = {
 
   showFacts() {
     const { data, state } = this, error = this.error();
-    const beyond = state.without ? "none: predicted by the others, compare it with what was measured"
+    const beyond = state.without ? "none: predicted by the others; compare it with the measured material"
       : isBetween(state) ? "none: a step of a walk has no place on the map"
       : data.error ? "outside the map" : "not computed above three dimensions";
     this.byId("error-value").textContent = error === null ? beyond : this.errorText(error);

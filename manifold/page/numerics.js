@@ -626,7 +626,7 @@ export function readReflectance(text) {
   });
   rows.sort((a, b) => a[0] - b[0]);
   const nm = rows.map((row) => row[0]), values = rows.map((row) => (isPercent ? row[1] / 100 : row[1]));
-  if (nm.some((v, k) => k && v === nm[k - 1])) throw new Error("a wavelength is there twice");
+  if (nm.some((v, k) => k && v === nm[k - 1])) throw new Error("a wavelength appears twice");
   if (nm[0] < 100 || nm[nm.length - 1] > 10000) throw new Error("expected wavelengths in nm");
   if (Math.min(...values) < 0 || Math.max(...values) > 1) {
     throw new Error("expected reflectances from 0 to 1; divide percent by 100");

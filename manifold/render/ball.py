@@ -129,7 +129,7 @@ def render_material(material: BRDF | BsdfFile, settings: RenderSettings) -> Arra
     if isinstance(material, BsdfFile) and material.rotation_rad:
         material = MeasuredBRDF(material)  # Mitsuba knows no rotation of a file
     if not isinstance(material, BsdfFile):
-        require_brdf(material, "what is rendered")
+        require_brdf(material, "the material to render")
         version = (1, 0) if material.bands.is_rgb else (3, 1)
         material = goniometer.measure(ClippedBRDF(material), "material", version=version)
     with TemporaryDirectory() as folder:

@@ -356,8 +356,8 @@ def _notes(
     across, along = surface.slope_std
     if across > 2.0 * along:
         notes += (
-            "all lamps lie in one plane: slopes across it follow from integrability alone; lit from the side, relief "
-            "is a guess",
+            "all lamps lie in one plane: slopes across it follow only from integrability; relief lit from "
+            "that side is uncertain",
         )
     if sparkle.density > _VISIBLE_SPARKLE:
         notes += (

@@ -196,7 +196,7 @@ def test_a_colour_and_a_gloss_asked_for_together_are_both_reached(model, tmp_pat
 def test_what_cannot_be_reached_is_said_before_anything_is_written(model, tmp_path):
     """The light of a matt coat alone is brighter."""
     asked, path = Attributes({60.0: Wanted(3.0)}, lightness=Wanted(1.0)), tmp_path / "a_rgb.bsdf"
-    with pytest.warns(NotReachedWarning, match="colour: .* reached, L 1.0, .* asked"):
+    with pytest.warns(NotReachedWarning, match="colour: .* reached, L 1.0, .* requested"):
         made = predict(model, "syn_gloss_red", path, attributes=asked)
     assert made.attributes["shortfalls"]
     path.unlink()

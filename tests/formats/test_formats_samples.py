@@ -55,7 +55,7 @@ def test_samples_under_an_unknown_head_are_refused_not_averaged(tmp_path):
     rows = [["\u6837\u54c1", *HEAD[1:]], *sample_rows("white"), *sample_rows("black")]
     path = tmp_path / "both.csv"
     path.write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
-    with pytest.raises(FileFormatError, match="expected a column Name that tells samples apart"):
+    with pytest.raises(FileFormatError, match="expected a column Name that distinguishes the samples"):
         registry.read_all(path)
 
 

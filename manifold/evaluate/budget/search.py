@@ -131,7 +131,7 @@ def search(
             if tolerance.size is not None and total > tolerance.size:
                 raise UsageError(
                     f"a CIEDE2000 of {tolerance.delta_e:g} in the scene's light needs {total} bytes, expected at "
-                    f"most {tolerance.size}; allow more of either"
+                    f"most {tolerance.size}; raise either limit"
                 )
             return Answer(choice, seen[names], alone)
     raise UsageError(
@@ -158,6 +158,6 @@ def _first(
     found = difference_alone(key, best)
     raise UsageError(
         f"no representation within {tolerance.milliseconds or 0:g} ms meets a CIEDE2000 of "
-        f"{scale * tolerance.delta_e:.3g} in the scene's light; closest is '{best.name}' with {found.delta_e:.2f}; "
-        "allow more of either"
+        f"{scale * tolerance.delta_e:.3g} in the scene's light; closest is '{best.name}' with "
+        f"{found.delta_e:.2f}; raise either limit"
     )

@@ -18,7 +18,7 @@ help:
 	@echo "make test-slow   run the slow ones"
 	@echo "make test-machines run the tests as processors of other core types compute, with one thread and two: hours"
 	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
-	@echo "make check       ruff, mypy, import-linter"
+	@echo "make check       ruff, mypy, import-linter, spelling, English"
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
@@ -62,6 +62,8 @@ check: .venv/readydev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/codespell *.md docs manifold cli tools benchmarks
+	$(BIN)/python tools/prose.py
 
 attack: .venv/readydev
 	$(BIN)/python tools/attack --seed $(SEED) --minutes $(MINUTES) --flips 20000 --kills 200
@@ -85,7 +87,6 @@ engines: .venv/readydev .venv-engines/ready
 	$(BIN)/python tools/engines
 
 docs: .venv/readydocs
-	$(BIN)/codespell README.md CONTRIBUTING.md CHANGELOG.md SECURITY.md docs manifold cli
 	$(BIN)/python -m sphinx -b html -W --keep-going -q docs docs/_build/html
 
 clean:

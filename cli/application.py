@@ -46,7 +46,7 @@ GROUPS = {
         "complete": ("completion", "Complete a few readings of a material to a full BRDF."),
         "photograph": ("photograph", "Find the BRDF of a painted ball or tin in photographs."),
         "reconstruct": ("model", "Write a measured file as a combination of a library's materials."),
-        "surface": ("surface", "Make textures and materials of a workbook's own pictures."),
+        "surface": ("surface", "Make textures and materials from a workbook's own pictures."),
         "calibrate": ("completion", "Fit the colour correction of an instrument to a reference instrument."),
     },
     "Use": {
@@ -57,9 +57,12 @@ GROUPS = {
     },
     "Study": {
         "report": ("report", "Evaluate a model."),
-        "chart": ("report", "Speed against accuracy of many settings on one library."),
+        "chart": ("report", "Measure speed against accuracy of many settings on one library."),
         "stability": ("report", "Test known failure modes, and whether they are detected."),
-        "budget": ("report", "The cheapest representation of a scene's materials that keeps its picture."),
+        "budget": (
+            "report",
+            "Find the cheapest representation of a scene's materials that keeps its picture.",
+        ),
         "slices": ("picture", "Draw BRDF values over angles or wavelengths."),
     },
 }

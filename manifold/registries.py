@@ -26,7 +26,7 @@ class EntryPointWarning(UserWarning):
 
 
 class _Place(NamedTuple):
-    """Where an entry is that is not imported yet: a module, or `module:attribute`."""
+    """The place of an entry that is not imported yet: a module, or `module:attribute`."""
 
     where: str
 
@@ -204,8 +204,10 @@ FORMATS: Registry[Any] = Registry(
     group="brdf_manifold.formats",
     attributes=("sniff", "read"),
 )
-"""Formats that are read, in the order in which they are tried: what begins with magic numbers first, what only looks
-plausible last. An entry is a module, see `manifold.formats.registry`."""
+"""Formats that are read, in the order of their trial: those with magic numbers first, merely plausible ones last.
+
+An entry is a module, see `manifold.formats.registry`.
+"""
 
 EXPORT_SUFFIXES = {
     "gltf": ".glb",

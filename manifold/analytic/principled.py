@@ -25,7 +25,7 @@ DEFAULTS = {
 """Mitsuba's values of the shared parameters."""
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
-"""Of linear sRGB, as Mitsuba's."""
+"""Luminance of linear sRGB with Mitsuba's weights."""
 
 _LEAST_ALPHA = 1e-3  # Mitsuba's
 _COAT_ALPHA = 0.25  # of the masking

@@ -67,7 +67,7 @@ def evaluator(family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> Evaluat
 
 
 def variant(family: BsdfFamily) -> str:
-    """Name what evaluates a family: `numpy`, or the variant of Mitsuba."""
+    """Return the name of a family's evaluator: `numpy`, or the variant of Mitsuba."""
     return "numpy" if is_analytic(family) else str(backend.mitsuba(colour="rgb").variant())
 
 
@@ -151,7 +151,7 @@ class AnalyticEvaluator:
         return coefficients.T @ self._terms(p), slope
 
     def _terms(self, p: Array) -> Array:
-        """Return what coefficients of vectors (..., K) multiply, (..., 3, B): 1, the colour and its tint."""
+        """Return the terms of coefficients for vectors (..., K), (..., 3, B): 1, the colour and its tint."""
         if self._colour_place is None:
             colour = np.full((*p.shape[:-1], self.layout.n_bands), _COLOUR)
         else:

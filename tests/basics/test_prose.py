@@ -6,7 +6,6 @@ from pathlib import Path
 
 import prose
 import pytest
-from helpers.paths import REPOSITORY
 
 
 def patterns(words: str, *, kind: str = "string", is_function: bool = False) -> list[str]:

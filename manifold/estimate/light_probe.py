@@ -1,7 +1,8 @@
 """The ball as its own light probe: its outline and the lamps of photographs, from its highlights and shading.
 
-Circle, lamps, gains of pictures, a Lambertian and one GGX lobe are fitted to the pixels together. That the lobe is not
-the material's matters little: lamps follow from where pixels are bright, not from how bright.
+Circle, lamps, gains and a shading are fitted to the pixels together. Under a far lamp and a far camera, the light of an
+isotropic, reciprocal material over the cosine of the lamp is a symmetric function of the cosines of lamp and camera,
+whatever the material. The shading here is symmetric, too, so its errors do not turn a lamp to the camera or away.
 """
 
 from __future__ import annotations
@@ -11,27 +12,56 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
-from scipy.optimize import least_squares
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from manifold.errors import UsageError
 from manifold.estimate.lamps import Lamp
-from manifold.estimate.outlines import Circle, Photograph, outlines_in
+from manifold.estimate.outlines import Circle, Outline, Photograph, outlines_in
 from manifold.records import Array, Indices, Mask, evenly_spaced
 
-_SIDES = (24, 64)  # pixels across a ball that are compared, to choose a start and to refine it
+_SIDES = (24, 48)  # pixels across a ball that are compared, to choose a start and to refine it
 _RIM = 0.95  # share of the radius that is compared
-_FLATNESS = (
-    0.3  # standard deviation of the log exponent of the cosine: rough matte materials have less than 1
+_GRAZING = (
+    0.5  # cosine of lamp or camera below which pixels count less: there materials are least like the shading
 )
-_OUTLINE = 0.003  # standard deviation of the outline that was found, in radii; pictures err alike
+_LEAST_WEIGHT = 0.1  # of these pixels
+_DARK = 0.02  # share of a picture's mean, to which errors of darker pixels are relative
 _NOISE = 0.03  # error of cube roots, relative to the picture's largest, from which residuals count less
+_LEAST_NOISE = 0.005  # of the smoothest materials
+_ROBUST = 2.0  # residuals, in units of that, that count less than in proportion
 _INDEPENDENT = 30.0  # pixels of a picture whose residuals are independent
 _LARGEST_RESIDUAL = 0.12  # relative error of cube roots beyond which no lamp explains a picture
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
 _BRIGHT = 0.995  # quantile of pixels that are taken for a highlight
-_LOBES = (0.1, 0.35)  # alphas from which the fit starts
+
+_NODES = np.sqrt([0.0, 1.0, 2.5, 4.5, 7.0, 10.0, 13.0, 17.0, 22.0, 28.0, 35.0, 45.0, 58.0, 72.0, 90.0])
+"""Square roots of angles of the half vector, in degrees, between which the logarithm of the highlight is linear."""
+_SHAPE = 4  # numbers of the shading beside its highlight, see `_Pixels.shading`
+_COMMON = 3 + _SHAPE + len(_NODES)  # parameters that all pictures share: outline, shape, highlight
+_OWN = 4  # parameters of a picture: lamp (2), logarithms of its gain and of its highlight's strength
+_SHAPE_SPREAD = (
+    0.3  # standard deviations of the numbers of the shape, of steps of the highlight, of its strength
+)
+_STEP_SPREAD, _STRENGTH_SPREAD = 1.0, 0.3
+_HIGHLIGHT, _HIGHLIGHT_SPREAD = -3.0, 3.0  # logarithm of the highlight at 90 degrees
+_STEP = 1e-5  # of derivatives
+_ITERATIONS, _SETTLED = 60, 1e-5  # the latter is a relative change of the cost
+
+_OUTLINE, _TERMINATOR = 0.02, 0.1  # standard deviations of an outline, and of a possible terminator, in radii
+_EDGE_SPAN = 0.05  # share of the radius within which edges are sought
+_EDGE_RAYS, _EDGE_STEP, _EDGE_SIDE = (
+    240,
+    0.25,
+    8,
+)  # rays; step along them in pixels; steps compared on either side
+_LIT_LIMB = 0.2  # least cosine between a ray and the lamp
+_CONTRAST = 0.4  # least relative contrast of an edge
+_BLACK = 0.003  # share of a picture's bright pixels that is as dark as none
+_SHARPNESS = 4  # power of the ratio of values beside an edge and farther inside, by which it counts
+_ALIKE_EDGES = 8.0  # neighbouring rays whose errors are alike
+_EDGE_ERROR = 0.001  # error of all edges together, in radii
+_ROUNDS = 10  # of robust least squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,19 +97,27 @@ def find_light(
 ) -> Probe:
     """Estimate a fixed ball's outline, and the one lamp of every photograph; photographs have one size.
 
-    A circle that is known nearly is refined; lamps are `distance` radii from the middle of the ball.
+    A circle that is known nearly is refined; lamps are `distance` radii from the middle of
+    the ball.
     """
     sizes = {one.values.shape[:2] for one in photographs}
     if len(sizes) > 1:
         raise UsageError(
             "photographs of different sizes, expected one camera that stays where it is to find lamps; give the lamps"
         )
-    circles = [circle] if circle is not None else [one.circle for one in outlines_in(photographs)]
+    outlines = outlines_in(photographs) if circle is None else [Outline(circle, 1.0)]
     factor = photographs[0].factor
     smaller = [one.reduced(factor) for one in photographs]
-    fits = [_fit_to(smaller, one.scaled(1.0 / factor), distance) for one in circles]
-    pixels, best = min(fits, key=lambda fit: fit[1].cost)
-    found = pixels.probe(best, [one.path for one in photographs])
+    chosen = evenly_spaced(len(smaller), _TOGETHER)
+    some = [smaller[k] for k in chosen]
+    tried = []
+    for outline in outlines:
+        deviation = _TERMINATOR if outline.notes else _OUTLINE
+        tried.append((*_coarse_fit(some, outline.circle.scaled(1.0 / factor), distance), deviation))
+    pixels, fit = _refined(some, *min(tried, key=lambda each: each[1].cost))
+    if len(some) < len(smaller):
+        pixels, fit = _with_others(_Pixels.of(smaller, pixels.circle, distance, _SIDES[1]), fit, chosen)
+    found = pixels.probe(fit, [one.path for one in photographs])
     return replace(found, circle=found.circle.scaled(factor))
 
 
@@ -90,8 +128,10 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     """
     if np.isfinite(lamp.distance):
         return ()
+    factor = photograph.factor
     try:
-        seen = find_light([photograph], circle)
+        pixels, fit = _coarse_fit([photograph.reduced(factor)], circle.scaled(1.0 / factor), np.inf)
+        seen = pixels.probe(fit, [photograph.path])
     except UsageError:
         return ()
     apart = float(np.rad2deg(np.arccos(np.clip(seen.lamps[0].direction @ lamp.direction, -1.0, 1.0))))
@@ -103,20 +143,103 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     )
 
 
-def _fit_to(photographs: Sequence[Photograph], circle: Circle, distance: float) -> tuple[_Pixels, _Fit]:
-    """Return the best fit of several starts near an outline.
+def _coarse_fit(photographs: Sequence[Photograph], circle: Circle, distance: float) -> tuple[_Pixels, _Fit]:
+    """Return the better fit of two starts near an outline: the brightest pixels face the lamp, or mirror it."""
+    pixels = _Pixels.of(photographs, circle, distance, _SIDES[0])
+    return pixels, min(
+        (pixels.fitted(pixels.start(lamps)) for lamps in pixels.lamps()), key=lambda fit: fit.cost
+    )
 
-    If there are many pictures, some determine everything except the others' lamps.
+
+def _refined(
+    photographs: Sequence[Photograph], pixels: _Pixels, fit: _Fit, deviation: float
+) -> tuple[_Pixels, _Fit]:
+    """Return a fit with more pixels, and with the edges of the ball where the lamps light it.
+
+    The outline from which the first fit started has a standard deviation, in radii.
     """
-    chosen = evenly_spaced(len(photographs), _TOGETHER)
-    some = [photographs[k] for k in chosen]
-    coarse, pixels = (_Pixels.of(some, circle, distance, side) for side in _SIDES)
-    tried = [coarse.fitted(coarse.start(lamps, alpha)) for lamps in coarse.lamps() for alpha in _LOBES]
-    best = pixels.fitted(min(tried, key=lambda fit: fit.cost).x)
-    if len(some) == len(photographs):
-        return pixels, best
-    every = _Pixels.of(photographs, circle, distance, _SIDES[1])
-    return every, every.with_others(best, chosen)
+    outline = pixels.circle
+    for side in _SIDES:
+        circle, lamps = pixels.outline(fit), _directions(pixels.slopes(fit.x))
+        circle, information = edges_on_limb(photographs, circle, lamps, outline, deviation)
+        noise = max(float(pixels.residual(fit).max()), _LEAST_NOISE)
+        pixels = _Pixels.of(photographs, circle, pixels.distance, side)
+        pixels = replace(pixels, information=information, noise=noise)
+        fit = pixels.fitted(np.concatenate([np.zeros(3), fit.x[3:]]))
+    return pixels, fit
+
+
+def _with_others(pixels: _Pixels, fit: _Fit, chosen: Indices) -> tuple[_Pixels, _Fit]:
+    """Return a fit of some pictures with lamp and gain of every other one, which share its outline and material."""
+    P = len(pixels.roots)
+    x, curvature = np.zeros(_COMMON + _OWN * P), np.zeros((_COMMON + _OWN * P, _COMMON + _OWN * P))
+    own = np.append(np.arange(_COMMON), _COMMON + _OWN * chosen[:, None] + np.arange(_OWN))
+    x[own], curvature[np.ix_(own, own)] = fit.x, fit.curvature
+    for p in np.setdiff1d(np.arange(P), chosen).tolist():
+        one = pixels.part(p)
+        starts = [one.start(lamps) for lamps in one.lamps()]
+        fits = [one.fitted(np.append(fit.x[:_COMMON], start[_COMMON:]), _COMMON) for start in starts]
+        best = min(fits, key=lambda each: each.cost)
+        at = _COMMON + _OWN * p + np.arange(_OWN)
+        x[at], curvature[np.ix_(at, at)] = best.x[_COMMON:], best.curvature[_COMMON:, _COMMON:]
+    return pixels, _Fit(x, fit.cost, curvature)
+
+
+def edges_on_limb(
+    photographs: Sequence[Photograph], circle: Circle, lamps: Array, outline: Circle, deviation: float
+) -> tuple[Circle, Array]:
+    """Return the circle through edges near a circle where lamps (P, 3) light the ball, and the information about it.
+
+    The information (3, 3) is of the centre, right and up, and the radius, in radii. An edge is where values are half
+    between those on its sides. Before the edges, the outline is known with a standard deviation.
+    """
+    before = (
+        np.array([outline.x - circle.x, circle.y - outline.y, outline.radius - circle.radius]) / circle.radius
+    )
+    angle = 2.0 * np.pi * np.arange(_EDGE_RAYS) / _EDGE_RAYS
+    span, n = max(_EDGE_SPAN * circle.radius, 4.0), _EDGE_SIDE
+    radii = np.arange(circle.radius - span, circle.radius + span, _EDGE_STEP)
+    terms, off, sharp = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
+    for one, lamp in zip(photographs, lamps, strict=True):
+        lit = angle[lamp[0] * np.cos(angle) + lamp[1] * np.sin(angle) > _LIT_LIMB]
+        right, up = np.cos(lit), np.sin(lit)
+        grey = np.nan_to_num(one.values.mean(axis=2))
+        at = [circle.y - 0.5 - radii[:, None] * up, circle.x - 0.5 + radii[:, None] * right]
+        profile = map_coordinates(grey, at, order=1, cval=np.nan)  # NaN beside the picture
+        sums = np.cumsum(np.vstack([np.zeros(len(lit)), profile]), axis=0)
+        inner, outer = (sums[n:-n] - sums[: -2 * n]) / n, (sums[2 * n :] - sums[n:-n]) / n
+        black = _BLACK * float(np.quantile(grey, _BRIGHT))
+        contrast = np.nan_to_num(np.abs(inner - outer) / (np.abs(inner) + np.abs(outer) + black))
+        best, ray = contrast.argmax(axis=0), np.arange(len(lit))
+        near = np.arange(2 * n)[:, None] + best
+        above = profile[near, ray] - 0.5 * (inner + outer)[best, ray]
+        crosses = np.sign(above[:-1]) != np.sign(above[1:])
+        k = np.where(crosses, np.abs(np.arange(2 * n - 1) - n)[:, None], 2 * n).argmin(axis=0)
+        low, high = above[k, ray], above[k + 1, ray]
+        edge = radii[near[k, ray]] + _EDGE_STEP * low / np.where(low == high, 1.0, low - high)
+        used = (contrast[best, ray] > _CONTRAST) & crosses.any(axis=0) & np.isfinite(edge)
+        terms.append(np.stack([right, up, np.ones(len(lit))], axis=1)[used])
+        off.append(edge[used] / circle.radius - 1.0)
+        inside = profile[np.maximum(near[:n] - 2 * n, 0), ray].mean(axis=0)
+        sharp.append(np.minimum(inner[best, ray] / np.maximum(inside, black), 1.0)[used] ** _SHARPNESS)
+    A, y, counts = np.vstack(terms), np.concatenate(off), np.concatenate(sharp)
+    pixel, alike = 1.0 / circle.radius, _ALIKE_EDGES
+    weights, scale, shift = counts, 0.5 * pixel, np.zeros(3)
+    for _ in range(_ROUNDS):
+        information = A.T @ (A * weights[:, None]) / (alike * scale**2) + np.eye(3) / deviation**2
+        pull = A.T @ (weights * y) / (alike * scale**2) + before / deviation**2
+        shift = np.linalg.solve(information, pull)
+        residual = np.abs(y - A @ shift)
+        scale = max(1.5 * float(np.median(residual)) if len(y) else 0.0, 0.25 * pixel)
+        weights = counts / (1.0 + (residual / scale) ** 2) ** 2
+    covariance = np.linalg.inv(information) + _EDGE_ERROR**2 * np.eye(3)
+    return _moved(circle, shift), np.linalg.inv(covariance)
+
+
+def _moved(circle: Circle, shift: Array) -> Circle:
+    """Move a circle right and up, and enlarge it, by shares of its radius."""
+    right, up, more = (float(v) * circle.radius for v in shift)
+    return Circle(circle.x + right, circle.y - up, circle.radius + more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,16 +251,27 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Pixels:
-    """Grey pixels of P photographs that are compared: cube roots relative to the largest of each."""
+    """Grey pixels of P photographs that are compared, relative to the largest of each.
+
+    Attributes:
+        columns, rows: centres of the M pixels, shape (M,).
+        roots: cube roots of the values, to which `dark` is added, shape (P, M).
+        levels: the largest values, shape (P,).
+        information: of centre and radius, in radii, shape (3, 3).
+        noise: of cube roots.
+    """
 
     circle: Circle
     distance: float
     columns: Array
     rows: Array
     roots: Array
+    dark: Array
     is_clipped: Mask
     is_seen: Mask
     levels: Array
+    information: Array
+    noise: float = _NOISE
 
     @classmethod
     def of(cls, photographs: Sequence[Photograph], circle: Circle, distance: float, side: int) -> _Pixels:
@@ -147,34 +281,37 @@ class _Pixels:
         x, y = (grid.ravel() for grid in np.meshgrid(across, across))
         inside = np.hypot(x, y) < _RIM * circle.radius
         height, width = photographs[0].values.shape[:2]
-        columns, rows = circle.x + x[inside], circle.y + y[inside]
-        in_picture = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        columns, rows = columns[in_picture], rows[in_picture]
-        j, i = columns.astype(int), rows.astype(int)
-        roots, clipped, seen, levels = [], [], [], []
+        j, i = (np.floor(v).astype(int) for v in (circle.x + x[inside], circle.y + y[inside]))
+        in_picture = (j >= 0) & (j < width) & (i >= 0) & (i < height)
+        j, i = j[in_picture], i[in_picture]
+        values, clipped, seen, levels = [], [], [], []
         for one in photographs:
             grey = one.values.mean(axis=2)
             is_seen = np.isfinite(grey)
             grey = np.where(is_seen, np.maximum(grey, 0.0), 0.0)
             if step > 1.5:
                 grey = gaussian_filter(grey, 0.4 * step)
-            level = float(np.quantile(grey[i, j], _BRIGHT))
+            level = float(np.quantile(grey[i, j], _BRIGHT)) if len(i) else 0.0
             if not level > 0.0:
                 raise UsageError(f"{one.path}: the ball at {circle} is black, expected a lamp")
             levels.append(level)
-            roots.append(np.cbrt(grey[i, j] / level))
+            values.append(grey[i, j] / level)
             clipped.append(one.is_clipped[i, j])
             seen.append(is_seen[i, j])
+        relative = np.array(values)
+        dark = _DARK * relative.mean(axis=1, keepdims=True)
         return cls(
-            circle,
-            distance,
-            columns,
-            rows,
-            np.array(roots),
-            np.array(clipped),
-            np.array(seen),
-            np.array(levels),
-        )
+            circle, distance, j + 0.5, i + 0.5, np.cbrt(relative + dark), dark, np.array(clipped), np.array(seen),
+            np.array(levels), np.eye(3) / _OUTLINE**2,
+        )  # fmt: skip
+
+    def part(self, p: int) -> _Pixels:
+        """Return the pixels of one photograph."""
+        own = slice(p, p + 1)
+        return replace(
+            self, roots=self.roots[own], dark=self.dark[own], is_clipped=self.is_clipped[own],
+            is_seen=self.is_seen[own], levels=self.levels[own],
+        )  # fmt: skip
 
     def lamps(self) -> list[Array]:
         """Return directions of the lamps (P, 3), in two versions.
@@ -182,119 +319,165 @@ class _Pixels:
         They take the brightest pixels as a highlight, or as facing the lamp.
         """
         n = self._normals(np.zeros(3))
-        bright = np.array(
-            [
-                np.mean(n[row >= np.quantile(row, _BRIGHT)], axis=0)
-                for row in np.where(self.is_seen, self.roots, 0.0)
-            ]
-        )
+        roots = np.where(self.is_seen, self.roots, 0.0)
+        bright = np.array([np.mean(n[row >= np.quantile(row, _BRIGHT)], axis=0) for row in roots])
         bright /= np.linalg.norm(bright, axis=1, keepdims=True)
         mirrored = 2.0 * bright[:, 2:] * bright - [0.0, 0.0, 1.0]
         return [mirrored, bright]
 
     def _normals(self, shift: Array) -> Array:
         """Return normals (M, 3) of a far camera's pixels for an outline moved and grown by shares of its radius."""
-        radius = self.circle.radius * (1.0 + shift[2])
-        x = (self.columns - self.circle.x - shift[0] * self.circle.radius) / radius
-        y = (self.circle.y - self.rows - shift[1] * self.circle.radius) / radius
+        circle = _moved(self.circle, shift)
+        x, y = (self.columns - circle.x) / circle.radius, (circle.y - self.rows) / circle.radius
         r = np.maximum(np.hypot(x, y), 1.0)
         x, y = x / r, y / r
         return np.stack([x, y, np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=1)
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        P = len(self.roots)
-        return x[:3], x[3:7], x[7 : 7 + 2 * P].reshape(P, 2), x[7 + 2 * P :]
+    def outline(self, fit: _Fit) -> Circle:
+        """Return the outline of a fit."""
+        return _moved(self.circle, fit.x[:3])
 
-    def predicted(self, x: Array) -> Array:
-        """Return cube roots (P, M) of an outline (3), a material (4), lamps (P, 2) and gains (P)."""
-        shift, (diffuse, flatness, specular, log_alpha), slopes, gains = self._split(x)
-        n = self._normals(shift)
-        lamps = _directions(slopes)
-        towards, falloff = lamps[None], 1.0  # [1 or M, P, 3]
+    def slopes(self, x: Array) -> Array:
+        """Return parameters of the lamps, shape (P, 2)."""
+        return x[_COMMON:].reshape(-1, _OWN)[:, :2]
+
+    def _cosines(self, x: Array) -> tuple[Array, Array, Array, Array | float]:
+        """Return cosines of the lamp, the camera and the half vector, and the lamp's falloff, each (P, M)."""
+        n, lamps = self._normals(x[:3]), _directions(self.slopes(x))
+        towards, falloff = np.broadcast_to(lamps[:, None], (len(lamps), len(n), 3)), 1.0
         if np.isfinite(self.distance):
-            away = self.distance * lamps - n[:, None]
+            away = self.distance * lamps[:, None] - n
             length = np.linalg.norm(away, axis=2, keepdims=True)
             towards, falloff = away / length, (self.distance / length[..., 0]) ** 2
-        cos_lamp = np.maximum(np.sum(n[:, None] * towards, axis=2), 0.0)
         half = towards + np.array([0.0, 0.0, 1.0])
-        half /= np.linalg.norm(half, axis=2, keepdims=True)
-        a2 = np.exp(2.0 * log_alpha)
-        cos_half = np.clip(np.sum(n[:, None] * half, axis=2), 0.0, 1.0)
-        lobe = a2 / (cos_half**2 * (a2 - 1.0) + 1.0) ** 2 / np.maximum(4.0 * n[:, 2:], 0.1)
-        # A fit that is lost does not overflow.
-        exponent, strength = np.exp(np.clip(flatness, -5.0, 5.0)), np.exp(min(specular, 50.0))
-        shading = np.exp(diffuse) * cos_lamp**exponent + strength * lobe * (cos_lamp > 0.0)
-        return np.asarray(np.cbrt(shading * falloff * np.exp(gains) + 1e-6).T)
+        half /= np.maximum(np.linalg.norm(half, axis=2, keepdims=True), 1e-9)
+        lit = np.maximum(np.sum(towards * n, axis=2), 0.0)
+        return lit, np.broadcast_to(n[:, 2], lit.shape), np.clip(np.sum(half * n, axis=2), 0.0, 1.0), falloff
 
-    def start(self, lamps: Array, alpha: float) -> Array:
-        """Return parameters from directions of lamps (P, 3) and roughness."""
-        return np.concatenate(
-            [np.zeros(3), [0.0, 0.0, -3.0, np.log(alpha)], _slopes(lamps).ravel(), np.zeros(len(lamps))]
+    def shading(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return light of the diffuse part and the highlight (P, M), and slopes of the latter's logarithm by its nodes.
+
+        The diffuse part is Minnaert's `(l v)^k / v`, l and v being the cosines of lamp and camera, times a polynomial's
+        exponential; the highlight is a function of the half vector over a power of `l v`. Source: Minnaert 1941.
+        """
+        lit, seen, half, falloff = self._cosines(x)
+        shape, nodes = x[3 : 3 + _SHAPE], x[3 + _SHAPE : _COMMON]
+        _, _, gain, strength = np.clip(x[_COMMON:].reshape(-1, _OWN, 1), -20.0, 20.0).transpose(1, 0, 2)
+        both = np.maximum(lit, 1e-4) * np.maximum(seen, 0.03)
+        flat = np.exp(np.clip(shape[0], -2.0, 2.0)) - 1.0
+        limb = shape[1] * ((1.0 - lit) ** 2 + (1.0 - seen) ** 2) + shape[2] * (1.0 - lit) * (1.0 - seen)
+        power = 1.0 / (1.0 + np.exp(np.clip(shape[3], -5.0, 5.0)))
+        light = lit * falloff * np.exp(gain)
+        place = np.sqrt(np.rad2deg(np.arccos(half)))
+        k = np.clip(np.searchsorted(_NODES, place) - 1, 0, len(_NODES) - 2)
+        share = (place - _NODES[k]) / (_NODES[k + 1] - _NODES[k])
+        log = (1.0 - share) * nodes[k] + share * nodes[k + 1]
+        highlight = light * np.exp(np.clip(log + strength, -20.0, 20.0)) * both**-power
+        by_node = np.zeros((*lit.shape, len(_NODES)))
+        np.put_along_axis(by_node, k[..., None], (1.0 - share)[..., None], 2)
+        np.put_along_axis(by_node, k[..., None] + 1, share[..., None], 2)
+        return light * both**flat * np.exp(np.clip(limb, -5.0, 5.0)), highlight, by_node
+
+    def start(self, lamps: Array) -> Array:
+        """Return parameters from directions of lamps (P, 3)."""
+        highlight = _HIGHLIGHT + np.linspace(3.0, 0.0, len(_NODES))
+        own = np.hstack([_slopes(lamps), np.zeros((len(lamps), 2))])
+        return np.concatenate([np.zeros(3 + _SHAPE), highlight, own.ravel()])
+
+    def fitted(self, x: Array, fixed: int = 0) -> _Fit:
+        """Fit from some parameters, of which the first ones are fixed."""
+        for _ in range(2):  # the second with the weights of the first
+            lit, seen, _, _ = self._cosines(x)
+            weights = np.minimum(lit / _GRAZING, 1.0) * np.minimum(seen / _GRAZING, 1.0)
+            fit = self._descended(x, np.sqrt(np.maximum(weights, _LEAST_WEIGHT)), fixed)
+            x = fit.x
+        return fit
+
+    def _descended(self, x: Array, weights: Array, fixed: int) -> _Fit:
+        """Minimise squared residuals by the method of Levenberg and Marquardt."""
+        residual, J = self._linearised(x, weights)
+        damping, cost = 1e-2, float(residual @ residual)
+        for _ in range(_ITERATIONS):
+            H, g = J[:, fixed:].T @ J[:, fixed:], J[:, fixed:].T @ residual
+            y = x.copy()
+            y[fixed:] -= np.linalg.solve(H + damping * np.diag(np.diagonal(H) + 1e-9), g)
+            there = self._linearised(y, weights)
+            lower = float(there[0] @ there[0])
+            if not lower < cost:
+                damping *= 8.0
+                if damping > 1e6:
+                    break
+                continue
+            is_settled = lower > (1.0 - _SETTLED) * cost
+            x, (residual, J), cost, damping = y, there, lower, max(damping / 5.0, 1e-7)
+            if is_settled:
+                break
+        return _Fit(x, cost, J.T @ J)
+
+    def _linearised(self, x: Array, weights: Array) -> tuple[Array, Array]:
+        """Return robust residuals of pixels and those of the prior, and their derivatives."""
+        diffuse, highlight, by_node = self.shading(x)
+        value = diffuse + highlight
+        root = np.cbrt(value + self.dark)
+        (P, M), n = value.shape, len(x)
+        D = np.zeros((P, M, n))
+        for k in range(3 + _SHAPE):
+            D[..., k] = (self._light(_stepped(x, [k])) - value) / _STEP
+        D[..., 3 + _SHAPE : _COMMON] = highlight[..., None] * by_node
+        every = np.arange(P)
+        for k in range(2):
+            at = _COMMON + _OWN * every + k
+            D[every, :, at] = (self._light(_stepped(x, at)) - value) / _STEP
+        D[every, :, _COMMON + _OWN * every + 2] = value
+        D[every, :, _COMMON + _OWN * every + 3] = highlight
+        scale = np.sqrt(_INDEPENDENT / M) / self.noise * weights * self._counts(root)
+        off = scale * (root - self.roots)
+        least = _ROBUST * np.sqrt(_INDEPENDENT / M)
+        stretch = np.sqrt(1.0 + (off / least) ** 2)
+        robust = np.sign(off) * least * np.sqrt(2.0 * (stretch - 1.0))
+        slope = np.where(robust == 0.0, 1.0, off / (stretch * np.where(robust == 0.0, 1.0, robust)))
+        D *= (scale * slope / (3.0 * root**2))[..., None]
+        before, of_before = self._before(x)
+        residual = np.concatenate([robust.ravel(), before])
+        return residual, np.vstack([D.reshape(P * M, n), of_before])
+
+    def _light(self, x: Array) -> Array:
+        diffuse, highlight, _ = self.shading(x)
+        return diffuse + highlight
+
+    def _counts(self, root: Array) -> Array:
+        """Return which pixels count: observed ones, and clipped ones where the prediction is darker."""
+        return np.asarray(self.is_seen & ~(self.is_clipped & (root > self.roots)))
+
+    def _before(self, x: Array) -> tuple[Array, Array]:
+        """Return residuals of the prior of the parameters, and their derivatives."""
+        n, J = len(x), len(_NODES)
+        rows = np.zeros((3 + _SHAPE + J + 3 * ((n - _COMMON) // _OWN), n))
+        target = np.zeros(len(rows))
+        rows[:3, :3] = np.linalg.cholesky(self.information).T
+        rows[3 : 3 + _SHAPE, 3 : 3 + _SHAPE] = np.eye(_SHAPE) / _SHAPE_SPREAD
+        first = 3 + _SHAPE
+        rows[first : first + J - 1, first:_COMMON] = np.diff(np.eye(J), axis=0) / _STEP_SPREAD
+        rows[first + J - 1, _COMMON - 1] = 1.0 / _HIGHLIGHT_SPREAD
+        target[first + J - 1] = _HIGHLIGHT / _HIGHLIGHT_SPREAD
+        own = np.arange(_COMMON, n).reshape(-1, _OWN)
+        for p, (_, _, gain, strength) in enumerate(own):
+            rows[first + J + 3 * p, strength] = 1.0 / _STRENGTH_SPREAD
+            rows[first + J + 3 * p + 1, gain] = 1e-2  # that of a black picture is not determined
+        rows[-1, own[:, 3]] = 1.0 / _STRENGTH_SPREAD
+        return rows @ x - target, rows
+
+    def residual(self, fit: _Fit) -> Array:
+        """Return the relative error of every photograph's cube roots, (P,)."""
+        root = np.cbrt(self._light(fit.x) + self.dark)
+        squares = np.sum((self._counts(root) * (root - self.roots)) ** 2, axis=1)
+        return np.asarray(
+            np.sqrt(squares / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12))
         )
-
-    def fitted(self, start: Array) -> _Fit:
-        """Fit from some parameters."""
-        P, M = self.roots.shape
-        scale = np.sqrt(_INDEPENDENT / M) / _NOISE
-
-        def residuals(x: Array) -> Array:
-            # Gains and the material have one factor in common.
-            return np.concatenate(
-                [
-                    scale * self._off(x).ravel(),
-                    np.sqrt(P) * x[:3] / _OUTLINE,
-                    [np.sum(x[-P:]), x[4] / _FLATNESS],
-                    (x[5:7] - start[5:7]) / 3.0,
-                ]
-            )
-
-        depends = np.zeros((P * M + 7, len(start)))
-        depends[:, :7] = depends[P * M :] = 1.0
-        for p in range(P):
-            depends[p * M : (p + 1) * M, [7 + 2 * p, 8 + 2 * p, 7 + 2 * P + p]] = 1.0
-        found = least_squares(
-            residuals, start, loss="soft_l1", x_scale="jac", jac_sparsity=depends, max_nfev=60
-        )
-        return _Fit(found.x, float(found.cost), (found.jac.T @ found.jac).toarray())
-
-    def _off(self, x: Array) -> Array:
-        """Return predicted less observed cube roots (P, M); clipped pixels count only if the prediction is darker."""
-        off = self.predicted(x) - self.roots
-        return np.where(self.is_seen, np.where(self.is_clipped, np.minimum(off, 0.0), off), 0.0)
-
-    def with_others(self, fit: _Fit, chosen: Indices) -> _Fit:
-        """Return a fit of some pictures with lamp and gain of every other one, which share its outline and material."""
-        P, n = len(self.roots), len(chosen)
-        x, curvature = np.zeros(7 + 3 * P), np.zeros((7 + 3 * P, 7 + 3 * P))
-        own = np.concatenate([np.arange(7), *(7 + 2 * chosen[:, None] + [0, 1]), 7 + 2 * P + chosen]).astype(
-            int
-        )
-        x[own], curvature[np.ix_(own, own)] = fit.x, fit.curvature
-        scale, cost = np.sqrt(_INDEPENDENT / self.roots.shape[1]) / _NOISE, fit.cost * P / n
-        for p in np.setdiff1d(np.arange(P), chosen):
-            one = replace(
-                self, roots=self.roots[p : p + 1], is_clipped=self.is_clipped[p : p + 1],
-                is_seen=self.is_seen[p : p + 1], levels=self.levels[p : p + 1],
-            )  # fmt: skip
-            tried = [
-                least_squares(
-                    lambda y, one=one: scale * one._off(np.concatenate([fit.x[:7], y])).ravel(),
-                    np.append(_slopes(lamps), 0.0), loss="soft_l1", max_nfev=60,
-                )
-                for lamps in one.lamps()
-            ]  # fmt: skip
-            best = min(tried, key=lambda each: each.cost)
-            at = np.array([7 + 2 * p, 8 + 2 * p, 7 + 2 * P + p])
-            x[at], curvature[np.ix_(at, at)] = best.x, best.jac.T @ best.jac
-        return _Fit(x, cost, curvature)
 
     def probe(self, fit: _Fit, paths: Sequence[Path]) -> Probe:
         """Return the estimate of a fit."""
-        shift, _, slopes, gains = self._split(fit.x)
-        residual = np.sqrt(
-            np.sum(self._off(fit.x) ** 2, axis=1)
-            / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12)
-        )
+        residual = self.residual(fit)
         lost = [str(path.name) for path, one in zip(paths, residual, strict=True) if one > _LARGEST_RESIDUAL]
         if lost:
             raise UsageError(
@@ -303,17 +486,24 @@ class _Pixels:
             )
         covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        circle, radius = self.circle, self.circle.radius
-        found = Circle(circle.x + shift[0] * radius, circle.y + shift[1] * radius, radius * (1.0 + shift[2]))
-        of_lamps = _directions(slopes)
         # A step of the parameters turns the lamp by about as much in radians: see `_directions`.
-        degrees = np.rad2deg(np.hypot(*self._split(deviation)[2].T))
-        strength = np.exp(gains) * self.levels
-        lamps = tuple(Lamp(direction, self.distance) for direction in of_lamps)
+        degrees = np.rad2deg(np.hypot(*self.slopes(deviation).T))
+        gain, strength = fit.x[_COMMON:].reshape(-1, _OWN)[:, 2:].T
+        diffuse, highlight, _ = self.shading(fit.x)
+        shine = highlight.sum(axis=1) / np.maximum((diffuse + highlight).sum(axis=1), np.finfo(float).tiny)
+        gains = np.exp(gain + shine * strength) * self.levels
+        lamps = tuple(Lamp(direction, self.distance) for direction in _directions(self.slopes(fit.x)))
         return Probe(
-            found, lamps, tuple((strength / strength[0]).tolist()), tuple(degrees.tolist()),
+            self.outline(fit), lamps, tuple((gains / gains[0]).tolist()), tuple(degrees.tolist()),
             float(np.linalg.norm(deviation[:3])), tuple(residual.tolist()),
         )  # fmt: skip
+
+
+def _stepped(x: Array, at: Sequence[int] | Indices) -> Array:
+    """Return parameters of which some are larger by a step."""
+    y = x.copy()
+    y[at] += _STEP
+    return y
 
 
 def _directions(slopes: Array) -> Array:

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from manifold.analytic.diffuse import RoughDiffuse
 from manifold.analytic.ggx import GGX
-from manifold.analytic.microfacet import Plastic
+from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.lights import environment
 from manifold.directions import from_spherical
@@ -72,6 +73,30 @@ def test_lamps_outline_and_gains_are_found_in_the_pictures():
     for lamp, direction in zip(found.lamps, DIRECTIONS, strict=True):
         assert np.rad2deg(np.arccos(lamp.direction @ direction / np.linalg.norm(direction))) < 4.0
     np.testing.assert_allclose(found.gains, gains, rtol=0.1)
+
+
+GLOSSY = Plastic(GGX.isotropic(0.1), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))
+MATTE = RoughDiffuse(np.array([0.3, 0.5, 0.7]), 1.0, Bands(None))
+METAL = RoughConductor(GGX.isotropic(0.35), np.array([0.2, 0.9, 1.1]), np.array([3.9, 2.5, 2.4]), Bands(None))
+
+
+@pytest.mark.parametrize(
+    ("brdf", "number", "limit_deg"),
+    # Highlights show a lamp better than the shading of matte materials, whose form the search does not know.
+    [(GLOSSY, 1, 0.5), (METAL, 1, 1.0), (MATTE, 3, 2.0)],
+)
+def test_lamps_are_found_whatever_the_material(brdf, number, limit_deg):
+    directions = DIRECTIONS[1:2] if number == 1 else DIRECTIONS
+    pictures = []
+    for direction in directions:
+        values = lamp_picture(brdf, Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
+        values /= np.quantile(values, 0.995)
+        pictures.append(
+            Photograph(Path("ball"), np.minimum(values, 1.0).astype(np.float32), (values > 1.0).any(axis=2))
+        )
+    for lamp, direction in zip(find_light(pictures).lamps, directions, strict=True):
+        cosine = lamp.direction @ direction / np.linalg.norm(direction)
+        assert np.rad2deg(np.arccos(min(cosine, 1.0))) < limit_deg
 
 
 def test_of_many_pictures_some_say_all_but_the_lamps_of_the_others(monkeypatch):

@@ -92,17 +92,14 @@ def surface(
     folder = or_default(output, f"{sources[0].stem}_surface")
     with progress.shown("Making the surface"):
         made = make_surface(library, pictures, readings, folder, size=size, targets=targets)
-    found, sparkle = made.surface, made.sparkle
-    flakes = sparkle.flakes
+    sparkle, flakes = made.sparkle, made.sparkle.flakes
     results.rows(
         f"Surface {made.folder}",
         {
-            "pictures": [f"{label}" for label in found.pictures.labels],
-            "colour, relative spread": ", ".join(f"{100 * s:.0f} %" for s in found.albedo.std(axis=(0, 1))),
-            "slopes": "across {:.3f}, along {:.3f} (standard deviations)".format(
-                *found.relief.std(axis=(0, 1))
-            ),
-            "heights": f"{found.height.std():.2f} pixels (standard deviation)",
+            "pictures": list(made.surface.pictures.labels),
+            "colour, relative spread": ", ".join(f"{100 * spread:.1f} %" for spread in made.albedo_std),
+            "slopes": "across {:.3f}, along {:.3f} (standard deviations)".format(*made.slope_std),
+            "heights": f"{made.height_std:.2f} pixels (standard deviation)",
             "sparkle": f"{sparkle.density:.1f} glints per 10,000 pixels and lamp",
             **(
                 {}
@@ -112,7 +109,7 @@ def surface(
                     f"{flakes.reflectance:.3f}, roughness {flakes.roughness:.2f} (GGX alpha)"
                 }
             ),
-            **({"by the instrument": [_entry(one) for one in made.instrument]} if made.instrument else {}),
+            **({"by the instrument": list(map(_entry, made.instrument))} if made.instrument else {}),
             "files": [path.name for path in made.paths.values()],
             **{f"{target}, {BALL_COLUMN}": f"{ball:.2f}" for target, ball in made.exports.items()},
             "time": f"{made.seconds:.1f} s",

@@ -74,6 +74,22 @@ class SurfaceFiles:
     seconds: float
 
     @property
+    def albedo_std(self) -> Array:
+        """Standard deviation of the albedo texture over its mean, as it is written, shape (3,)."""
+        mean = self.surface.mean
+        return np.asarray(np.minimum(mean * self.textures.albedo, 1.0).std(axis=(0, 1)) / mean)
+
+    @property
+    def slope_std(self) -> Array:
+        """Standard deviation of the slopes of the normal texture, along x and y, shape (2,)."""
+        return np.asarray(self.textures.slope.std(axis=(0, 1)))
+
+    @property
+    def height_std(self) -> float:
+        """Standard deviation of the height texture, in pixels."""
+        return float(self.textures.height.std())
+
+    @property
     def instrument(self) -> list[dict[str, Any]]:
         """Graininess and sparkle by the instrument, an entry a geometry, as the workbook names them."""
         if self.completed is None:
@@ -90,11 +106,11 @@ class SurfaceFiles:
             "pictures": list(surface.pictures.labels),
             "pixels": list(surface.third.shape),
             "mean_srgb_linear": surface.mean.tolist(),
-            "albedo_std": surface.albedo.std(axis=(0, 1)).tolist(),
-            "slope_std": surface.relief.std(axis=(0, 1)).tolist(),
+            "albedo_std": self.albedo_std.tolist(),
+            "slope_std": self.slope_std.tolist(),
             "gain": surface.gain,
             "slope_uncertainty": surface.slope_std.tolist(),
-            "height_std_px": float(surface.height.std()),
+            "height_std_px": self.height_std,
             "sparkle": self.sparkle.to_json(),
             "instrument": self.instrument,
             "exports": {target: {"ball": ball} for target, ball in self.exports.items()},

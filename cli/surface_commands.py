@@ -55,6 +55,16 @@ def surface(
             metavar="NAME",
         ),
     ] = None,
+    mm_per_pixel: Annotated[
+        float | None,
+        typer.Option(
+            help="Width of a pixel of the pictures in millimetres, if you know it: heights in pixels times this are "
+            "millimetres.",
+            metavar="MM",
+            min=1e-6,
+            max=1e3,
+        ),
+    ] = None,
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
@@ -81,7 +91,7 @@ def surface(
 
             if output is not None:
                 inputs.require_apart(sources, output)
-            command = many.surfaces(library, size=size, targets=targets)
+            command = many.surfaces(library, size=size, targets=targets, mm_per_pixel=mm_per_pixel)
             make_many(results, command, samples, output, workers.executor())
             return
         if len(sources) > 1:
@@ -91,15 +101,18 @@ def surface(
 
     folder = or_default(output, f"{sources[0].stem}_surface")
     with progress.shown("Making the surface"):
-        made = make_surface(library, pictures, readings, folder, size=size, targets=targets)
+        made = make_surface(
+            library, pictures, readings, folder, size=size, targets=targets, mm_per_pixel=mm_per_pixel
+        )
     sparkle, flakes = made.sparkle, made.sparkle.flakes
+    height_mm = "" if mm_per_pixel is None else f", {mm_per_pixel * made.height_std:.2g} mm"
     results.rows(
         f"Surface {made.folder}",
         {
             "pictures": list(made.surface.pictures.labels),
             "colour, relative spread": ", ".join(f"{100 * spread:.1f} %" for spread in made.albedo_std),
             "slopes": "across {:.3f}, along {:.3f} (standard deviations)".format(*made.slope_std),
-            "heights": f"{made.height_std:.2f} pixels (standard deviation)",
+            "heights": f"{made.height_std:.2f} pixels{height_mm} (standard deviation)",
             "sparkle": f"{sparkle.density:.1f} glints per 10,000 pixels and lamp",
             **(
                 {}

@@ -143,7 +143,9 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
     return Command("completions", make, how, columns=columns, under=_EXPECTED, has_balls=True)
 
 
-def surfaces(library: Path, *, size: int, targets: Sequence[str]) -> Command[Sample]:
+def surfaces(
+    library: Path, *, size: int, targets: Sequence[str], mm_per_pixel: float | None = None
+) -> Command[Sample]:
     """Make surfaces of the samples that `inputs.find_samples` finds, of workbooks with pictures; see `make_surface`."""
     columns: Columns = {
         **PREDICTED,
@@ -151,7 +153,7 @@ def surfaces(library: Path, *, size: int, targets: Sequence[str]) -> Command[Sam
         "glints": lambda content: content["sparkle"]["density"],
     }
     require_textured(targets)
-    settings: dict[str, Any] = {"size": size, "targets": list(targets)}
+    settings: dict[str, Any] = {"size": size, "targets": list(targets), "mm_per_pixel": mm_per_pixel}
     how = {"library": Library(library).content_hash, **settings}
     make = partial(_make_surface, library=library, **settings)
     return Command(

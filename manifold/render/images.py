@@ -46,6 +46,7 @@ def require_image_path(path: Path) -> None:
 def write_image(path: Path, linear: Array) -> None:
     """Write linear sRGB (H, W, 3): as it is into `.exr`, tone-mapped into `.png`; atomically.
 
+    An array (H, W, 1) is written into `.exr` as one channel.
     Values in half precision stay so, others are written in single precision.
 
     Raises:

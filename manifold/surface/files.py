@@ -56,6 +56,7 @@ class SurfaceFiles:
         surface: of the sample.
         sparkle: of the sample.
         textures: which continue across their edges.
+        mm_per_pixel: width of a pixel of the textures; None if it is not known.
         completed: the BRDF of the mean; None where there were no readings.
         exports: differences of engines' models from the mean on the ball, CIEDE2000, by target.
         paths: of what was written, by what it is.
@@ -67,6 +68,7 @@ class SurfaceFiles:
     surface: Surface
     sparkle: Sparkle
     textures: Textures
+    mm_per_pixel: float | None
     completed: Completed | None
     exports: Mapping[str, float]
     paths: Mapping[str, Path]
@@ -111,6 +113,7 @@ class SurfaceFiles:
             "gain": surface.gain,
             "slope_uncertainty": surface.slope_std.tolist(),
             "height_std_px": self.height_std,
+            "mm_per_pixel": self.mm_per_pixel,
             "sparkle": self.sparkle.to_json(),
             "instrument": self.instrument,
             "exports": {target: {"ball": ball} for target, ball in self.exports.items()},
@@ -129,6 +132,7 @@ def make_surface(
     name: str | None = None,
     size: int = 1024,
     targets: Sequence[str] = TARGETS,
+    mm_per_pixel: float | None = None,
 ) -> SurfaceFiles:
     """Write the surface of a sample, as textures and as materials of engines, while holding the folder's lock.
 
@@ -140,6 +144,7 @@ def make_surface(
         name: with which those of files begin; that of the sample if None.
         size: of textures, in pixels.
         targets: of exports that take textures; none are written without readings.
+        mm_per_pixel: width of a pixel of the pictures, which is recorded; None if it is not known.
 
     Raises:
         UsageError: a target takes no textures, the folder cannot be written or another run writes to it, or a file
@@ -151,7 +156,9 @@ def make_surface(
         Library.open(library)  # refused before anything is written
     _paths(pictures, readings, folder, name, targets)  # before the folder is made
     with only_run_in(folder, "the surface's files"):
-        return write_surface(library, pictures, readings, folder, name=name, size=size, targets=targets)
+        return write_surface(
+            library, pictures, readings, folder, name=name, size=size, targets=targets, mm_per_pixel=mm_per_pixel
+        )  # fmt: skip
 
 
 def write_surface(
@@ -163,6 +170,7 @@ def write_surface(
     name: str | None,
     size: int,
     targets: Sequence[str],
+    mm_per_pixel: float | None,
 ) -> SurfaceFiles:
     """Write a surface into a folder whose lock is held; see `make_surface`."""
     start = time.perf_counter()
@@ -197,7 +205,7 @@ def write_surface(
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(
-        folder, surface, sparkle, textures, completed, MappingProxyType(exports),
+        folder, surface, sparkle, textures, mm_per_pixel, completed, MappingProxyType(exports),
         MappingProxyType({kind: path for kind, path in paths.items() if kind in {*written, "numbers"}}), notes,
         time.perf_counter() - start,
     )  # fmt: skip
@@ -257,7 +265,7 @@ def _write_textures(
     written = {"albedo", "normal", "height", "changes"}
     write_display(paths["albedo"], encode_srgb(np.clip(mean * textures.albedo, 0.0, 1.0)))
     write_display(paths["normal"], 0.5 + 0.5 * textures.normal)
-    write_image(paths["height"], np.repeat(textures.height[..., None], 3, axis=-1))
+    write_image(paths["height"], textures.height[..., None])
     if flakes is not None:
         normals = np.where(flakes.mask[..., None], flakes.normal, textures.normal)
         write_display(paths["flakes"], 0.5 + 0.5 * normals)

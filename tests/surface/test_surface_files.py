@@ -360,6 +360,18 @@ def _photographs(folder):
     return lamps
 
 
+def test_heights_are_one_channel_with_the_scale_of_the_pictures(tmp_path):
+    lamps = _photographs(tmp_path / "photos")
+    words = ["surface", str(tmp_path / "photos"), "--lamp", str(lamps), "-o", str(tmp_path / "made")]
+    result = CliRunner().invoke(app, [*words, "--size", "192", "--mm-per-pixel", "0.05"])
+    assert result.exit_code == 0, result.output
+    numbers = json.loads((tmp_path / "made" / "surface.json").read_text())
+    assert numbers["mm_per_pixel"] == 0.05
+    assert f"pixels, {0.05 * numbers['height_std_px']:.2g} mm" in result.output
+    height = OpenImageIO.ImageInput.open(str(tmp_path / "made" / "surface_height.exr"))
+    assert (height.spec().channelnames, str(height.spec().format)) == (("Y",), "float")
+
+
 @pytest.mark.parametrize("named", ["surface_albedo.png", "surface.json"])
 def test_a_surface_never_replaces_its_pictures_or_lamps(named, tmp_path):
     folder = tmp_path / "photos"

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from manifold.brdf.interface import BRDF, require_brdf
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import UsageError
-from manifold.gpr import LengthScaleBound
+from manifold.errors import UnknownNameError, UsageError
+from manifold.gpr import GaussianProcess, LengthScaleBound
 from manifold.library.store import Library
 from manifold.mapping import Identity, ValueMapping
+from manifold.metrics import Errors
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
@@ -26,16 +28,26 @@ from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
 from manifold.model.fitting import Gram, fit_space
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, LatentSpace, fixed_colours
-from manifold.model.map import LatentMap, map_svg
+from manifold.model.map import map_svg
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache, names_among
 from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
-from manifold.model.places import PlaceLike, require_between
+from manifold.model.places import (
+    Place,
+    PlaceLike,
+    on_line,
+    parse_coordinates,
+    parse_walk,
+    require_between,
+    require_latent,
+    require_latents,
+)
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.settings import Settings
 from manifold.model.walks import Walk, Walked
-from manifold.records import Array, Bands, evenly_spaced
+from manifold.names import names_like
+from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 from manifold.registries import MAPPINGS
 from manifold.threads import one_blas_thread
 
@@ -43,14 +55,22 @@ _ONE = np.ones(1)
 _DEFAULTS = Settings()
 
 
+S = TypeVar("S", bound=np.generic)
+
+_PICTURED = 80  # materials with ball and name in a picture of thousands
+EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
+
+
 class LibraryChangedWarning(UserWarning):
     """A model was opened with another library than the one it was fitted to."""
 
 
-class Manifold(LatentMap):
+class Manifold:
     """Latent coordinates of measured materials, and predictions at any coordinate.
 
-    Attributes: those of `LatentMap`, and
+    Attributes:
+        names: material names in the order of the latents, N of them.
+        left_out: places and errors of left-out materials; None for a model that is not calibrated.
         statistics: objective at start and end of the fit.
         notes: diagnostics that apply to all predictions, from `load`.
     """
@@ -64,7 +84,12 @@ class Manifold(LatentMap):
         left_out: LeftOut | None = None,
     ) -> None:
         """Use `fit` or `load`."""
-        super().__init__(materials, space, settings, left_out)
+        self.materials = materials
+        self.names = materials.names
+        self.space = space
+        self.space.X.setflags(write=False)
+        self.settings = settings
+        self.left_out = left_out
         self.statistics = statistics
         self.notes: tuple[str, ...] = ()
         self._walked: dict[str, Walked] = {}
@@ -121,6 +146,149 @@ class Manifold(LatentMap):
             if calibrate and len(chosen) >= LEAST_MATERIALS:
                 left_out = leave_out(space, materials, settings, samples)
         return cls(materials, space, settings, statistics, left_out)
+
+    # -- the map -------------------------------------------------------------------------------------------
+
+    @property
+    def X(self) -> Array:
+        """Latents of the materials, read-only, shape (N, Q)."""
+        return self.space.X
+
+    @property
+    def landmarks(self) -> Indices:
+        """The materials that were laid out, by default all, shape (M,)."""
+        return np.arange(len(self.names)) if self.space.landmarks is None else self.space.landmarks
+
+    @property
+    def pictured(self) -> Indices:
+        """The materials that a picture shows with ball and name: all, or 80 of the landmarks, which cover the map."""
+        return self.landmarks if self.space.landmarks is None else self.landmarks[:_PICTURED]
+
+    @property
+    def gp(self) -> GaussianProcess:
+        """The Gaussian process on the latents of the materials."""
+        return self.space.gp
+
+    def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
+        """Return the weights of materials at a place (Q,) or latents x (M, Q), shape (N,) or (M, N); they sum to 1."""
+        return self._at(x, colours, self.space.material_weights)
+
+    def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
+        """Return the posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1]."""
+        return np.sqrt(self._at(x, colours, self.space.variance_fraction))
+
+    def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
+        """Return whether the data do not support predictions at a place (Q,) or latents x (M, Q).
+
+        See `LeftOut.is_unsupported`.
+
+        For a model that is not calibrated: whether the posterior variance exceeds half of the prior's. Not of a step of
+        a walk.
+        """
+        left_out = self.left_out
+        if self._is_step(x, colours):
+            return np.zeros((), dtype=bool)
+        if left_out is None:
+            return self._at(x, colours, self.space.variance_fraction) > EXTRAPOLATION
+        is_predicted = self._at(x, colours, self.space.training_indices) < 0
+        return is_predicted & self._at(x, None, lambda X, _: left_out.is_unsupported(X))
+
+    def expected_error(
+        self, x: ArrayLike | PlaceLike, colours: Array | None = None, residual: float | None = None
+    ) -> Errors[Array] | None:
+        """Return expected errors of predictions at a place (Q,) or latents x (M, Q).
+
+        They hold for a material with these colours, or, without colours, with those blended from the
+        surrounding materials.
+
+        0 at a material's own latent, where the prediction is its file; None if the model is not calibrated, and of a
+        step of a walk, in which the map has no part. `residual` is that of an `Embedded` material, which tells more of
+        its error than its place does.
+        """
+        if self.left_out is None or self._is_step(x, colours):
+            return None
+        found = self.left_out.expected(self._latents(x), residual, is_colour_known=colours is not None)
+        if residual is not None:
+            return found
+        is_predicted = self._at(x, colours, self.space.training_indices) < 0
+        return Errors(found.ball * is_predicted, found.cube_root * is_predicted)
+
+    def nearest(self, x: PlaceLike, count: int = 1) -> list[tuple[str, float]]:
+        """Return the materials nearest to a latent x (Q,) with their distances, nearest first."""
+        distance = np.linalg.norm(self.space.X - self.place(x).latent, axis=1)
+        return [(self.names[k], float(distance[k])) for k in np.argsort(distance, kind="stable")[:count]]
+
+    def largest_weights(
+        self, x: PlaceLike, count: int, colours: Array | None = None
+    ) -> list[tuple[str, float]]:
+        """Return the materials with the largest nonzero weights at a latent x (Q,), by magnitude."""
+        weights = self.weights(x, colours)
+        order = np.argsort(-np.abs(weights), kind="stable")[:count]
+        return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
+
+    def unmeasured_share(self, x: PlaceLike, colours: Array | None = None) -> float:
+        """Return the share of unmeasured cells at a latent x (Q,), averaged over materials by magnitude of weight.
+
+        A step of a walk, whose ends need not be materials of the model, averages over the ends by t.
+        """
+        place = self.place(x)
+        if place.walk is not None and place.is_step(colours):
+            start, end, t = place.walk
+            of_ends = [
+                self.materials.unmeasured_share(name) if name in self.names else 0.0 for name in (start, end)
+            ]
+            return (1.0 - t) * of_ends[0] + t * of_ends[1]
+        weights = np.abs(self.weights(place))
+        shares = [self.materials.unmeasured_share(self.names[k]) for k in np.flatnonzero(weights)]
+        return float(weights[weights > 0] @ shares / weights.sum())
+
+    def latent(self, name: str) -> Array:
+        """Return the latent of a material, shape (Q,)."""
+        return self.X[self.materials.index(name)].copy()
+
+    def between(self, a: str, b: str, t: float) -> Array:
+        """Return the latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
+        require_between(t)
+        return on_line(self.latent(a), self.latent(b), t)
+
+    def place(self, x: PlaceLike) -> Place:
+        """Return the place that a latent or a text denotes."""
+        if isinstance(x, Place):
+            return x
+        if not isinstance(x, str):
+            return Place(require_latent(x, self.settings.latent_dim))
+        walk = parse_walk(x, self.names)
+        if walk is not None:
+            start, end, t = walk
+            is_end = start == end or t in (0.0, 1.0)  # a material, which lies on the map
+            return Place(self.between(start, end, t), None if is_end else walk)
+        if x in self.names:
+            return Place(self.latent(x))
+        coordinates = parse_coordinates(x)
+        if coordinates is None:
+            raise UnknownNameError(
+                f"no material '{x}' in this model ({names_like(self.names, x)}), expected one, or numbers "
+                "separated by commas, like -0.3,1.2, or FROM:TO:T between two materials"
+            )
+        return Place(require_latent(coordinates, self.settings.latent_dim))
+
+    def _is_step(self, x: ArrayLike | PlaceLike, colours: Array | None) -> bool:
+        return isinstance(x, Place | str) and self.place(x).is_step(colours)
+
+    def _latents(self, x: ArrayLike | PlaceLike) -> Array:
+        if isinstance(x, Place | str):
+            return self.place(x).latent
+        return require_latents(x, self.settings.latent_dim)
+
+    def _at(
+        self,
+        x: ArrayLike | PlaceLike,
+        colours: Array | None,
+        function: Callable[[Array, Array | None], NDArray[S]],
+    ) -> NDArray[S]:
+        """Apply a function of latents (M, Q) and colours to one latent or several."""
+        X, colours = self._latents(x), self.space.require_colours(colours)
+        return function(X[None], colours)[0] if X.ndim == 1 else function(X, colours)
 
     # -- materials -----------------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.evaluate.report import make_report
 from manifold.library.store import Library
-from manifold.model import expected_error, fitting, landmarks, map
+from manifold.model import expected_error, fitting, landmarks
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
@@ -88,7 +88,7 @@ def test_a_page_blends_the_landmarks_and_shows_the_others_as_points(model):
 
 
 def test_a_picture_shows_few_landmarks_in_detail_and_all_others_as_points(model, monkeypatch):
-    monkeypatch.setattr(map, "_PICTURED", 3)
+    monkeypatch.setattr("manifold.model.manifold._PICTURED", 3)
     axes = map_figure.latent_map(model).axes[0]
     counts = [len(drawn.get_offsets()) for drawn in axes.collections if isinstance(drawn, PathCollection)]
     assert sorted(counts) == [3, 7]

@@ -18,7 +18,7 @@ from manifold.brdf.interface import EvaluableBRDF
 from manifold.brdf.measured import values_at
 from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.colour.conversion import luminance
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, normalize
 from manifold.errors import UsageError
 from manifold.formats.readings import GLOSS_ANGLES_DEG
 from manifold.records import Array
@@ -26,6 +26,7 @@ from manifold.records import Array
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # widths in plane, and across it
 SOURCE_DEG = (0.75, 2.5)
 _SOURCE_NODES, _RECEPTOR_NODES = (2, 5), (21, 41)  # gloss of measured mirrors within 2 % of finer grids
+_HALF_NODES = (19, 12)  # nodes in the plane of incidence, and across it on one side
 _GLASS_INDEX = 1.567
 
 
@@ -41,6 +42,29 @@ def gloss_meter(angle_deg: float) -> Picture:
     collected = np.outer(light, solid_angles * receptor[:, 2]).ravel()  # weights of f, in sr
     wi, wo = np.repeat(source, len(receptor), axis=0), np.tile(receptor, (len(source), 1))
     return Picture(wi, wo, sums_of_runs(100.0 * collected / black_glass(angle_deg), np.zeros(1, int)))
+
+
+def half_gloss_meter(angle_deg: int) -> tuple[Array, Array, Array]:
+    """Return a gloss meter of few pairs, wi and wo (P, 3), with gloss units per 1/sr at each, (P,).
+
+    They lie on one side of the plane of incidence, dense around the mirror direction, and all have the light at the
+    centre of the source: that the source is wide is in the weights, as the wider receptor.
+    """
+    theta, (half_in, half_across) = np.deg2rad(angle_deg), 0.5 * np.deg2rad(RECEPTORS_DEG[angle_deg])
+    source_in, source_across = 0.5 * np.deg2rad(SOURCE_DEG)
+    n_in, n_across = _HALF_NODES
+    x_edges, y_edges = np.linspace(-1.0, 1.0, n_in + 1), np.linspace(0.0, 1.0, n_across + 1)
+    x_edges = (half_in + source_in) * x_edges * np.abs(x_edges)  # dense around the mirror direction
+    y_edges = (half_across + source_across) * y_edges**2
+    x, y = (0.5 * (edges[1:] + edges[:-1]) for edges in (x_edges, y_edges))
+    X, Y = (a.ravel() for a in np.meshgrid(x, y, indexing="ij"))
+    seen = np.clip((half_in + source_in - np.abs(X)) / (2.0 * source_in), 0.0, 1.0)
+    seen *= np.clip((half_across + source_across - Y) / (2.0 * source_across), 0.0, 1.0)
+    centre, across = from_spherical(theta, 0.0), np.array([0.0, 1.0, 0.0])
+    wo = normalize(centre + np.tan(X)[:, None] * np.cross(across, centre) + np.tan(Y)[:, None] * across)
+    cell = 2.0 * np.outer(np.diff(x_edges), np.diff(y_edges)).ravel()  # on both sides
+    weights = 100.0 * seen * cell * wo[:, 2] / black_glass(angle_deg)
+    return np.broadcast_to(from_spherical(theta, np.pi), wo.shape), wo, weights
 
 
 def black_glass(angle_deg: float) -> float:

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.brdf.plausibility import mirrored_quadrature
-from manifold.directions import from_rusinkiewicz, from_spherical, normalize
-from manifold.estimate.gloss import RECEPTORS_DEG, SOURCE_DEG, black_glass
+from manifold.directions import from_rusinkiewicz, from_spherical
+from manifold.estimate.gloss import half_gloss_meter
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.records import Array
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 GLOSS_DEG = 60
-_GLOSS_NODES = (19, 12)  # nodes in the plane of incidence, and across it on one side
 _SPHERE_NODES = 20  # nodes in elevation and in azimuth
 
 
@@ -74,7 +73,7 @@ class TabulatedPairs:
 def tabulated_pairs() -> TabulatedPairs:
     """Return the pairs of a page without mirror images: materials are tabulated as the mean of both sides."""
     wi, wo = [], []
-    *gloss, gloss_weights = _gloss_meter()
+    *gloss, gloss_weights = half_gloss_meter(GLOSS_DEG)
     spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
     for directions in (grid_directions(), *map(_slice, SLICE_INCIDENCES_DEG), gloss, spot):
         wi.append(directions[0])
@@ -88,30 +87,6 @@ def tabulated_pairs() -> TabulatedPairs:
     angles = tuple(_slice_angles(incidence) for incidence in SLICE_INCIDENCES_DEG)
     measure = 2.0 * measure[one_side] * sphere_wo[:, 2]
     return TabulatedPairs(np.vstack(wi), np.vstack(wo), angles, gloss_weights, measure, len(wi[0]))
-
-
-def _gloss_meter() -> tuple[Array, Array, Array]:
-    """Return pairs of the gloss meter at 60 degrees, and gloss units per 1/sr at each.
-
-    They lie on one side of the plane of incidence.
-
-    All have the light at the centre of the source: that the source is wide is in the weights, as the wider receptor.
-    """
-    theta, (half_in, half_across) = np.deg2rad(GLOSS_DEG), 0.5 * np.deg2rad(RECEPTORS_DEG[GLOSS_DEG])
-    source_in, source_across = 0.5 * np.deg2rad(SOURCE_DEG)
-    n_in, n_across = _GLOSS_NODES
-    x_edges, y_edges = np.linspace(-1.0, 1.0, n_in + 1), np.linspace(0.0, 1.0, n_across + 1)
-    x_edges = (half_in + source_in) * x_edges * np.abs(x_edges)  # dense around the mirror direction
-    y_edges = (half_across + source_across) * y_edges**2
-    x, y = (0.5 * (edges[1:] + edges[:-1]) for edges in (x_edges, y_edges))
-    X, Y = (a.ravel() for a in np.meshgrid(x, y, indexing="ij"))
-    seen = np.clip((half_in + source_in - np.abs(X)) / (2.0 * source_in), 0.0, 1.0)
-    seen *= np.clip((half_across + source_across - Y) / (2.0 * source_across), 0.0, 1.0)
-    centre, across = from_spherical(theta, 0.0), np.array([0.0, 1.0, 0.0])
-    wo = normalize(centre + np.tan(X)[:, None] * np.cross(across, centre) + np.tan(Y)[:, None] * across)
-    cell = 2.0 * np.outer(np.diff(x_edges), np.diff(y_edges)).ravel()  # on both sides
-    weights = 100.0 * seen * cell * wo[:, 2] / black_glass(GLOSS_DEG)
-    return np.broadcast_to(from_spherical(theta, np.pi), wo.shape), wo, weights
 
 
 def _slice_angles(incidence_deg: float) -> Array:

@@ -6,6 +6,7 @@ import io
 from dataclasses import replace
 
 import numpy as np
+from helpers.lamp_scene import under_lamp
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
@@ -106,7 +107,7 @@ def rendered(rng, bsdf, height, reflectance, *, flakes=None, samples=16, noise=0
     relief = _mesh(mi, height, material)
     lamps = in_plane(ANGLES_DEG)
     settings = RenderSettings(size=size, samples=samples)
-    scenes = [mi.load_dict(preview.under_lamp(mi, relief, lamp, CAMERA, rgb_film(size), 3)) for lamp in lamps]
+    scenes = [mi.load_dict(under_lamp(mi, relief, lamp, CAMERA, rgb_film(size), 3)) for lamp in lamps]
     values = np.stack([render_scene(mi, scene, settings) for scene in scenes])[
         :, BORDER:-BORDER, BORDER:-BORDER
     ]

@@ -14,6 +14,7 @@ import pytest
 import surface_twins
 from helpers.browser import chromium
 from helpers.exported_files import read_glb
+from helpers.lamp_scene import under_lamp
 from helpers.small_library import small_model
 from helpers.three_js import ThreeJs, node_modules
 from PIL import Image
@@ -103,7 +104,7 @@ def textured(tmp_path):
 def _lit_from_below(mi, material):
     """The scene of a plane of a material, its lamp at 40 degrees on the side of negative y."""
     plane = {"type": "rectangle", "material": material}
-    return mi.load_dict(preview.under_lamp(mi, plane, in_plane(40.0)))
+    return mi.load_dict(under_lamp(mi, plane, in_plane(40.0)))
 
 
 def test_spectra_of_points_have_the_colours_that_were_seen_and_that_of_the_mean_in_the_mean(rng):
@@ -541,7 +542,7 @@ def test_the_picture_of_a_surface_is_mitsuba_s(mean, rng):
         "type": "rectangle",
         "material": preview.material_of(mi, mean, textures.normal, textures.albedo, flakes),
     }
-    drawn = np.array(mi.render(mi.load_dict(preview.under_lamp(mi, plane, in_plane(20.0))), spp=16))
+    drawn = np.array(mi.render(mi.load_dict(under_lamp(mi, plane, in_plane(20.0))), spp=16))
     assert own.std() == pytest.approx(drawn.std(), rel=0.1)  # textures are filtered otherwise
     np.testing.assert_allclose(own.mean(axis=(0, 1)), drawn.mean(axis=(0, 1)), rtol=0.02)
     blocks = [each[..., 1].reshape(80, 4, 80, 4).mean(axis=(1, 3)).ravel() for each in (own, drawn)]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from helpers.lamp_scene import under_lamp
 from surface import surface_twins
 
 from engines.balls import Light, Scene
@@ -66,9 +67,7 @@ def mitsuba(mean: Path) -> Pictures:
     plane = {"type": "rectangle", "material": preview.material_of(mi, mean, normal, albedo)}
     settings = RenderSettings(SIZE, _SAMPLES)
     return {
-        name: render_scene(
-            mi, mi.load_dict(preview.under_lamp(mi, plane, lamp, film=rgb_film(SIZE))), settings
-        )
+        name: render_scene(mi, mi.load_dict(under_lamp(mi, plane, lamp, film=rgb_film(SIZE))), settings)
         for name, lamp in LAMPS.items()
     }
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
+from manifold.colour.conversion import SRGB_TO_XYZ, sensor_responses, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.evaluate.budget.scene_document import SceneDocument
@@ -161,9 +161,9 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
             f"{document.origin}: no pixel shows a measured material in direct light; check camera and lights"
         )
     whites = np.concatenate([one.white for one in lit.values()])
-    level = whites @ np.array([0.2126, 0.7152, 0.0722]) if is_rgb else whites[:, 1]
+    level = whites @ SRGB_TO_XYZ[1] if is_rgb else whites[:, 1]
     white = whites.mean(axis=0) * np.quantile(level, _WHITE_QUANTILE) / max(float(level.mean()), 1e-30)
-    return Survey(lit, np.full(3, white @ [0.2126, 0.7152, 0.0722]) if is_rgb else white, (width, height))
+    return Survey(lit, np.full(3, white @ SRGB_TO_XYZ[1]) if is_rgb else white, (width, height))
 
 
 def _primary_hits(

@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from manifold.analytic.fresnel import fresnel_polarised
-from manifold.colour.conversion import sensor_responses, xyz_to_srgb
+from manifold.colour.conversion import SRGB_TO_XYZ, sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.fit.exports.lobes import artistic_index, cubic, fresnel_f82, schlick
 from manifold.records import Array
@@ -28,13 +28,7 @@ _WAVE_NUMBER = np.array([1.6810e6, 1.7953e6, 2.2084e6, 2.2399e6])  # 1/m
 _VARIANCE = np.array([4.3278e9, 9.3046e9, 6.6121e9, 4.5282e9])
 _NORM = 1.0685e-7
 # glTF's, of D65; and MaterialX's, of CIE 1931 RGB and illuminant E
-_FROM_XYZ_GLTF = np.array(
-    [
-        [3.2404542, -1.5371385, -0.4985314],
-        [-0.9692660, 1.8760108, 0.0415560],
-        [0.0556434, -0.2040259, 1.0572252],
-    ]
-)
+_FROM_XYZ_GLTF = np.linalg.inv(SRGB_TO_XYZ)
 _FROM_XYZ_MATERIALX = np.array(
     [
         [2.3706743, -0.9000405, -0.4706338],

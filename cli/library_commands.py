@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ToleranceOption = Annotated[
     float | None,
     typer.Option(
-        help="CIEDE2000 of the ball (mean of five lights) that a compact material may differ by.  [default: 0.2]",
+        help="{manifold.metrics.BALL} that a compact material may differ by.  [default: 0.2]",
         metavar="E",
     ),
 ]
@@ -348,9 +348,9 @@ def find(
 ) -> None:
     """List the materials of a library nearest to a material, or to a colour, a gloss, or both.
 
-    Materials are compared as balls in five lights, readings at their geometries, both by CIEDE2000. Colours are
-    printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss counts in steps of
-    a fifth, about as visible as a CIEDE2000 of 1.
+    Materials are compared as balls in {manifold.metrics.LIGHTS}, readings at their geometries, both by CIEDE2000.
+    Colours are printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss counts
+    in steps of a fifth, about as visible as a CIEDE2000 of 1.
     """
     from manifold.estimate import attributes, coat, completions
     from manifold.formats.readings import Readings

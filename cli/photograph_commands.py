@@ -317,6 +317,8 @@ def show_photographs(
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
     """Print where to hold a lamp."""
+    from manifold.metrics import LIGHTS
+
     heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")
 
     def cells(label: str, one: Determined) -> tuple[str, ...]:
@@ -330,7 +332,7 @@ def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
 
     results.text(
         f"\nWhat one picture{beside} determines, by the angle between lamp and camera: median errors of left-out "
-        "materials\n(CIEDE2000 of the ball in five lights and of the colour at 45/0, gloss, L* at 15 less that at 110 "
+        f"materials\n(CIEDE2000 of the ball in {LIGHTS} and of the colour at 45/0, gloss, L* at 15 less that at 110 "
         "degrees)\n"
     )
     results.table(heads, [cells(f"{one.angles_deg[-1]:.0f} degrees", one) for one in plan.alone])

@@ -22,7 +22,7 @@ from manifold.evaluate.report_text import format_report, lead
 from manifold.evaluate.selection import embed
 from manifold.library.identity import require_outside_libraries
 from manifold.library.importing import import_files
-from manifold.metrics import BALL_COLUMN
+from manifold.metrics import BALL_COLUMN, LIGHTS
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import Manifold
 from manifold.model.places import on_line
@@ -313,7 +313,7 @@ def _numbers(predicted: DiagnosedPrediction, report: Report) -> list[tuple[str, 
     if predicted.expected is not None:
         numbers.append((
             f"{float(predicted.expected.ball):.1f} {BALL_COLUMN}",
-            "Expected error of the prediction, averaged over a ball and five lights.",
+            f"Expected error of the prediction, averaged over a ball and {LIGHTS}.",
         ))  # fmt: skip
     return [
         *numbers,

@@ -9,12 +9,19 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from manifold.errors import ShapeError
+from manifold.names import in_words
 from manifold.records import Array, plain
 
-BALL = "CIEDE2000 of the ball (mean of five lights)"
-"""In words, the error `Errors.ball`; the lights are those of `colour.panel.JUDGED`."""
+JUDGED = ("studio 0", "white", "sun 45", "sun 80", "sun 130")
+"""The lights in which errors are measured, and which no fit uses: studio, uniform light, suns; see `colour.panel`."""
 
-BALL_COLUMN = "CIEDE2000 (five lights)"
+LIGHTS = f"{in_words(len(JUDGED))} lights"
+"""The number of these lights, in words."""
+
+BALL = f"CIEDE2000 of the ball (mean of {LIGHTS})"
+"""In words, the error `Errors.ball`."""
+
+BALL_COLUMN = f"CIEDE2000 ({LIGHTS})"
 """The error `Errors.ball` at the head of a column."""
 
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
@@ -145,7 +152,7 @@ class Errors(Generic[Number]):
     def __str__(self) -> str:
         worst = f", in {self.worst_light} {self.worst:.2f}" if self.worst_light else ""
         seen = f"; in the lights of the fit {self.fitted_ball:.2f}" if "fitted_ball" in self.known else ""
-        return f"{self.ball:.2f} (mean of five lights){worst}{seen}"
+        return f"{self.ball:.2f} (mean of {LIGHTS}){worst}{seen}"
 
     @property
     def words(self) -> list[str]:

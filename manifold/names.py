@@ -52,6 +52,12 @@ def in_one_line(name: str) -> str:
     return without_controls(" ".join(name.split()))
 
 
+def in_words(count: int) -> str:
+    """Return a count as a word, from ten on in digits."""
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    return words[count] if count < len(words) else str(count)
+
+
 def counted(count: int, what: str) -> str:
     """Return a count with its noun: `1 material`, `2 materials`."""
     return f"{count} {what}{'s' * (count != 1)}"

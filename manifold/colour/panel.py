@@ -1,13 +1,14 @@
 """The panel of lights in which the look of a material is fitted, and those in which it is judged.
 
 One soft light flatters: what is fitted to it looks worse elsewhere. So fits see the ball in several lights, and errors
-are of other ones: means over these, and the worst of them by its name. Which is which is said here, and nowhere else.
+are of other ones, `metrics.JUDGED`: means over these, and the worst of them by its name.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -16,7 +17,7 @@ from manifold.colour import ball_colours, difference, lights
 from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import rotate_z
-from manifold.metrics import Errors
+from manifold.metrics import JUDGED, Errors
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices
 
@@ -24,9 +25,6 @@ FITTED = (
     "studio 60", "studio 180", "studio 300", "overcast", "sun 20", "sun 35", "sun 60", "sun 75", "sun 110",
 )  # fmt: skip
 """The lights of fits: the studio turned by some degrees, suns some degrees beside the view, an overcast sky."""
-
-JUDGED = ("studio 0", "white", "sun 45", "sun 80", "sun 130")
-"""The lights in which errors are measured, and which no fit uses: studio, uniform light, suns."""
 
 _SUN_PIXELS = 32  # across the ball
 
@@ -38,6 +36,20 @@ class Panel(Picture):
         """Join the pixels of each light, as sums over the same pairs."""
         super().__init__(pairs.wi, pairs.wo, scipy.sparse.csr_array(scipy.sparse.vstack(sums)))
         self.names, self.counts = names, np.array([len(each.indptr) - 1 for each in sums])
+
+    @cached_property
+    def signature(self) -> int:
+        """A hash of lights, pixels and directions, of 48 bits: what was calibrated in another panel is stale.
+
+        It is of rounded moments, which the last digits of other processors' functions do not change.
+        """
+        digest = hashlib.sha256(repr((self.names, self.counts.tolist())).encode())
+        first = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
+        rows = [self.sums[a : a + n] for a, n in zip(first, self.counts, strict=True)]
+        light = np.stack([np.asarray(each.sum(axis=0)).ravel() for each in rows])
+        axes = np.hstack([np.ones((len(self.wi), 1)), self.wi, self.wo, self.wi**2, self.wo**2])
+        digest.update((np.round(light @ axes, 6) + 0.0).tobytes())  # + 0.0: no negative zeros
+        return int(digest.hexdigest()[:12], 16)
 
     @property
     def pixel_weights(self) -> Array:

@@ -36,6 +36,7 @@ from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.formats.readings import DAYLIGHT, Readings, gloss_fault
 from manifold.library.store import Library
+from manifold.metrics import LIGHTS
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.decoding import decoder_at
@@ -375,7 +376,7 @@ def find(
     differs = None if material is None else _difference_from(material)
     light = None if lab is None else f"{DAYLIGHT}, 45/0"
     if material is not None:
-        light = str(DAYLIGHT) if isinstance(material, Readings) else "five lights"
+        light = str(DAYLIGHT) if isinstance(material, Readings) else LIGHTS
     found = []
     for k, name in enumerate(library.names):
         brdf = MeasuredBRDF(fill_unmeasured(library.read(name)))

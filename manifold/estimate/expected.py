@@ -135,7 +135,11 @@ def calibrate(atoms: LibraryAtoms, readings: Readings, library: Library | None =
 
 
 def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> Calibration:
-    """Return the calibration of a key in the cache of a library; a missing one is made and stored there."""
+    """Return the calibration of a key in the cache of a library; a missing one is made and stored there.
+
+    One that was made in other judged lights counts as missing.
+    """
+    key = hashlib.sha256(f"{key} {panel.judged().signature}".encode()).hexdigest()
     kept = library.cache_get(key) or {}
     shapes = {name: array.shape[1:] for name, array in kept.items()}
     if shapes == {"errors": (len(_KINDS),), "indicators": (2,)} and len(kept["errors"]) == len(

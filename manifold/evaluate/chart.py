@@ -22,7 +22,7 @@ from manifold.evaluate.held_out import FOLDS, ChartRow, HeldOut
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
 from manifold.library.store import Library
-from manifold.metrics import BALL, Errors
+from manifold.metrics import BALL, LIGHTS, Errors
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, plain
@@ -30,7 +30,7 @@ from manifold.registries import Registry
 
 ERRORS = {
     "ball": BALL, "cube_root": "cube-root error", "linear": "linear error",
-    "ball_itp": "Delta E_ITP of the ball (mean of five lights)", "rmse": "RMSE of eq. 22",
+    "ball_itp": f"Delta E_ITP of the ball (mean of {LIGHTS})", "rmse": "RMSE of eq. 22",
 }  # fmt: skip
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 

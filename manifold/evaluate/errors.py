@@ -14,6 +14,7 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility, plausibilities
+from manifold.colour import panel
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
 from manifold.evaluate.method_data import Data
 from manifold.library.store import Library
@@ -171,13 +172,14 @@ class Result:
 class KeptResults:
     """Measurements of a long experiment, from which an interrupted one continues; without a library, nothing is kept.
 
-    `run` says in words all that the results depend on beside the library and the version of the package.
+    `run` says in words all that the results depend on beside the library, the judged lights and the package's version.
     """
 
     def __init__(self, library: Library | None, run: str) -> None:
         self._library = library
         content = "" if library is None else library.content_hash
-        self._key = hashlib.sha256(f"{run} {__version__} {content}".encode()).hexdigest()
+        lights = panel.judged().signature
+        self._key = hashlib.sha256(f"{run} {__version__} {content} {lights}".encode()).hexdigest()
 
     def get(self) -> dict[str, Array]:
         """Return the measurements that an interrupted experiment has kept; empty if there are none."""

@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from manifold.colour.panel import JUDGED
 from manifold.evaluate.report import MethodResult, Report
-from manifold.metrics import BALL
+from manifold.metrics import BALL, JUDGED, LIGHTS
 from manifold.model.expected_error import GUARANTEED, LEVEL, NOT_CALIBRATED
 from manifold.names import counted
 from manifold.text_tables import table_lines
@@ -46,7 +45,7 @@ _ERRORS: Columns = (
     ("CIEDE2000", lambda m: f"{m.median.ball:.2f}"),
     ("p90", lambda m: f"{m.p90.ball:.2f}"),
 )
-_ERROR_NOTE = """\
+_ERROR_NOTE = f"""\
 Reconstructions use the material they predict; the mix of two uses it to choose
 the two. Latents kept, or others kept: latents (and of blends, paths of colours)
 fitted with the material, which is then predicted without it. All other methods
@@ -54,7 +53,7 @@ are fitted without the material.
 a + b per band: a coordinates that all bands share, and b of every band.
 Medians and 90th percentiles of materials. linear: relative, cosine-weighted,
 dominated by highlights; cube root: the same of cube roots, closer to perceived
-differences; CIEDE2000: of the ball, mean of the five lights below."""
+differences; CIEDE2000: of the ball, mean of the {LIGHTS} below."""
 
 _LIGHTS: Columns = (
     *((name.removesuffix(" 0"), lambda m, name=name: f"{m.median.lights[name]:.2f}") for name in JUDGED),
@@ -80,12 +79,12 @@ _PLAUSIBILITY: Columns = (
     ("albedo", lambda m: f"{m.max_albedo:.2f}"),
     ("ball ITP", lambda m: f"{m.median.ball_itp:.1f}"),
 )
-_PLAUSIBILITY_NOTE = """\
+_PLAUSIBILITY_NOTE = f"""\
 RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, which a few directions at the
 horizon decide; RMSE 80: within 80 degrees, weighted by both cosines. negative:
 share of values, before they are cut to 0; measured files have some. recip.,
 albedo: error of reciprocity and largest albedo of the worst material. ball ITP:
-Delta E_ITP of the ball (ITU-R BT.2124), mean of five lights, on a display whose
+Delta E_ITP of the ball (ITU-R BT.2124), mean of {LIGHTS}, on a display whose
 white has 100 cd/m2, median."""
 
 _COLOUR_NOTE = """\
@@ -266,7 +265,7 @@ def _materials(report: Report) -> list[str]:
         for k, name in enumerate(report.names)
     ]
     note = (
-        f"CIEDE2000: of '{first.title}', mean of five lights.\n"
+        f"CIEDE2000: of '{first.title}', mean of {LIGHTS}.\n"
         f"To its right: linear errors, first of the same method ({_MATERIAL_COLUMNS[shown[0]]})."
     )
     return _table(head, rows, note)

@@ -18,7 +18,6 @@ from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
-from manifold.colour.panel import JUDGED
 from manifold.errors import UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.fit import comparison, fit_samples, fits
@@ -32,7 +31,7 @@ from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
-from manifold.metrics import BALL, BALL_COLUMN, Errors
+from manifold.metrics import BALL, BALL_COLUMN, LIGHTS, Errors
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model
@@ -271,7 +270,7 @@ def _write_index(target: Target, made: Batch[ExportSource]) -> None:
     intro = (
         "Each picture: measured, exported; measured, exported. Left in the studio, right under a sun "
         f"{_PACK_SUN_DEG:.0f} degrees beside the view. CIEDE2000 of the ball between the two, in the mean of "
-        f"{len(JUDGED)} lights that the fit did not use, and in the worst."
+        f"{LIGHTS} that the fit did not use, and in the worst."
     )
     title = f"{len(cards)} measured materials for {target.title}"
     html_page.write(made.folder / _PACK_PAGE, title, intro, f"<main>{''.join(cards)}</main>")

@@ -29,7 +29,7 @@ LEAST_MATERIALS = 4
 """With fewer, left-out errors predict nothing."""
 
 NOT_CALIBRATED = (
-    "the model has no expected errors, or those of an earlier version",
+    "the model has no expected errors, or those of other lights or an earlier version",
     f"embed the library again, with {LEAST_MATERIALS} materials or more",
 )
 
@@ -160,7 +160,7 @@ class Reliability:
 _BANDS = 12  # bands in which errors are measured, evenly spaced, beside those of the samples
 # Arrays of files; those of 0.2.0 have errors in the studio alone, by "left_out_", and are not used.
 _PREFIX = "left_out_in_lights_"
-_ARRAYS = ("places", "ball", "cube_root", "residual", "materials")
+_ARRAYS = ("places", "ball", "cube_root", "residual", "materials", "panel")
 _BLENDED = "blended_"
 _SAMPLE = 200  # materials that are left out where not all were laid out: spread evenly over the map
 _MOST_BALL = 10.0  # CIEDE2000: the appearance of another material
@@ -191,6 +191,7 @@ class LeftOut:
         """The arrays that a file stores, by name."""
         arrays: dict[str, AnyArray] = {
             "places": self.places, "residual": self.residual, "materials": self.materials,
+            "panel": np.array([panel.judged().signature]),
             **self._by_name(self.errors),
         }  # fmt: skip
         if self.blended is not None:
@@ -199,15 +200,18 @@ class LeftOut:
 
     @classmethod
     def from_arrays(cls, stored: Mapping[str, Array], space: LatentSpace) -> LeftOut | None:
-        """Restore the errors from a file's arrays; None if the model was not calibrated, or by an earlier version."""
+        """Restore the errors from a file's arrays; None if it has none of these lights and this version."""
         names = _ARRAYS + tuple(_BLENDED + name for name in _LEAST if space.takes_colours)
         if not {_PREFIX + name for name in names} <= set(stored):
             return None
         count = len(stored[_PREFIX + "materials"])
         shapes = {
-            _PREFIX + name: (count, space.X.shape[1]) if name == "places" else (count,) for name in names
+            _PREFIX + name: {"places": (count, space.X.shape[1]), "panel": (1,)}.get(name, (count,))
+            for name in names
         }
-        places, ball, cube_root, residual, materials, *blended = require_shapes(stored, shapes)
+        places, ball, cube_root, residual, materials, lights, *blended = require_shapes(stored, shapes)
+        if lights[0] != panel.judged().signature:
+            return None
         if not np.all(np.diff(materials) > 0) or materials.min() < 0 or materials.max() >= len(space.X):
             raise ValueError("left-out materials are not those of the map")
         in_blended = Errors(ball=blended[0], cube_root=blended[1]) if blended else None

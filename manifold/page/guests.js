@@ -32,8 +32,8 @@ export const guests = {
       remove.setAttribute("aria-label", `Remove ${name}`);
       remove.addEventListener("click", () => this.removeGuest(k));
       const text = surface === undefined
-        ? `: the map shows it within ${errors.ball.toFixed(1)} CIEDE2000 of its ball (mean of five lights), cube root ${errors.cube_root.toFixed(3)}`
-        : `: a surface; without it the map shows the ball of its mean within ${apart.toFixed(1)} CIEDE2000 (mean of five lights)`;
+        ? `: the map shows it within ${errors.ball.toFixed(1)} CIEDE2000 of its ball (mean of ${this.data.lights}), cube root ${errors.cube_root.toFixed(3)}`
+        : `: a surface; without it the map shows the ball of its mean within ${apart.toFixed(1)} CIEDE2000 (mean of ${this.data.lights})`;
       item.append(show, [text, ...diagnostics].join("; "), " ", remove);
       return item;
     }));

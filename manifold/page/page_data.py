@@ -23,7 +23,7 @@ from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb, xyz_to_
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
-from manifold.metrics import BALL
+from manifold.metrics import BALL, LIGHTS
 from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
@@ -189,6 +189,7 @@ def to_document(model: Manifold, tables: Tables, surfaces: Sequence[WrittenSurfa
                 for i, a in zip(SLICE_INCIDENCES_DEG, pairs.slice_angles_deg, strict=True)
             ],
         },
+        "lights": LIGHTS,
         "wavelengths": None if bands.is_rgb else list(node_bands.wavelengths_nm or ()),
         "nodes": nodes.tolist(),
         "basis": tables.basis.tolist(),

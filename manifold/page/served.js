@@ -36,17 +36,17 @@ const plainName = (file) =>
 const headingOf = ({ command, subject }) => `${command} ${subject}`;
 
 /** The error of a fit, of an export, or of a completed material, as text. */
-function summary({ command, result }) {
+function summary({ command, result }, lights) {
   if (command === "fit" || command === "export") {
     const principled = result.principled_errors, { ball, worst, worst_light } = result.errors;
-    return `error ${ball.toFixed(2)} CIEDE2000 of the ball (mean of five lights)`
+    return `error ${ball.toFixed(2)} CIEDE2000 of the ball (mean of ${lights})`
       + (worst_light ? `, in ${worst_light} ${worst.toFixed(2)}` : "")
       + (principled ? `; principled ${principled.ball.toFixed(2)}` : "");
   }
   if (result.made_of) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);
     const notes = result.located ? result.diagnostics : []; // of the photograph, too
-    return [`expected error ${result.expected.ball.toFixed(1)} CIEDE2000 of the ball (mean of five lights), made of ${like.join(", ")}`, ...notes].join("; ");
+    return [`expected error ${result.expected.ball.toFixed(1)} CIEDE2000 of the ball (mean of ${lights}), made of ${like.join(", ")}`, ...notes].join("; ");
   }
   return "";
 }
@@ -198,7 +198,7 @@ class Actions {
     const item = this.items.get(job.number) ?? this.addItem(job);
     const isOpen = OPEN.has(job.state), [details] = item.children, heading = headingOf(job);
     const [title, bar, cancel, text] = details.children;
-    const detail = job.state === "failed" ? job.message : job.state === "done" ? summary(job) : "";
+    const detail = job.state === "failed" ? job.message : job.state === "done" ? summary(job, this.explorer.data.lights) : "";
     const isKnown = job.state === "running" && job.share !== null;
     const share = isKnown ? `, ${percent(job.share)}${job.stage && `, ${job.stage}`}` : "";
     const seconds = job.state === "waiting" ? "" : `, ${job.seconds.toFixed(0)} s`;

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from manifold.colour.panel import JUDGED
 from manifold.metrics import BALL, BALL_COLUMN, Errors
+from manifold.metrics import LIGHTS as NUMBER
 
 ROOT = Path(__file__).parents[2]
-LIGHTS = re.compile(r"\blights?\b|D65|DAYLIGHT|\bsun\b|studio|viewing|\bBALL\b|self\.errors")
+LIGHTS = re.compile(r"\blights?\b|D65|DAYLIGHT|\bsun\b|studio|viewing|\bBALL\b|LIGHTS|self\.errors")
 NAMED_BESIDE = {
     ("manifold/evaluate/report_text.py", "CIEDE2000"),  # the note below the table names them
     ("cli/picture_commands.py", "CIEDE2000"),  # the row that begins so
@@ -53,7 +54,8 @@ def test_every_text_of_the_page_does_likewise():
 
 def test_the_mean_is_of_five_lights():
     assert len(JUDGED) == 5
-    assert all("five lights" in words for words in (BALL, BALL_COLUMN))
+    assert NUMBER == "five lights"
+    assert all(NUMBER in words for words in (BALL, BALL_COLUMN))
     errors = Errors.of_lights({"studio 0": 1.0, "sun 45": 3.0}, 2.0)
     assert str(errors) == "2.00 (mean of five lights), in sun 45 3.00"
     assert errors.words == [f"2.0 {BALL}", "3.0 in the worst of them, sun 45"]

@@ -7,6 +7,7 @@ import pytest
 
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
+from manifold.pairs import Pairs
 from manifold.records import Bands
 
 RGB = Bands(None)
@@ -66,3 +67,20 @@ def test_pixels_are_those_of_their_balls():
     used = np.unique(studio.sums[7:20].indices)
     np.testing.assert_allclose(some.of(f[used]), studio.of(f[: len(studio)])[7:20])
     np.testing.assert_allclose(some.mean(np.full(len(some), 3.0)), 3.0)
+
+
+def test_a_signature_is_of_the_lights_and_not_of_the_last_digits():
+    lights = panel.judged()
+    rounded = panel.Panel(lights.names, Pairs(lights.wi * (1.0 + 1e-13), lights.wo), parts_of(lights))
+    assert rounded.signature == panel.panel(panel.JUDGED).signature == lights.signature
+    names = ("studio 0", "white", "sun 45", "sun 80", "sun 131")
+    others = panel.panel(names), panel.panel(panel.JUDGED[:4]), panel.panel(panel.JUDGED, 48, 24, 16)
+    brighter = panel.Panel(lights.names, lights[:], [1.001 * part for part in parts_of(lights)])
+    signatures = {lights.signature, brighter.signature, *(other.signature for other in others)}
+    assert len(signatures) == 5
+    assert max(signatures) < 2**48  # as a number of a file, exactly
+
+
+def parts_of(lights: panel.Panel) -> list:
+    ends = np.cumsum(lights.counts)
+    return [lights.sums[end - count : end] for end, count in zip(ends, lights.counts, strict=True)]

@@ -446,16 +446,20 @@ def test_a_calibration_is_kept_in_the_library_for_its_instrument(
     for _ in range(2):  # of five of the materials: not the one that was kept for all six
         calibrate(atoms.without(0), read, opened)
     assert len(computed) == 6
+    with monkeypatch.context() as changed:
+        changed.setattr(panel, "judged", lambda: panel.panel(("white",)))
+        calibrate(atoms, read, opened)
+    assert len(computed) == 7
     for part in (path / "cache").rglob("*"):
         if part.is_file():
             part.write_bytes(b"damage")
     calibrate(atoms, read, opened)
-    assert len(computed) == 7
+    assert len(computed) == 8
     shutil.rmtree(path / "cache")
     monkeypatch.setattr("manifold.library.staging.writing", read_only)
     calibrate(atoms, read, opened)
     calibrate(atoms, read, opened)
-    assert len(computed) == 9
+    assert len(computed) == 10
 
 
 def read_only(path):

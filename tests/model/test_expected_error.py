@@ -14,7 +14,7 @@ from manifold.colour import panel
 from manifold.colour.colour_science import colour_science
 from manifold.encoding import encoding_pairs
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.metrics import JUDGED, Errors
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import in_words, predict_and_diagnose
 from manifold.model.expected_error import GUARANTEED, LEVEL, ExpectedError, LeftOut
@@ -244,6 +244,21 @@ def test_a_material_in_another_colour_than_its_own_has_an_expected_error(model):
         for choice in (ColourChoice(), ColourChoice(like=model.names[1]))
     )
     assert own.expected.ball == 0.0 < other.expected.ball
+
+
+def test_a_model_that_was_calibrated_in_other_lights_expects_nothing_until_it_is_fitted_again(
+    model, library, tmp_path, monkeypatch
+):
+    model.save(tmp_path / "model.h5")
+    assert Manifold.load(tmp_path / "model.h5", library).left_out is not None
+    other = panel.panel((*JUDGED[:4], "sun 120"))
+    monkeypatch.setattr(panel, "judged", lambda: other)
+    loaded = Manifold.load(tmp_path / "model.h5", library)
+    assert loaded.left_out is None
+    made = predict_and_diagnose(loaded, model.X.mean(axis=0))
+    assert made.expected is None
+    assert "other lights" in made.rows["expected error"][0]
+    assert "embed the library again" in made.rows["expected error"][1]
 
 
 def test_a_model_of_an_earlier_version_expects_nothing_until_it_is_fitted_again(model, library, tmp_path):

@@ -54,10 +54,10 @@ def rgb_table() -> Mapping[str, Entry]:
         sums = {row["material"]: row for row in csv.DictReader(lines, delimiter="\t")}
     entries = []
     for entry in rgl_table().values():
-        row = sums.get(entry.name, {"size_bytes": None, "sha256": None})
-        size = None if row["size_bytes"] is None else int(row["size_bytes"])
+        row = sums.get(entry.name)
+        size, sha256 = (None, None) if row is None else (int(row["size_bytes"]), row["sha256"])
         if entry.is_isotropic:
-            entries.append(Entry(entry.name, size, row["sha256"], is_rgb=True))
+            entries.append(Entry(entry.name, size, sha256, is_rgb=True))
     return MappingProxyType({entry.name: entry for entry in entries})
 
 

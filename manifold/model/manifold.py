@@ -423,7 +423,7 @@ class Manifold:
         space = self._whole_materials()
         return Gram(space.S, space.n_outputs)
 
-    def eq15(self, x: PlaceLike) -> LengthScaleBound:
+    def eq15(self, x: Any) -> LengthScaleBound:
         """Return both sides of the condition on the length scale at latents x (Q,) or (M, Q).
 
         Raises:

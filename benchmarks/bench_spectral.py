@@ -58,7 +58,7 @@ def turned_to_mirror(name: str, nm: Array, angles: Array, f: Array) -> Sample:
         Sample(name, nm, Pairs(wi, from_spherical(angles[:, 2], angles[:, 3] + turn)), f)
         for turn in (0.0, np.pi)
     ]
-    near = [float(sample.f[sample.from_mirror_deg < 5.0].mean()) for sample in both]
+    near = [sample.f[np.argsort(sample.from_mirror_deg)[:20]].mean() for sample in both]
     sample = both[int(np.argmax(near))]
     above = (sample.pairs.wi[:, 2] > 0.02) & (sample.pairs.wo[:, 2] > 0.02) & np.all(np.isfinite(f), axis=1)
     return Sample(name, nm, sample.pairs[np.flatnonzero(above)], f[above])
@@ -149,9 +149,9 @@ def main() -> None:
     materials = list(MaterialCache(library, library.names).filled())
     samples = [read_cornell(path) for path in sorted(asked.folder.glob("*.brdf"))]
     samples += [read_germer(path) for path in sorted(asked.folder.glob("*.csv"))]
-    rng = np.random.default_rng(0)
     result: dict[str, object] = {}
     for sample in samples:
+        rng = np.random.default_rng([0, *sample.name.encode()])
         scale = (1.0 + GAIN * rng.standard_normal()) * (1.0 + SCATTER * rng.standard_normal(sample.f.shape))
         noisy = replace(sample, f=sample.f * scale + OFFSET / np.pi * rng.standard_normal(sample.f.shape))
         random = rng.choice(len(sample.f), READ, replace=False)

@@ -22,6 +22,7 @@ _EPSILON = 1e-3  # of the logarithm, in 1/sr, as Nielsen et al.
 _RIDGE = 40.0  # weight of the coefficients, as Nielsen et al.
 _STRIDE = 6  # one in so many pairs of the default grid has a part in the principal components
 _ROUGHNESS = np.geomspace(0.02, 1.0, 40)  # of the fitted lobe
+_REWEIGHTED = 8  # rounds of the fit of cube roots
 _F0 = 0.04  # reflectance of a dielectric; the strength of the lobe is free
 
 
@@ -97,11 +98,14 @@ def lambert_and_lobe(problem: Problem) -> Array:
     best: tuple[float, float, Array] | None = None
     for alpha in _ROUGHNESS:
         columns = np.stack([np.full(len(problem.read), 1.0 / np.pi), lobe(problem.read, alpha)], axis=1)
-        # Weights that make small residuals of values those of cube roots: 1 / (3 f^(2/3)).
         strengths, misfit = [], 0.0
         for band in range(target.shape[1]):
-            weight = 1.0 / np.maximum(3.0 * target[:, band] ** 2, 1e-3)
-            found, _ = scipy.optimize.nnls(columns * weight[:, None], problem.values[:, band] * weight)
+            t, p = target[:, band], np.full(len(target), np.mean(target[:, band]))
+            # p^(1/3) - t = (p - t^3) / (p^(2/3) + p^(1/3) t + t^2): least squares of cube roots by weights.
+            for _ in range(_REWEIGHTED):
+                weight = 1.0 / np.maximum(p * p + p * t + t * t, 1e-6)
+                found, _ = scipy.optimize.nnls(columns * weight[:, None], t**3 * weight)
+                p = np.cbrt(columns @ found)
             strengths.append(found)
             misfit += float(np.sum((np.cbrt(columns @ found) - target[:, band]) ** 2))
         if best is None or misfit < best[0]:

@@ -113,6 +113,17 @@ def test_highlights_of_a_dielectric_have_a_colour():
         np.testing.assert_allclose(found[colour], violet[colour], atol=0.05)
 
 
+@pytest.mark.parametrize("metallic", [0.95, 1.0])
+def test_a_metal_whose_edges_have_a_colour_gets_no_tinted_dielectric(metallic):
+    chrome = {"Base Color": [0.55, 0.75, 0.85], "Metallic": metallic, "Roughness": 0.3, "Coat Weight": 0.3}
+    edges = {"Specular Tint": [0.3, 0.9, 1.0], "Coat Roughness": 0.6}
+    truth = TargetBRDF(TARGETS["blender"], blender.DEFAULTS | chrome | edges)
+    target = TARGETS["gltf"]
+    start = target.parameters(Principled((0.55, 0.75, 0.85), metallic=0.95, roughness=0.35))
+    found = fit_target(target, start, fit_samples.from_brdf(truth))
+    np.testing.assert_allclose(found["specularColorFactor"], 1.0, atol=0.1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "film"),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from manifold.fit.exports import lobes, openpbr
-from manifold.fit.exports.document import Export, Parameter, defaults
+from manifold.fit.exports.document import Export, Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82, film_over_index_cycles
@@ -21,7 +21,7 @@ PARAMETERS = {
     "Roughness": Parameter(0.5, is_free=True, low=0.02),
     "IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "Specular IOR Level": Parameter(0.5),
-    "Specular Tint": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "Specular Tint": tint_parameter(),
     "Anisotropic": Parameter(0.0),
     "Anisotropic Rotation": Parameter(0.0),
     "Coat Weight": Parameter(0.0, is_free=True),

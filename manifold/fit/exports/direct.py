@@ -20,7 +20,6 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.records import Array
 
 _PAIRS = 512
-_RIDGE = 1e-3  # towards the start, which undetermined parameters keep
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
 _STEP = 1.5e-8  # of differences
@@ -131,6 +130,7 @@ class _Problem:
         entries = [target.entries[name] for name in self._names]
         self._lower, self._upper = np.array([e.low for e in entries]), np.array([e.high for e in entries])
         self._span = self._upper - self._lower
+        self._ridge = np.array([e.ridge for e in entries]) / self._span
         self._begin = np.clip(self._numbers(start), self._lower, self._upper)
 
     def vector(self, values: Mapping[str, Any]) -> Array:
@@ -211,7 +211,7 @@ class _Problem:
 
     def residuals(self, x: Array) -> Array:
         """Return the relative residuals of the criterion, and those of the distance from the start."""
-        return np.concatenate([self._rows(x).ravel(), _RIDGE * (x - self._begin) / self._span])
+        return np.concatenate([self._rows(x).ravel(), self._ridge * (x - self._begin)])
 
     def _rows(self, x: Array) -> Array:
         """Return the relative residuals of the criterion, shape (R, 3)."""
@@ -234,7 +234,7 @@ class _Problem:
             else:
                 channels = np.arange(3)
                 found[:, channels, columns] = moved / step[columns]
-        return np.concatenate([found.reshape(-1, len(x)), np.diag(_RIDGE / self._span)])
+        return np.concatenate([found.reshape(-1, len(x)), np.diag(self._ridge)])
 
     def ball_difference(self, x: Array) -> float:
         """Return the mean CIEDE2000 of the ball, in the light of the fit."""

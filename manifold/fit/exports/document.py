@@ -19,17 +19,31 @@ class Parameter:
         default: of the target; a list of three for a colour.
         is_free: whether a direct fit changes it.
         low, high: the range of direct fits.
+        ridge: weight in direct fits of the distance from the start, which undetermined parameters keep: the relative
+            residual that a step through the whole range must save.
     """
 
     default: Any
     is_free: bool = False
     low: float = 0.0
     high: float = 1.0
+    ridge: float = 1e-3
 
     @property
     def is_share(self) -> bool:
         """Return whether it ranges from 0 to 1; then a fit that comes near an end means that end."""
         return (self.low, self.high) == (0.0, 1.0)
+
+
+_TINT_RIDGE = 0.01
+
+
+def tint_parameter() -> Parameter:
+    """Return the parameter of a specular colour, which a fit moves if the samples support it.
+
+    Little of the light that a fit sees depends on it, but all of the rim in front of a bright background.
+    """
+    return Parameter([1.0, 1.0, 1.0], is_free=True, ridge=_TINT_RIDGE)
 
 
 def defaults(parameters: Mapping[str, Parameter]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.fit.exports import lobes
-from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f0
@@ -24,7 +24,7 @@ PARAMETERS = {
     "roughnessFactor": Parameter(1.0, is_free=True, low=0.02),
     "ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specularFactor": Parameter(1.0),
-    "specularColorFactor": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "specularColorFactor": tint_parameter(),
     "clearcoatFactor": Parameter(0.0, is_free=True),
     "clearcoatRoughnessFactor": Parameter(0.0, is_free=True, low=0.02),
     "sheenColorFactor": Parameter([0.0, 0.0, 0.0], is_free=True),

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from manifold.fit.exports import lobes
-from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, metal, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82_materialx, film_over_index
@@ -22,7 +22,7 @@ PARAMETERS = {
     "base_color": Parameter([0.8, 0.8, 0.8], is_free=True),
     "base_metalness": Parameter(0.0, is_free=True),
     "specular_weight": Parameter(1.0, is_free=True),
-    "specular_color": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "specular_color": tint_parameter(),
     "specular_roughness": Parameter(0.3, is_free=True, low=0.02),
     "specular_ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specular_roughness_anisotropy": Parameter(0.0, low=0.02),

@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.analytic.fresnel import fresnel_conductor
 from manifold.fit.exports import lobes
-from manifold.fit.exports.document import Parameter, defaults
+from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, imageworks_layer, metal, per_pairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.thin_film import film_over_index
@@ -22,7 +22,7 @@ PARAMETERS = {
     "base_color": Parameter([0.8, 0.8, 0.8], is_free=True),
     "metalness": Parameter(0.0, is_free=True),
     "specular": Parameter(1.0, is_free=True),
-    "specular_color": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "specular_color": tint_parameter(),
     "specular_roughness": Parameter(0.2, is_free=True, low=0.02),
     "specular_IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specular_anisotropy": Parameter(0.0),

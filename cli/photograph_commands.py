@@ -60,9 +60,9 @@ class PhotoOptions:
         str | None,
         typer.Option(
             "--exposure",
-            help="Exposure of the pictures relative to the light, or to a white diffuser that faces the lamp; free if "
-            "it is unknown; each if it is unknown and differs between pictures.  [default: 1; free for lamps without a "
-            "grey card]",
+            help="Exposure of the pictures relative to the light, or to a white diffuser that faces the lamp; each if "
+            "it is unknown, with lamps of unknown strength; free if it is unknown and all pictures share it.  "
+            "[default: each for lamps without a grey card, else 1]",
             metavar="E|free|each",
             rich_help_panel=TAKEN,
         ),
@@ -168,7 +168,7 @@ class PhotoOptions:
             for text in given or ()
         ):
             raise UsageError("expected --circle X,Y,R, or --cylinder X,Y,R,H")
-        exposure = self.exposure or ("free" if self.lamp and self.grey is None else "1")
+        exposure = self.exposure or ("each" if self.lamp and self.grey is None else "1")
         try:
             known = None if exposure == "free" or (exposure == "each" and self.grey is None) else 1.0
             if exposure not in ("free", "each"):

@@ -46,7 +46,7 @@ _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _READING = (
     0.01  # weight of a reading, of that of all pixels: errors of pixels are alike, those of readings are not
 )
-_ROUNDS = 3  # rounds of gains and weights in turn
+_ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
 _UNEXPLAINED = 0.03  # residual that noise can make
 _GRID_STRIDE = 7  # one in this many directions of the encoding grid is enough to compare mixtures
 _MODEL_ERROR = 0.05  # standard deviation of cube roots of pixels about the best mixture, relative
@@ -64,26 +64,26 @@ class PhotoMaterial:
     Attributes:
         weights: of atoms in the channels of the camera, shape (3, n).
         to_bands: from channels to the bands of the library, shape (B, 3).
-        exposure: by which the photographs are brighter than light and material say.
-        channels: what was seen in each, under that exposure.
+        exposures: by which each photograph is brighter than light and material say, shape (P,).
+        channels: what was seen in each, under these exposures.
+        evidence: the same as it was seen.
         residual: relative error of cube roots of pixels.
         spread: of the mixtures that explain the pixels, relative, over all directions.
         unlit: what the light cannot tell, in sentences.
         library: in whose cache the calibration is kept, if any.
-        is_exposure_free: whether the exposure was estimated: then that of left-out materials is, too.
         strength: of spots in a clipped light, see `strength_of_spots`; 0 without any.
     """
 
     atoms: LibraryAtoms
     weights: Array
     to_bands: Array
-    exposure: float
+    exposures: Array
     channels: Sequence[Observation]
+    evidence: Evidence
     residual: float
     spread: float
     unlit: tuple[str, ...]
     library: Library | None = None
-    is_exposure_free: bool = False
     strength: float = 0.0
 
     def __repr__(self) -> str:
@@ -99,12 +99,17 @@ class PhotoMaterial:
     def calibration(self) -> Calibration:
         """Errors of the library's materials, left out, in the same pixels."""
         if self.library is None:
-            return calibrated(self.atoms, self.channels, self.is_exposure_free)
+            return calibrated(self.atoms, self.evidence, self.exposures)
         return cached(
             self.library,
-            _cache_key(self.atoms, self.channels, self.library, self.is_exposure_free),
-            lambda: calibrated(self.atoms, self.channels, self.is_exposure_free),
+            _cache_key(self.atoms, self.evidence, self.exposures, self.library),
+            lambda: calibrated(self.atoms, self.evidence, self.exposures),
         )
+
+    @property
+    def exposure(self) -> float:
+        """The geometric mean of the exposures."""
+        return float(np.exp(np.mean(np.log(self.exposures))))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -141,6 +146,7 @@ class PhotoMaterial:
         """Return plain values."""
         known = {
             "exposure": self.exposure,
+            "exposures": self.exposures,
             "residual": self.residual,
             "expected": self.expected,
             "made_of": dict(self.made_of),
@@ -151,6 +157,92 @@ class PhotoMaterial:
 
 Seen = Sighting | Readings | Mapping[float, float]
 """Data on a material: a photograph, readings, or gloss units by angle in degrees."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What cameras and instruments show of a material.
+
+    Attributes:
+        pictures: rows of every picture in each of C channels, as its pixels are.
+        beside: readings and gloss in each channel, if there are any.
+        exposure: by which pictures are brighter than light and material say; None where it is not known.
+        each: whether every picture has an exposure of its own about that.
+    """
+
+    pictures: Sequence[Sequence[Observation]]
+    beside: Sequence[Observation | None]
+    exposure: float | None = 1.0
+    each: bool = False
+
+    @property
+    def has_gains(self) -> bool:
+        """Whether exposures of pictures relative to each other are to be estimated."""
+        return self.each and len(self.pictures) > 1
+
+    def under(self, exposure: float, gains: Array) -> list[Observation]:
+        """Return what is seen in every channel, under an exposure and gains (P,) of the pictures about it."""
+        channels = []
+        for c, other in enumerate(self.beside):
+            rows = Observation.joined(
+                [
+                    picture[c].scaled(exposure * gain)
+                    for picture, gain in zip(self.pictures, gains.tolist(), strict=True)
+                ]
+            )
+            channels.append(rows if other is None else rows.beside(other))
+        return channels
+
+    def of_another(self, own: Indices, exposures: Array) -> Evidence:
+        """Return what these pictures and instruments would show of three atoms `own`, under exposures (P,)."""
+        pictures = [
+            [seen_instead(rows.scaled(at), rows.atoms[k]) for rows, k in zip(picture, own, strict=True)]
+            for picture, at in zip(self.pictures, exposures.tolist(), strict=True)
+        ]
+        beside = [
+            None if rows is None else replace(rows, seen=rows.atoms[k])
+            for rows, k in zip(self.beside, own, strict=True)
+        ]
+        return replace(
+            self, pictures=pictures, beside=beside, exposure=None if self.exposure is None else 1.0
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What explains evidence.
+
+    Attributes:
+        weights: of atoms in every channel, shape (C, n).
+        priors: mixtures of every channel.
+        channels: what was seen in each, under the exposure and gains.
+        exposure: that all pictures have in common.
+        gains: of every picture about that, shape (P,); their geometric mean is 1.
+    """
+
+    weights: Array
+    priors: Sequence[Hypotheses]
+    channels: Sequence[Observation]
+    exposure: float
+    gains: Array
+
+
+def solve(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None = None) -> Solution:
+    """Explain evidence by usable atoms (n,); unknown exposures are part of the estimate."""
+    gains = _first_gains(atoms, evidence)
+    for _ in range(_ROUNDS):
+        exposure = evidence.exposure
+        if exposure is None:
+            exposure = probable_exposure(atoms, evidence, gains, usable)
+        channels = evidence.under(exposure, gains)
+        weights, priors = estimate(atoms, channels, usable)
+        solution = Solution(weights, priors, channels, exposure, gains)
+        if not evidence.has_gains:
+            break
+        gains = _gains(evidence.pictures, weights)
+        if np.abs(np.log(gains / solution.gains)).max() < _SETTLED:
+            break
+    return solution
 
 
 def find_material(
@@ -172,40 +264,40 @@ def find_material(
     sightings = [one for one in seen if isinstance(one, Sighting)]
     sums = [sighting.sums(atoms) for sighting in sightings]
     strength = strength_of_spots(atoms, sightings, sums, exposure) if any(s.spots for s in sightings) else 0.0
-    per_picture = [s.rows(lit + strength * spots) for s, (lit, spots) in zip(sightings, sums, strict=True)]
+    pictures = [s.rows(lit + strength * spots) for s, (lit, spots) in zip(sightings, sums, strict=True)]
     readings = [one for one in seen if isinstance(one, Readings)]
     gloss = {angle: units for one in seen if isinstance(one, Mapping) for angle, units in one.items()}
     gloss = {angle: units for one in readings for angle, units in one.gloss.items()} | gloss
-    gains: Array = np.ones(len(sightings))
-    for last in range(_ROUNDS if each and len(sightings) > 1 else 1):
-        pictures = _joined(per_picture, gains)
-        beside = [
-            Observation.joined([_of_readings(atoms, one, c, rows) for one in readings]) if readings else None
-            for c, rows in enumerate(pictures)
+    channels = range(len(pictures[0]))
+    of_readings: list[Observation | None] = [None for _ in channels]
+    if readings:
+        weight = sum(float(picture[0].weights.sum()) for picture in pictures)
+        of_readings = [
+            Observation.joined([_of_readings(atoms, one, c, weight) for one in readings]) for c in channels
         ]
-        t = probable_exposure(atoms, pictures, beside) if exposure is None else exposure
-        channels = _together(pictures, t, beside)
-        if gloss:
-            made, _ = estimate(atoms, channels)  # photographs say what colour highlights have
-            channels = [
-                rows.beside(of_gloss)
-                for rows, of_gloss in zip(channels, _of_gloss(atoms, gloss, made, pictures[0]), strict=True)
-            ]
-        weights, priors = estimate(atoms, channels)
-        if each and last < _ROUNDS - 1:
-            gains = _gains(per_picture, weights * t)
-    residual, spread = indicators(atoms, channels, weights, priors)
+    evidence = Evidence(pictures, of_readings, exposure, each)
+    solution = solve(atoms, evidence)
+    if gloss:  # photographs say what colour highlights have
+        weight = float(np.mean(solution.channels[0].pixels.weights))
+        of_gloss = _of_gloss(atoms, gloss, solution.weights, weight)
+        beside = [
+            rows if other is None else Observation.joined([other, rows])
+            for rows, other in zip(of_gloss, of_readings, strict=True)
+        ]
+        evidence = replace(evidence, beside=beside)
+        solution = solve(atoms, evidence)
+    residual, spread = indicators(atoms, solution)
     return PhotoMaterial(
         atoms,
-        weights,
+        solution.weights,
         to_bands,
-        t,
-        channels,
+        solution.exposure * solution.gains,
+        solution.channels,
+        evidence,
         residual,
         spread,
         unlit(sightings),
         library,
-        exposure is None,
         strength,
     )
 
@@ -223,11 +315,8 @@ def strength_of_spots(
 
     def off(strength: float) -> float:
         rows = [s.rows(lit + strength * spots) for s, (lit, spots) in zip(sightings, sums, strict=True)]
-        channels = _joined(rows, np.ones(len(rows)))
-        t = exposure or probable_exposure(atoms, channels, [None] * len(channels))
-        channels = [one.scaled(t) for one in channels]
-        weights, _ = estimate(atoms, channels)
-        return float(np.mean([one.relative.error(w) ** 2 for one, w in zip(channels, weights, strict=True)]))
+        solution = solve(atoms, Evidence(rows, [None] * len(rows[0]), exposure))
+        return float(np.mean(_residuals(solution) ** 2))
 
     tried = np.append(0.0, _STRENGTHS)
     best = float(tried[np.argmin([off(s) for s in tried])])
@@ -235,14 +324,21 @@ def strength_of_spots(
     return float(finer[np.argmin([off(s) for s in finer])]) if best else 0.0
 
 
-def _joined(per_picture: Sequence[Sequence[Observation]], gains: Array) -> list[Observation]:
-    """Join the rows of all pictures, divided by their gains (P,), channel by channel."""
-    return [
-        Observation.joined(
-            [rows[c].scaled(float(gain)) for rows, gain in zip(per_picture, gains, strict=True)]
-        )
-        for c in range(len(per_picture[0]))
-    ]
+def _first_gains(atoms: LibraryAtoms, evidence: Evidence) -> Array:
+    """Return relative exposures of pictures (P,) if they showed a grey ball; their geometric mean is 1."""
+    if not evidence.has_gains:
+        return np.ones(len(evidence.pictures))
+    grey, gains = atoms.mixed[-1], []
+    for picture in evidence.pictures:
+        seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in picture)
+        gains.append(seen / max(sum(float(rows.weights @ rows.atoms[grey]) for rows in picture), LEAST))
+    return _relative(np.array(gains))
+
+
+def _relative(gains: Array) -> Array:
+    """Divide gains (P,) by their geometric mean."""
+    logs = np.log(np.maximum(gains, np.finfo(float).tiny))
+    return np.asarray(np.exp(logs - logs.mean()))
 
 
 def _gains(per_picture: Sequence[Sequence[Observation]], weights: Array) -> Array:
@@ -256,29 +352,18 @@ def _gains(per_picture: Sequence[Sequence[Observation]], weights: Array) -> Arra
             products += float(np.sum(one.weights[used] * made[used] * seen[used]))
             squares += float(np.sum(one.weights[used] * made[used] ** 2))
         gains.append((products / max(squares, np.finfo(float).tiny)) ** 3)
-    logs = np.log(np.maximum(gains, np.finfo(float).tiny))
-    return np.asarray(np.exp(logs - logs.mean()))
+    return _relative(np.array(gains))
 
 
-def _together(
-    pictures: Sequence[Observation], exposure: float, beside: Sequence[Observation | None]
-) -> list[Observation]:
-    """Join photographs under an exposure with the other observations in every channel."""
-    return [
-        rows.scaled(exposure) if other is None else rows.scaled(exposure).beside(other)
-        for rows, other in zip(pictures, beside, strict=True)
-    ]
-
-
-def _of_readings(atoms: LibraryAtoms, readings: Readings, channel: int, pixels: Observation) -> Observation:
-    """Return readings of one channel beside pixels; each counts as much as a hundredth of these.
+def _of_readings(atoms: LibraryAtoms, readings: Readings, channel: int, of_pixels: float) -> Observation:
+    """Return readings of one channel; each counts as much as a hundredth of pixels, whose weights have a sum.
 
     They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
     """
     is_read = np.isfinite(readings.values[:, channel]) & (readings.weights > 0.0)
     wi, wo = readings.wi[is_read], readings.wo[is_read]
     weights = readings.weights[is_read]
-    weights = weights * pixels.weights.sum() * _READING / max(weights.mean(), np.finfo(float).tiny)
+    weights = weights * of_pixels * _READING / max(weights.mean(), np.finfo(float).tiny)
     seen = np.maximum(readings.values[is_read, channel], 0.0)
     scale = cosine_weight(wi, wo) * np.pi
     scale /= np.maximum(scale * seen, 1.0)
@@ -286,14 +371,14 @@ def _of_readings(atoms: LibraryAtoms, readings: Readings, channel: int, pixels: 
 
 
 def _of_gloss(
-    atoms: LibraryAtoms, gloss: Mapping[float, float], made: Array, pixels: Observation
+    atoms: LibraryAtoms, gloss: Mapping[float, float], made: Array, weight: float
 ) -> list[Observation]:
-    """Return gloss in every channel, of the colour that weights (3, n) give it; each counts as much as a reading."""
+    """Return gloss of some weight in every channel, of the colour that weights (3, n) give it."""
     means, unit = atoms.gloss(tuple(gloss)), np.array([value_of_unit(angle) for angle in gloss])
     read = unit * list(gloss.values())
     of_channels = np.maximum(made @ means, np.finfo(float).tiny)
     seen = read * of_channels / luminance(of_channels.T, Bands(None))
-    weights = np.full(len(read), pixels.weights.mean())
+    weights = np.full(len(read), weight)
     scale = 1.0 / np.maximum(seen, unit)
     return [
         Observation(means * k, row * k, weights, np.zeros(len(row), bool))
@@ -302,18 +387,16 @@ def _of_gloss(
 
 
 def probable_exposure(
-    atoms: LibraryAtoms,
-    pictures: Sequence[Observation],
-    beside: Sequence[Observation | None],
-    usable: Mask | None = None,
+    atoms: LibraryAtoms, evidence: Evidence, gains: Array, usable: Mask | None = None
 ) -> float:
-    """Return the exposure at which the library's usable materials (n,) best explain the observations.
+    """Return the exposure at which the library's usable materials (n,) best explain evidence under gains (P,).
 
     It is the posterior mean of its logarithm. The prior is that of how bright they are in these pixels, none brighter
     than white. The ratio of highlights to what is beside them says the rest, and counts little: many mixtures have it.
     """
     every = np.ones(len(atoms), bool) if usable is None else usable
     grey, n = atoms.mixed[-1], atoms.n_measured
+    pictures = [rows.pixels for rows in evidence.under(1.0, gains)]
     seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in pictures)
     of_atoms = np.sum([rows.atoms @ rows.weights for rows in pictures], axis=0)
     lit = float(of_atoms[grey])
@@ -324,40 +407,38 @@ def probable_exposure(
     prior -= 0.5 * (np.maximum(log_albedo, 0.0) / _WHITE) ** 2
     log = np.array(
         [
-            sum(pixel_posterior(atoms, rows, every).evidence for rows in _together(pictures, t, beside))
+            sum(pixel_posterior(atoms, rows, every).evidence for rows in evidence.under(t, gains))
             for t in tried
         ]
     )
-    log = prior + (log if any(other is not None for other in beside) else _TEMPERED * log)
+    log = prior + (log if any(other is not None for other in evidence.beside) else _TEMPERED * log)
     return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
 
 
-def indicators(
-    atoms: LibraryAtoms, channels: Sequence[Observation], weights: Array, priors: Sequence[Hypotheses]
-) -> Array:
+def _residuals(solution: Solution) -> Array:
+    """Return the relative error of every channel, (C,)."""
+    return np.array(
+        [rows.relative.error(w) for rows, w in zip(solution.channels, solution.weights, strict=True)]
+    )
+
+
+def indicators(atoms: LibraryAtoms, solution: Solution) -> Array:
     """Return residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
-    residuals = [rows.relative.error(w) for rows, w in zip(channels, weights, strict=True)]
     grid = atoms.on_grid[:, ::_GRID_STRIDE]
-    spreads = [prior.spread(np.cbrt(prior.weights @ grid)) for prior in priors]
-    return np.sqrt(np.mean(np.square([residuals, spreads]), axis=1))
+    spreads = [prior.spread(np.cbrt(prior.weights @ grid)) for prior in solution.priors]
+    return np.sqrt(np.mean(np.square([_residuals(solution), spreads]), axis=1))
 
 
-def calibrated(
-    atoms: LibraryAtoms, channels: Sequence[Observation], is_exposure_free: bool = False
-) -> Calibration:
+def calibrated(atoms: LibraryAtoms, evidence: Evidence, exposures: Array) -> Calibration:
     """Measure errors of the library's materials, each estimated from the others in the same pixels and light.
 
-    Where the exposure is free, pixels alone say theirs, as they say that of the photographs.
+    Exposures (P,) are those of the photographs: what was not known of these is not known of left-out materials.
     """
 
     def method(m: int) -> tuple[Errors[float], Array]:
         own = channel_atoms(atoms, m)
-        rows = [seen_instead(rows, rows.atoms[k]) for rows, k in zip(channels, own, strict=True)]
-        if is_exposure_free and not any(one.n_beside for one in rows):
-            t = probable_exposure(atoms, rows, [None] * len(rows), atoms.material_of != m)
-            rows = [one.scaled(t) for one in rows]
-        weights, priors = estimate(atoms, rows, atoms.material_of != m)
-        return errors_of(atoms, own, weights), indicators(atoms, rows, weights, priors)
+        solution = solve(atoms, evidence.of_another(own, exposures), atoms.material_of != m)
+        return errors_of(atoms, own, solution.weights), indicators(atoms, solution)
 
     return Calibration.leave_out(method, evenly_spaced(len(atoms.names), _LEFT_OUT).tolist())
 
@@ -371,15 +452,18 @@ def channel_atoms(atoms: LibraryAtoms, material: int) -> Indices:
     return material * axis.count + np.array([np.abs(np.subtract(nm, at)).argmin() for at in _CHANNELS_NM])
 
 
-def _cache_key(
-    atoms: LibraryAtoms, channels: Sequence[Observation], library: Library, is_exposure_free: bool
-) -> str:
+def _cache_key(atoms: LibraryAtoms, evidence: Evidence, exposures: Array, library: Library) -> str:
     """Return a hash of all that a calibration depends on: the library, the pixels' weights of it, this program."""
+    unknown = evidence.exposure is None, evidence.has_gains
     digest = hashlib.sha256(
-        f"photo in lights {__version__} {library.content_hash} {atoms.coats} {is_exposure_free}".encode()
+        f"photo in lights {__version__} {library.content_hash} {atoms.coats} {unknown}".encode()
     )
-    for rows in channels:
-        for array in (rows.atoms, rows.weights, np.array(_clipping(rows))):
+    for exposure, picture in zip(exposures.tolist(), evidence.pictures, strict=True):
+        for rows in picture:
+            for array in (rows.atoms, rows.weights, np.array(_clipping(rows) / exposure)):
+                digest.update(array.tobytes())
+    for other in evidence.beside:
+        for array in () if other is None else (other.atoms, other.weights):
             digest.update(array.tobytes())
     return digest.hexdigest()
 

@@ -96,7 +96,7 @@ class FromPhotographs:
         rows |= {
             "expected error": material.expected.words,
             "residual of pixels": f"{100 * material.residual:.1f} % in cube roots",
-            "exposure": f"{material.exposure:.3g}",
+            "exposure": ", ".join(dict.fromkeys(f"{at:.3g}" for at in material.exposures)),
             "made of": [f"{name} {share:.2f}" for name, share in material.made_of],
         }
         if self.plausibility is not None:
@@ -319,7 +319,7 @@ def draw_residuals(
     """
     known = exposure or 1.0
     seen, predicted, errors = [], [], []
-    for ball in balls:
+    for ball, of_picture in zip(balls, material.exposures.tolist(), strict=True):
         crop = _cropped(ball.photograph.values, ball.circle) / known
         clipped = (
             _cropped(ball.photograph.is_clipped[..., None].astype(np.float32), ball.circle)[..., 0] > 0.0
@@ -334,7 +334,7 @@ def draw_residuals(
                 file, material.atoms.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
                 turn_deg=camera.turn_deg, elevation_deg=camera.elevation_deg, distance=camera.distance,
             )  # fmt: skip
-        made = made * (material.exposure / known)
+        made = made * (of_picture / known)
         shown = [encode_srgb(np.nan_to_num(each)) for each in (crop, made)]
         across = (1.0 + _MARGIN) * (2.0 * (np.arange(_SIZE) + 0.5) / _SIZE - 1.0)
         compared = np.hypot(across, across[:, None]) < 0.97

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.photograph_commands import PhotoOptions
 from manifold.analytic.diffuse import RoughDiffuse
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
@@ -26,7 +27,7 @@ from manifold.estimate.lamps import (
 )
 from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
-from manifold.estimate.photo_material import strength_of_spots
+from manifold.estimate.photo_material import find_material, strength_of_spots
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, Sighting, see
 from manifold.io_rgl import read_bsdf
@@ -237,6 +238,32 @@ def test_a_ball_lit_from_one_side_keeps_its_outline_or_it_is_doubted():
         best, *_ = outlines_in([photograph(direction)])
         off = np.hypot(best.circle.x - CIRCLE.x, best.circle.y - CIRCLE.y) / CIRCLE.radius
         assert off < 0.02 or best.notes
+
+
+def sightings_of(directions, gains):
+    return [
+        Sighting(blocks_of(photograph(d, g), CIRCLE), Camera(), (Lamp.towards(d),))
+        for d, g in zip(directions, gains, strict=True)
+    ]
+
+
+def test_strengths_of_lamps_are_estimated_with_the_material(photo_atoms):
+    gains = [1.0, 0.25, 0.5]
+    seen = sightings_of(DIRECTIONS, gains)
+    found = find_material(photo_atoms, seen, np.eye(3), exposure=None, each=True)
+    np.testing.assert_allclose(found.exposures / found.exposures[0], gains, rtol=0.1)
+    assert found.residual < 0.02  # 0.1 if they share an exposure
+
+
+def test_lamps_have_unknown_strengths_unless_a_card_or_an_exposure_says_more():
+    def exposures(**given):
+        request = PhotoOptions(lamp=["found"], **given).request_of([Path("a.png"), Path("b.png")])
+        return request.exposure, request.each
+
+    assert exposures() == (None, True)
+    assert exposures(exposure="free") == (None, False)
+    assert exposures(exposure="2") == (2.0, False)
+    assert exposures(grey="1,1,8,8,0.18") == (1.0, False)
 
 
 # -- mirror balls -----------------------------------------------------------------------------------------------------

@@ -11,8 +11,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -23,21 +26,22 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.evaluate.baselines import fit_linear, fit_nearest, fit_pca
 from manifold.evaluate.cross_validation import Encode
-from manifold.evaluate.errors import PredictionErrors
 from manifold.evaluate.method_data import Data, band_shares
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.io_rgl import read_bsdf
-from manifold.mapping import MAPPINGS, CubeRoot, ValueMapping
+from manifold.mapping import CubeRoot, Identity, ValueMapping
+from manifold.metrics import cube_root_error
 from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
-from manifold.model.combination import Combination
+from manifold.model.combination import Combination, evaluate
 from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
 from manifold.model.materials import MaterialTable
 from manifold.model.settings import Settings
 from manifold.records import Array, Indices
 
 _STARTS, _EVALUATIONS = 3, 120
+KINDS = ("ball", "cube_root", "eq_22")
 Weights = Callable[[Array], Array]
 
 
@@ -150,7 +154,7 @@ def of_blend(kind: str) -> Callable[[Data, Indices], Encode]:
     return fit
 
 
-RAW, ROOT = MAPPINGS["identity"], CubeRoot()
+RAW, ROOT = Identity(), CubeRoot()
 ROWS: dict[str, tuple[Callable[[int], int], Callable[[Data, Indices], Encode]]] = {
     "nearest": (lambda B: 1, fit_nearest),
     "after": (lambda B: 2, of_process(RAW, "dls", False)),
@@ -168,13 +172,27 @@ ROWS: dict[str, tuple[Callable[[int], int], Callable[[Data, Indices], Encode]]] 
 }
 
 
+def summary(each: dict[str, list[float]]) -> dict[str, list[float]]:
+    """Median and 90th percentile of every error over materials."""
+    return {
+        kind: [float(np.median(of)), float(np.percentile(of, 90))]
+        for kind, of in zip(KINDS, np.array(list(each.values())).T, strict=True)
+    }
+
+
 def main() -> None:
-    """Print and keep a row per method."""
+    """Print and keep a row per method; materials that the file of results has already are kept."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--every", type=int, default=1, metavar="K", help="leave out each K-th material")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=np.inf,
+        help="processor seconds after which to stop; run again to continue",
+    )
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     paths = sorted(asked.folder.glob("*.bsdf"))
@@ -183,25 +201,32 @@ def main() -> None:
     balls = MaterialTable(materials, data.bands)
     every = np.arange(len(materials))
     left_out = every[:: asked.every]
-    result: dict[str, object] = {
+    result: dict[str, Any] = {
         "materials": len(materials), "left_out": len(left_out), "bands": data.n_bands,
     }  # fmt: skip
-    for key, (numbers, fit) in ROWS.items():
-        made = [Combination(ROOT, np.eye(len(every))[i]) for i in every]
-        for i in left_out:
-            made[i] = fit(data, np.delete(every, i))(int(i))
-        errors = PredictionErrors([one.in_bands(data.bands) for one in made])
-        for block in data.blocks():
-            errors.add(block)
-        values = errors.of_values(GRID.n_pairs, band_shares(data.bands, data.n_bands))
-        looks = balls.looks(made)
-        result[key] = {"numbers": numbers(data.n_bands)} | {
-            name: [float(np.median(of[left_out])), float(np.percentile(of[left_out], 90))]
-            for name, of in (("ball", looks.ball), ("cube_root", values.cube_root), ("eq_22", values.rmse))
-        }
-        print(key, result[key], flush=True)
+    kept = json.loads(asked.json.read_text()) if asked.json and asked.json.exists() else {}
+    errors: dict[str, dict[str, list[float]]] = {key: kept.get(key, {}).get("each", {}) for key in ROWS}
+    shares = band_shares(data.bands, data.n_bands)
+    for i in left_out.tolist():
+        name = materials[i].name
+        if all(name in each for each in errors.values()):
+            continue
+        if time.process_time() > asked.seconds:
+            sys.exit("stopped; run again to continue")
+        for key, (_, fit) in ROWS.items():
+            here = [fit(data, np.delete(every, i))(i).in_bands(data.bands)]
+            f = evaluate(here, data)[0]
+            look = balls.look(i, evaluate(here, balls.on_ball)[0])
+            eq_22 = np.sqrt(np.sum(shares * (f - data.f[i]) ** 2) / GRID.n_pairs)
+            errors[key][name] = [look.ball, cube_root_error(data.f[i], f, data.cosines), float(eq_22)]
+        for key, (numbers, _) in ROWS.items():
+            each = errors[key]
+            result[key] = {"numbers": numbers(data.n_bands)} | summary(each) | {"each": each}
+        print(name, {key: round(each[name][0], 1) for key, each in errors.items()}, flush=True)
         if asked.json:
             asked.json.write_text(json.dumps(result, indent=1) + "\n")
+    for key in ROWS:
+        print(key, {what: of for what, of in result.get(key, kept.get(key)).items() if what != "each"})
 
 
 if __name__ == "__main__":

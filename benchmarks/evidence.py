@@ -74,7 +74,7 @@ CHARTED = (
 
 RESULTS = {
     "letter": Result("bench_letter.py FILES", (*_GPLVM, "model/fitting.py"), 3),
-    "fair": Result("bench_fair.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS), 3),
+    "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS), 3),
     "fair_corpus": Result("bench_fair.py CORPUS --every 5", (*_GPLVM, *_BLEND, *_LIGHTS), 10),
     "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic"), 5),
     "spectral": Result("bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS), 2),
@@ -110,6 +110,8 @@ RESULTS = {
     "fluorescent": Result("fluorescent_light.py", ("colour/illuminants.py",)),
     "scale": Result("bench_scale.py --sizes 50,150,500,1500,5000", ("model/landmarks.py", "model/blend_fitting.py")),
     "cluster": Result("bench_cluster.py", ("cluster.py", "work.py", "batch.py")),
+    "gplvm": Result("bench_gplvm.py", _GPLVM),
+    "prediction": Result("bench_prediction.py", ("model/prediction.py",)),
     "commands": Result("bench_commands.py FILES", ()),
     "engines": Result("make engines", ("fit/exports",)),
 }  # fmt: skip

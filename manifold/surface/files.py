@@ -201,7 +201,7 @@ def write_surface(
             exports = write_exports(paths, textures, flakes, targets, cut)
             write_image(paths["picture"], drawn.result())
         written |= {"mean", "picture"}.union(*(_kinds_of(target, flakes) for target in exports))
-    notes = (*_notes(pictures, surface, sparkle, completed), *_cut_notes(cut))
+    notes = (*textures.notes, *_notes(pictures, surface, sparkle, completed), *_cut_notes(cut))
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(

@@ -1,35 +1,39 @@
-"""Textures of any size from one sample: without seams, and without a repetition that the eye finds.
-
-Tiles at random offsets are blended such that every pixel keeps the sample's distribution of values: they are first
-mapped to a normal distribution, channel by channel, blended with weights that keep its variance, and mapped back.
-Source: Heitz & Neyret 2018, High-performance by-example noise using a histogram-preserving blending operator; on a
-square grid that closes on itself, so that the texture repeats without a seam.
-"""
+"""Textures of any size from one sample: without seams, and with as many marks as the sample has."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, gaussian_filter, label
-from scipy.special import ndtr, ndtri
+from scipy.ndimage import (
+    binary_dilation,
+    binary_opening,
+    center_of_mass,
+    distance_transform_edt,
+    find_objects,
+    gaussian_filter,
+    label,
+)
 
 from manifold.errors import UsageError
 from manifold.records import Array, Indices, Mask
 from manifold.surface.estimate import Surface
+from manifold.surface.quilting import quilt
 
-_CELL_PX = 96  # of the grid; a tile spans two cells
-_MOST_SIZE = 8192
+_LEAST_SIZE, _MOST_SIZE = 192, 8192
 _MOST_EDGE = 0.125  # of a side, that may be cropped
 _EDGE_DIFFERENCE = (
     0.12  # of a row's or column's median brightness from the sample's: a shadow of the aperture
 )
 _DUST = 6.0  # robust standard deviations of smoothed colour
+_ALIKE = 4.0  # of spots that are compared with dust
 _DUST_PX = 2.0  # standard deviation of that smoothing
 _LEAST_DUST_PX = 12  # area
-_QUANTILES = 1025  # of the distribution, evenly spaced in standard deviations
-_OFFSETS = 16  # random offsets of a tile, of which the one with the least dust is taken
+_FEW = 3  # spots of a colour, fewer than which do not tell how frequent they are
+_SAME_DIRECTION, _SAME_STRENGTH = 0.9, 0.4  # of differences from the sample's colour: cosine, and ratio
+_HEALED_PX = 4  # around dust, in which what replaces it is blended
+_LEAST_STD = 1e-12  # of a channel, which may be constant
+_PLACES = 64  # random places, of which the one most alike replaces dust
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +44,13 @@ class Textures:
         albedo: relative to the mean, shape (S, S, 3), above 0, of mean 1.
         slope: x and y components of the normal over its z component; rows run against y; shape (S, S, 2).
         height: in pixels, of mean 0, shape (S, S).
+        notes: what of the sample is left out, in sentences.
     """
 
     albedo: Array
     slope: Array
     height: Array
+    notes: tuple[str, ...] = ()
 
     def cut_share(self, mean: Array) -> float:
         """Return the share of points that are cut where the albedo of a mean colour (3,) exceeds 1 in a channel."""
@@ -63,13 +69,13 @@ def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
     Args:
         surface: the sample; its edges may differ in brightness.
         size: pixels of a side.
-        seed: of the random offsets.
+        seed: of the random places of patches.
 
     Raises:
         UsageError: the size is less than two cells of the grid, or more than 8192.
     """
-    if not 2 * _CELL_PX <= size <= _MOST_SIZE:
-        raise UsageError(f"found a texture of {size} pixels, expected {2 * _CELL_PX} to {_MOST_SIZE}")
+    if not _LEAST_SIZE <= size <= _MOST_SIZE:
+        raise UsageError(f"found a texture of {size} pixels, expected {_LEAST_SIZE} to {_MOST_SIZE}")
     rows, columns = uncropped(surface.albedo)
     logs = np.log(surface.albedo[rows, columns])
     dust = dust_in(logs)
@@ -80,7 +86,35 @@ def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
     albedo = np.exp(blended[..., :3] @ axes.T)
     slope = blended[..., 3:] - blended[..., 3:].mean(axis=(0, 1))
     height = _integrated_periodic(slope)
-    return Textures(albedo / albedo.mean(axis=(0, 1)), slope, height)
+    return Textures(
+        albedo / albedo.mean(axis=(0, 1)), slope, height, _left_out(surface.albedo, rows, columns, dust)
+    )
+
+
+def _left_out(albedo: Array, rows: slice, columns: slice, dust: Mask) -> tuple[str, ...]:
+    """Return notes about the parts of a sample (H, W, 3) that textures do not show."""
+    h, w = albedo.shape[:2]
+    notes: tuple[str, ...] = ()
+    if dust.size < h * w:
+        edges = (columns.start, w - columns.stop, rows.start, h - rows.stop)
+        sides = [
+            f"{n} at the {side}"
+            for n, side in zip(edges, ("left", "right", "top", "bottom"), strict=True)
+            if n
+        ]
+        notes += (f"edges of another brightness are left out: {', '.join(sides)} (pixels)",)
+    labels, count = label(dust)
+    if count:
+        places = [
+            f"{column + columns.start:.0f}, {row + rows.start:.0f}"
+            for row, column in center_of_mass(dust, labels, range(1, min(count, _FEW) + 1))
+        ]
+        more = ", ..." if count > _FEW else ""
+        notes += (
+            f"left out as dust, because too few spots have this colour: {100.0 * dust.mean():.2g} % of the sample, at "
+            f"column and row {'; '.join(places)}{more}",
+        )
+    return notes
 
 
 def uncropped(albedo: Array) -> tuple[slice, slice]:
@@ -88,84 +122,87 @@ def uncropped(albedo: Array) -> tuple[slice, slice]:
     grey = albedo.mean(axis=-1)
     kept = []
     for axis in range(2):
-        lines = np.abs(np.median(grey, axis=1 - axis) / np.median(grey) - 1.0) > _EDGE_DIFFERENCE
-        most = int(_MOST_EDGE * len(lines))
-        first, last = (1 + max(np.flatnonzero(edge[:most]), default=-1) for edge in (lines, lines[::-1]))
-        kept.append(slice(int(first), len(lines) - int(last)))
+        differs = np.abs(np.median(grey, axis=1 - axis) / np.median(grey) - 1.0) > _EDGE_DIFFERENCE
+        # Single lines differ by chance: a shadow has a width.
+        is_shaded = binary_opening(np.pad(differs, 1, mode="edge"), np.ones(3))[1:-1]
+        most = int(_MOST_EDGE * len(differs))
+        first, last = (
+            1 + max(np.flatnonzero(edge[:most]), default=-1) for edge in (is_shaded, is_shaded[::-1])
+        )
+        kept.append(slice(int(first), len(differs) - int(last)))
     return kept[0], kept[1]
 
 
 def dust_in(logs: Array) -> Mask:
-    """Return a mask (H, W) of spots of another colour with their surroundings, from logs of colours (H, W, 3)."""
+    """Return a mask (H, W) of spots of a colour that the sample has nowhere else, from logs of colours (H, W, 3).
+
+    A colour of three spots or more belongs to the sample: fewer spots do not tell how frequent they are. The mask
+    includes the two pixels around each spot.
+    """
     smooth = gaussian_filter(logs, (_DUST_PX, _DUST_PX, 0.0))
-    from_median = np.abs(smooth - np.median(smooth, axis=(0, 1)))
-    spread = 1.4826 * np.median(from_median, axis=(0, 1)) + 0.01
-    labels, _ = label(np.any(from_median > _DUST * spread, axis=-1))
-    is_large = np.bincount(labels.ravel()) >= _LEAST_DUST_PX
-    is_large[0] = False
-    return np.asarray(binary_dilation(is_large[labels], iterations=2))
+    from_median = smooth - np.median(smooth, axis=(0, 1))
+    from_median /= 1.4826 * np.median(np.abs(from_median), axis=(0, 1)) + 0.01
+    labels, spots, colours = _spots(from_median, _DUST)
+    _, _, others = _spots(from_median, _ALIKE)
+    strength = np.linalg.norm(colours, axis=1, keepdims=True)
+    along = (colours / strength) @ others.T  # [spot, other]
+    is_alike = (along > _SAME_STRENGTH * strength) & (
+        along > _SAME_DIRECTION * np.linalg.norm(others, axis=1)
+    )
+    dust = np.isin(labels, spots[np.sum(is_alike, axis=1) < _FEW])
+    return np.asarray(binary_dilation(dust, iterations=2)) if dust.any() else dust
+
+
+def _spots(differences: Array, threshold: float) -> tuple[Indices, Indices, Array]:
+    """Return labels of connected pixels that differ (H, W), those of spots (N,), and their mean differences (N, 3)."""
+    labels, _ = label(np.any(np.abs(differences) > threshold, axis=-1))
+    areas = np.bincount(labels.ravel())
+    areas[0] = 0
+    spots = np.flatnonzero(areas >= _LEAST_DUST_PX)
+    sums = [np.bincount(labels.ravel(), channel.ravel()) for channel in np.moveaxis(differences, -1, 0)]
+    return labels, spots, np.stack(sums, axis=-1)[spots] / areas[spots, None]
 
 
 def blend(sample: Array, size: int, rng: np.random.Generator, *, avoided: Mask | None = None) -> Array:
-    """Return a periodic texture whose values are distributed like those of a sample.
+    """Return a periodic texture in which all parts of a sample are used about equally often.
 
     Args:
         sample: shape (H, W, C).
         size: pixels of a side.
-        rng: draws the offsets.
-        avoided: pixels of the sample that tiles avoid where they can, and whose values are not the sample's, (H, W).
+        rng: draws the places of patches.
+        avoided: pixels of the sample that are replaced by others, shape (H, W).
 
     Returns:
         Values, shape (size, size, C).
+
+    Raises:
+        UsageError: the sample is too small.
     """
     avoided = np.full(sample.shape[:2], False) if avoided is None else avoided
-    h, w, _ = sample.shape
-    gaussian, back = _to_gaussian(sample, ~avoided)
-    cells = max(2, round(size / _CELL_PX))
-    edges = np.round(np.linspace(0.0, size, cells + 1)).astype(int)
-    span = int(2 * np.max(np.diff(edges)))
-    if span > min(h, w):
-        raise UsageError(f"found a sample of {w} x {h} pixels, expected at least {span} each way")
-    made = np.zeros((size, size, sample.shape[2]))
-    power = np.zeros((size, size))
-    for row in range(cells):
-        for column in range(cells):
-            rows, weight_rows = _tent(edges, row, size)
-            columns, weight_columns = _tent(edges, column, size)
-            offsets = zip(
-                rng.integers(0, h - len(rows) + 1, _OFFSETS),
-                rng.integers(0, w - len(columns) + 1, _OFFSETS),
-                strict=True,
-            )
-            top, left = min(
-                offsets, key=lambda o: np.sum(avoided[o[0] : o[0] + len(rows), o[1] : o[1] + len(columns)])
-            )
-            weight = weight_rows[:, None] * weight_columns
-            at = np.ix_(rows, columns)
-            made[at] += weight[..., None] * gaussian[top : top + len(rows), left : left + len(columns)]
-            power[at] += weight**2
-    return back(made / np.sqrt(power)[..., None])
+    mean, std = sample[~avoided].mean(axis=0), sample[~avoided].std(axis=0)
+    healed = _healed((sample - mean) / np.maximum(std, _LEAST_STD), avoided, rng)
+    return np.asarray(mean + std * quilt(healed, size, rng).blended(healed))
 
 
-def _tent(edges: Indices, cell: int, size: int) -> tuple[Indices, Array]:
-    """Return indices, modulo the size, and weights of a tile that rises over one cell and falls over the next."""
-    rise, fall = edges[cell + 1] - edges[cell], np.diff(edges)[(cell + 1) % (len(edges) - 1)]
-    indices = (edges[cell] + np.arange(rise + fall)) % size
-    return indices, np.concatenate([(np.arange(rise) + 0.5) / rise, 1.0 - (np.arange(fall) + 0.5) / fall])
-
-
-def _to_gaussian(sample: Array, counted: Mask) -> tuple[Array, Callable[[Array], Array]]:
-    """Return a sample whose channels are normally distributed over counted pixels, and the inverse function."""
-    ordered = np.sort(sample[counted], axis=0)
-    ranks = ndtri(0.5 / len(ordered)) * np.linspace(1.0, -1.0, _QUANTILES)
-    at = np.round(len(ordered) * ndtr(ranks) - 0.5).astype(int)
-    quantiles = ordered[at]
-
-    def mapped(values: Array, forth: bool) -> Array:
-        tables = [(own, ranks) if forth else (ranks, own) for own in quantiles.T]
-        return np.stack([np.interp(values[..., c], *table) for c, table in enumerate(tables)], axis=-1)
-
-    return mapped(sample, True), lambda values: mapped(values, False)
+def _healed(values: Array, avoided: Mask, rng: np.random.Generator) -> Array:
+    """Return values (H, W, C) whose avoided pixels (H, W) are replaced by others of the sample that fit around them."""
+    healed = values.copy()
+    for box in find_objects(label(binary_dilation(avoided, iterations=_HEALED_PX))[0]):
+        is_bad = avoided[box]
+        height, width = is_bad.shape
+        tops = rng.integers(0, len(values) - height + 1, _PLACES).tolist()
+        lefts = rng.integers(0, values.shape[1] - width + 1, _PLACES).tolist()
+        places = [
+            np.s_[top : top + height, left : left + width] for top, left in zip(tops, lefts, strict=True)
+        ]
+        best = min(
+            places,
+            key=lambda place: (np.sum(avoided[place]), np.mean((values[place] - values[box])[~is_bad] ** 2)),
+        )
+        distance = distance_transform_edt(~is_bad)
+        weight = np.clip(1.0 - distance / _HEALED_PX, 0.0, 1.0)[..., None]
+        healed[box] += weight * (values[best] - healed[box])
+    return healed
 
 
 def _integrated_periodic(slope: Array) -> Array:

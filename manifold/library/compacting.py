@@ -24,7 +24,7 @@ from manifold.library.identity import (
     present_arrays,
     require_tolerance,
 )
-from manifold.library.layout import COEFFICIENTS, TABLES, open_group
+from manifold.library.layout import COEFFICIENTS, TABLES, read_attributes
 from manifold.library.staging import write_material
 from manifold.library.store import Library, read_material
 from manifold.metrics import BALL, cube_root_error
@@ -80,9 +80,8 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
     file = library.read(info.name)
     compact = encode(file, tolerance)
     write_material(staged, file, info.source_file, info.sha256, compact)
-    written = open_group(staged)
-    expected = info_of(info.name, written.attrs)
-    _, found = read_material(written, expected, is_rgb=library.bands.is_rgb)
+    expected = info_of(info.name, read_attributes(staged))
+    _, found = read_material(staged, expected, is_rgb=library.bands.is_rgb)
     if found != expected.content_sha256:
         raise LibraryError(f"{info.name}: was not written as it should be; check the disk, and try again")
     staging.supplant(staged, folder)

@@ -127,7 +127,7 @@ def describe(
 
 def present_arrays(file: BsdfFile) -> dict[str, Array]:
     """Return the array fields that a file has: an RGB file has no `wavelengths_nm`."""
-    from manifold.library.layout import FIELDS  # which imports zarr
+    from manifold.library.layout import FIELDS
 
     return {name: getattr(file, name) for name in FIELDS if getattr(file, name) is not None}
 

@@ -13,7 +13,8 @@
 
 `docs/explanation/storage-and-rendering.md` says why the chunks are what they are.
 
-What zarr would trust in the files of others is checked first: sizes and codecs, and that no chunk is missing.
+Arrays are written by zarr, and read by NumPy in those forms that are written here: zarr takes longer to import and to
+read than a prediction to compute. Files of others are checked first: sizes, codecs, and that no chunk is missing.
 """
 
 from __future__ import annotations
@@ -21,15 +22,13 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
-from numcodecs.blosc import Blosc
-from zarr.codecs import BloscCodec
+from numpy.typing import NDArray
 
 from manifold.records import RGB_NAMES, AnyArray, Array, Bands
 
@@ -103,20 +102,25 @@ def root_attributes(bands: Bands) -> dict[str, Any]:
 
 _MOST_METADATA = 16 << 20  # bytes
 _MOST_ARRAY = 4 << 30  # bytes
-# By default every chunk of a shard is a task of its own, which takes several times as long.
-zarr.config.set({"codec_pipeline.batch_size": 1024})
-_PLAIN = (["BytesCodec"], ["ShardingCodec", "BytesCodec", "BytesCodec", "Crc32cCodec"])
-_COMPRESSED = ["BytesCodec", "BloscCodec"]
-_BLOSC_HEADER = 16  # bytes
+_BLOSC_HEADER, _CHECKSUM = 16, 4  # bytes
+_KINDS = frozenset(
+    [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)] + ["float16", "float32", "float64"]
+)
+_DOTS = {"name": "default", "configuration": {"separator": "."}}
 
 
 def write_group(folder: Path, attributes: dict[str, Any]) -> None:
     """Make a folder that is a group."""
+    import zarr
+
     zarr.create_group(folder, zarr_format=3, attributes=attributes)
 
 
 def write_array(folder: Path, stored: StoredArray) -> None:
     """Make a folder that is an array of little-endian chunks, one file per chunk or shard."""
+    import zarr
+    from zarr.codecs import BloscCodec
+
     values = np.asarray(stored.values, dtype=stored.values.dtype.newbyteorder("<"))
     array = zarr.create_array(
         folder,
@@ -136,35 +140,30 @@ def write_array(folder: Path, stored: StoredArray) -> None:
         dimension_names=stored.dims,
         config={"write_empty_chunks": True},
     )
-    array[...] = values
+    # By default every chunk of a shard is a task of its own, which takes several times as long.
+    with zarr.config.set({"codec_pipeline.batch_size": 1024}):
+        array[...] = values
 
 
 def compressed_bytes(values: AnyArray) -> int:
     """Return the number of bytes of an array that is stored compressed."""
+    from numcodecs.blosc import Blosc
+
     return len(Blosc("zstd", clevel=5, shuffle=Blosc.BITSHUFFLE, typesize=4).encode(values))
 
 
-def open_group(folder: Path) -> zarr.Group:
-    """Open the group in a folder.
-
-    zarr raises many kinds of errors: OSError, ValueError, KeyError, JSON errors.
-    """
-    _require_metadata(folder, "it lacks its zarr.json")
-    return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
-
-
 def read_attributes(folder: Path) -> dict[str, Any]:
-    """Read the attributes of the group in a folder, without zarr, which takes thirty times as long."""
-    _require_metadata(folder, "it lacks its zarr.json")
-    found: dict[str, Any] = json.loads((folder / "zarr.json").read_bytes())["attributes"]
-    return found
+    """Read the attributes of the group in a folder. Raises OSError, LookupError, TypeError or ValueError."""
+    return dict(_metadata(folder, "group", "it lacks its zarr.json")["attributes"])
 
 
-def read_array(group: zarr.Group, name: str) -> AnyArray:
-    """Read one array, C-contiguous in the axis order of the store."""
-    array = _array(group, name)
-    _require_chunks(array)
-    return np.asarray(array[:] if array.ndim else array[()])
+def read_array(group: Path, name: str) -> AnyArray:
+    """Read one array of the group in a folder, writeable and C-contiguous in the axis order of the store.
+
+    Raises OSError, LookupError, TypeError or ValueError.
+    """
+    metadata = _metadata(group / name, "array", f"it lacks its field '{name}'")
+    return _Form.of(name, metadata).read(group / name)
 
 
 def pack(tables: Mapping[str, AnyArray]) -> tuple[AnyArray, list[Any]]:
@@ -188,56 +187,156 @@ def unpack(packed: AnyArray, layout: Any) -> dict[str, AnyArray]:
     return tables
 
 
-def read_extra(group: zarr.Group) -> dict[str, Array]:
+def read_extra(group: Path) -> dict[str, Array]:
     """Read the fields of a material that this package does not interpret, by name."""
-    folder = _folder(group) / "extra"
+    folder = group / "extra"
     if not folder.is_dir():
         return {}
-    extra = open_group(folder)
     names = [str(i) for i in range(sum(entry.is_dir() for entry in os.scandir(folder)))]
-    return {str(_array(extra, name).attrs["field"]): read_array(extra, name) for name in names}
+    fields = [_metadata(folder / name, "array", f"it lacks its field '{name}'") for name in names]
+    return {
+        str(metadata["attributes"]["field"]): read_array(folder, name)
+        for name, metadata in zip(names, fields, strict=True)
+    }
 
 
-def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    """Return one of the group's arrays, after a check of its size and codecs."""
-    _require_metadata(_folder(group) / name, f"it lacks its field '{name}'")
-    array = group[name]
-    if not isinstance(array, zarr.Array):
-        raise LookupError(f"field '{name}' is no array")
-    codecs: Any = getattr(array.metadata, "codecs", ())
-    inner = [*getattr(codecs[0], "codecs", ()), *getattr(codecs[0], "index_codecs", ())] if codecs else []
-    found = [type(codec).__name__ for codec in (*codecs, *inner)]
-    if array.dtype.kind not in "iuf" or found not in (*_PLAIN, _COMPRESSED):
-        raise LookupError(
-            f"field '{name}' has dtype {array.dtype}, coded by {', '.join(found)}, expected plain numbers"
+@dataclass(frozen=True)
+class _Form:
+    """How the files of an array hold it: plain, compressed, or as shards of plain chunks, all little-endian."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    file_shape: tuple[int, ...]
+    chunk_shape: tuple[int, ...]
+    is_compressed: bool
+    is_sharded: bool
+
+    @classmethod
+    def of(cls, name: str, metadata: Mapping[str, Any]) -> _Form:
+        """Return the form that metadata describe. Raises LookupError for those that are not written here."""
+        kind, codecs = metadata["data_type"], metadata["codecs"]
+        names = [codec["name"] for codec in codecs]
+        file_shape = chunk_shape = metadata["chunk_grid"]["configuration"]["chunk_shape"]
+        inner: list[Any] = []
+        if names == ["sharding_indexed"]:
+            sharding = codecs[0]["configuration"]
+            chunk_shape, inner = sharding["chunk_shape"], [*sharding["codecs"], *sharding["index_codecs"]]
+            names += [codec["name"] for codec in inner] + [sharding.get("index_location", "end")]
+        orders = [codec.get("configuration", {}).get("endian", "little") for codec in (*codecs, *inner)]
+        is_known = names in (
+            ["bytes"],
+            ["bytes", "blosc"],
+            ["sharding_indexed", "bytes", "bytes", "crc32c", "end"],
         )
-    if array.nbytes > _MOST_ARRAY:
-        raise LookupError(f"field '{name}' has {array.nbytes} bytes, expected at most {_MOST_ARRAY}")
-    return array
+        if kind not in _KINDS or not is_known or {*orders} != {"little"}:
+            raise LookupError(
+                f"field '{name}' has dtype {kind}, coded by {', '.join(map(str, names))}, expected plain numbers"
+            )
+        form = cls(
+            name, _sizes(metadata["shape"]), np.dtype(kind).newbyteorder("<"), _sizes(file_shape), _sizes(chunk_shape),
+            names[-1] == "blosc", bool(inner),
+        )  # fmt: skip
+        if metadata["chunk_key_encoding"] != _DOTS or metadata.get("storage_transformers"):
+            raise LookupError(f"field '{name}' has other names of chunks than c.0.0")
+        if not len(form.shape) == len(form.file_shape) == len(form.chunk_shape) or 0 in form.chunk_shape:
+            raise LookupError(f"field '{name}' has chunks that do not fit its shape")
+        if any(whole % part for whole, part in zip(form.file_shape, form.chunk_shape, strict=True)):
+            raise LookupError(f"field '{name}' has shards that are not made of whole chunks")
+        for shape in (form.shape, form.file_shape):
+            if (size := math.prod(shape) * form.dtype.itemsize) > _MOST_ARRAY:
+                raise LookupError(f"field '{name}' has {size} bytes, expected at most {_MOST_ARRAY}")
+        return form
+
+    def read(self, folder: Path) -> AnyArray:
+        """Return the array; no memory is taken before all files are known to have its size."""
+        if 0 in self.shape:
+            return np.empty(self.shape, self.dtype)
+        files = []
+        for index in np.ndindex(*_grid(self.shape, self.file_shape)):
+            path = folder / ".".join(["c", *map(str, index)])
+            start = tuple(k * size for k, size in zip(index, self.file_shape, strict=True))
+            within = (min(n - a, size) for n, a, size in zip(self.shape, start, self.file_shape, strict=True))
+            chunks = _grid(tuple(within), self.chunk_shape)  # the others of a shard lie outside the array
+            self._require_size(path, math.prod(chunks))
+            files.append((start, chunks, path))
+        if self.chunk_shape == self.shape and not self.is_sharded:
+            return self._chunk(np.fromfile(path, np.uint8))
+        values = np.empty(self.shape, self.dtype)
+        for start, chunks, path in files:
+            for inner, chunk in self._chunks(np.fromfile(path, np.uint8), chunks):
+                first = [a + k * size for a, k, size in zip(start, inner, self.chunk_shape, strict=True)]
+                here = values[
+                    tuple(slice(a, a + size) for a, size in zip(first, self.chunk_shape, strict=True))
+                ]
+                here[...] = chunk[tuple(slice(size) for size in here.shape)]
+        return values
+
+    def _chunks(
+        self, content: NDArray[np.uint8], chunks: tuple[int, ...]
+    ) -> Iterator[tuple[tuple[int, ...], AnyArray]]:
+        """Yield the chunks of a file, with their indices in it. A shard ends with an index and its checksum."""
+        if not self.is_sharded:
+            yield (0,) * len(self.shape), self._chunk(content)
+            return
+        grid = _grid(self.file_shape, self.chunk_shape)
+        places = content[-self._index_bytes : -_CHECKSUM].view("<u8").reshape(*grid, 2)
+        for index in np.ndindex(*chunks):
+            offset, size = map(int, places[index])
+            if size != self._bytes or offset + size > len(content):
+                raise LookupError(f"field '{self.name}' lacks a chunk of a shard")
+            yield index, self._chunk(content[offset : offset + size])
+
+    def _chunk(self, content: NDArray[np.uint8]) -> AnyArray:
+        if not self.is_compressed:
+            return content.view(self.dtype).reshape(self.chunk_shape)
+        from numcodecs.blosc import Blosc
+
+        values = np.empty(self.chunk_shape, self.dtype)
+        Blosc().decode(content, values)
+        return values
+
+    @property
+    def _bytes(self) -> int:
+        return math.prod(self.chunk_shape) * self.dtype.itemsize
+
+    @property
+    def _index_bytes(self) -> int:
+        """Return the size of the index of a shard: an offset and a size of each chunk, and a checksum."""
+        return 16 * math.prod(_grid(self.file_shape, self.chunk_shape)) + _CHECKSUM
+
+    def _require_size(self, path: Path, chunks: int) -> None:
+        """Raise LookupError where a file is missing, which zarr would read as zeros, or has another size."""
+        if not path.is_file():
+            raise LookupError(f"field '{self.name}' lacks its chunk {path.name}")
+        size, expected = path.stat().st_size, self._bytes
+        if self.is_compressed:
+            with path.open("rb") as file:
+                size = int.from_bytes(file.read(_BLOSC_HEADER)[4:8], "little")
+        elif self.is_sharded:
+            expected = chunks * self._bytes + self._index_bytes
+        if size != expected:
+            raise LookupError(f"chunk {path.name} of '{self.name}' has {size} bytes, expected {expected}")
 
 
-def _require_chunks(array: zarr.Array[Any]) -> None:
-    """Raise LookupError where a chunk is missing, which zarr would read as zeros."""
-    if 0 in array.shape:
-        return
-    sizes = array.shards or array.chunks
-    for index in np.ndindex(*(-(-n // size) for n, size in zip(array.shape, sizes, strict=True))):
-        key = ".".join(["c", *map(str, index)])
-        chunk = _folder(array) / key
-        if not chunk.is_file():
-            raise LookupError(f"field '{array.basename}' lacks its chunk {key}")
-        if len(array.metadata.codecs) > 1:  # type: ignore[union-attr]
-            _require_size(chunk, math.prod(array.chunks) * array.dtype.itemsize)
+def _sizes(values: Any) -> tuple[int, ...]:
+    if not isinstance(values, list) or any(type(size) is not int or size < 0 for size in values):
+        raise LookupError(f"found the shape {values!r:.80}, expected whole numbers")
+    return tuple(values)
 
 
-def _require_size(chunk: Path, expected: int) -> None:
-    """Raise LookupError where a compressed chunk would expand to another size, for which memory would be taken."""
-    with chunk.open("rb") as file:
-        found = int.from_bytes(file.read(_BLOSC_HEADER)[4:8], "little")
-    if found != expected:
-        raise LookupError(
-            f"chunk {chunk.name} of '{chunk.parent.name}' has {found} bytes, expected {expected}"
-        )
+def _grid(shape: tuple[int, ...], parts: tuple[int, ...]) -> tuple[int, ...]:
+    """Return how many parts a shape has along each axis."""
+    return tuple(-(-n // size) for n, size in zip(shape, parts, strict=True))
+
+
+def _metadata(folder: Path, kind: str, lack: str) -> dict[str, Any]:
+    """Return what `zarr.json` says of a group or an array."""
+    _require_metadata(folder, lack)
+    metadata: dict[str, Any] = json.loads((folder / "zarr.json").read_bytes())
+    if metadata["zarr_format"] != 3 or metadata["node_type"] != kind:
+        raise LookupError(f"{folder.name} is no {kind} of zarr version 3")
+    return metadata
 
 
 def _require_metadata(folder: Path, lack: str) -> None:
@@ -246,7 +345,3 @@ def _require_metadata(folder: Path, lack: str) -> None:
         raise LookupError(lack)
     if path.stat().st_size > _MOST_METADATA:
         raise LookupError(f"{folder.name}/zarr.json has more than {_MOST_METADATA} bytes")
-
-
-def _folder(node: zarr.Group | zarr.Array[Any]) -> Path:
-    return Path(node.store.root, node.path)  # type: ignore[attr-defined]

@@ -18,8 +18,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from manifold import disk
 from manifold.errors import LibraryError
 from manifold.library import visible_normals
@@ -47,6 +45,8 @@ _PARTS = ("materials", "cache")  # folders in which folders are replaced
 @contextmanager
 def writing(library: Path) -> Iterator[Path]:
     """Hold the write lock of a library, which may not exist yet, and lend an empty staging folder beside it."""
+    from filelock import FileLock, Timeout  # what only reads does without
+
     prefix = f".{library.name}.importing-"
     home = library if os.path.ismount(library) else library.parent
     lock = FileLock(home / f".{library.name}.lock")

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +45,6 @@ from manifold.library.layout import (
     VISIBLE_NORMALS,
     VNDF_DIFFERENCE,
     StoredArray,
-    open_group,
     read_array,
     read_attributes,
     read_extra,
@@ -56,9 +55,6 @@ from manifold.library.layout import (
 from manifold.library.staging import make_store
 from manifold.names import names_like
 from manifold.records import AnyArray, Array, Bands, BsdfFile
-
-if TYPE_CHECKING:
-    import zarr
 
 MOST_BYTES = 1 << 30
 """The largest total of all entries of a library; those least recently used go first."""
@@ -153,9 +149,9 @@ class Library:
             UsageError: no such material.
             LibraryError: the material is damaged.
         """
-        with self._material(name) as group:
-            info = info_of(name, group.attrs)
-            file, found = read_material(group, info, is_rgb=self.bands.is_rgb)
+        with self._named(name) as folder:
+            info = info_of(name, read_attributes(folder))
+            file, found = read_material(folder, info, is_rgb=self.bands.is_rgb)
             if found != info.content_sha256:
                 raise LibraryError(
                     f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
@@ -214,9 +210,8 @@ class Library:
         if not folder.is_dir():
             return None
         try:
-            group = open_group(folder)
-            attributes: dict[str, Any] = dict(group.attrs)
-            arrays = {name: read_array(group, name) for name in attributes["names"]}
+            attributes = read_attributes(folder)
+            arrays = {name: read_array(folder, name) for name in attributes["names"]}
             if attributes["sha256"] != hash_arrays(arrays):
                 return None
             with suppress(OSError):  # of another user, or on read-only media
@@ -244,12 +239,6 @@ class Library:
         return staging.standing(self.path / "materials" / name)
 
     @contextmanager
-    def _material(self, name: str) -> Iterator[zarr.Group]:
-        """Yield the material's group; any fault of it becomes a LibraryError that names it."""
-        with self._named(name) as folder:
-            yield open_group(folder)
-
-    @contextmanager
     def _named(self, name: str) -> Iterator[Path]:
         """Yield the material's folder; any fault of it becomes a LibraryError that names it."""
         if name not in self:
@@ -259,7 +248,7 @@ class Library:
             )
         try:
             yield self._folder(name)
-        except Exception as error:  # zarr lets many kinds through: OSError, ValueError, KeyError, JSON errors
+        except Exception as error:  # of files of others: OSError, ValueError, KeyError, JSON errors
             if isinstance(error, ManifoldError) and not isinstance(error, FileFormatError):
                 raise
             raise LibraryError(
@@ -274,7 +263,7 @@ def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
     """Return schema version and bands of the library in a folder, which is `shown` in errors."""
     again = "import its files again into a new library"
     try:
-        attributes: dict[str, Any] = dict(open_group(folder).attrs)
+        attributes: dict[str, Any] = read_attributes(folder)
     except Exception as error:  # No zarr.json, no JSON, zarr version 2, no permission, ...
         is_there = (folder / "zarr.json").is_file()
         found = (
@@ -302,19 +291,22 @@ def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
 
 
 def _first_line(error: Exception) -> str:
-    """Return the first line of an error of zarr, or its type if it has no message."""
+    """Return the first line of an error, or its type if it has no message."""
+    if type(error) is KeyError:
+        return f"it lacks {error}"
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
+def read_material(folder: Path, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
     """Return a material and the hash of the data that were read; RGB has no wavelengths."""
     hashed: dict[str, AnyArray] | None = None
+    attributes = read_attributes(folder)
     if info.accuracy is None:
-        fields = _as_imported(group, is_rgb=is_rgb)
+        fields = _as_imported(folder, attributes, is_rgb=is_rgb)
     else:
         stored = compact.Compact(
-            read_array(group, COEFFICIENTS),
-            unpack(read_array(group, TABLES), group.attrs[TABLES]),
+            read_array(folder, COEFFICIENTS),
+            unpack(read_array(folder, TABLES), attributes[TABLES]),
             info.accuracy,
         )
         hashed, fields = stored.arrays, stored.decode()
@@ -322,27 +314,27 @@ def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tup
         name=info.name,
         description=info.description,
         version=info.pipeline_version,
-        jacobian=bool(group.attrs["jacobian"]),
+        jacobian=bool(attributes["jacobian"]),
         rotation_rad=info.rotation_rad,
         **{"wavelengths_nm": None, **fields},
     )
     return file, content_sha256(file, info.source_file, info.sha256, hashed)
 
 
-def _as_imported(group: zarr.Group, *, is_rgb: bool) -> dict[str, Any]:
+def _as_imported(folder: Path, attributes: Mapping[str, Any], *, is_rgb: bool) -> dict[str, Any]:
     """Return the fields of `BsdfFile` that hold arrays."""
     fields: dict[str, Any] = {
-        field: read_array(group, stored)
+        field: read_array(folder, stored)
         for field, (stored, _, _) in FIELDS.items()
         if field != "vndf" and not (field == "wavelengths_nm" and is_rgb)
     }
-    if VISIBLE_NORMALS in group.attrs:
-        slices = visible_normals.Slices.from_json(group.attrs[VISIBLE_NORMALS])
-        difference = read_array(group, VNDF_DIFFERENCE)
+    if VISIBLE_NORMALS in attributes:
+        slices = visible_normals.Slices.from_json(attributes[VISIBLE_NORMALS])
+        difference = read_array(folder, VNDF_DIFFERENCE)
         fields["vndf"] = visible_normals.decode(difference, slices, fields["ndf"], fields["phi_i_rad"])
     else:
-        fields["vndf"] = read_array(group, "vndf")
+        fields["vndf"] = read_array(folder, "vndf")
     return fields | {
         "spectra": np.moveaxis(fields["spectra"], -1, 2),
-        "extra": MappingProxyType(read_extra(group)),
+        "extra": MappingProxyType(read_extra(folder)),
     }

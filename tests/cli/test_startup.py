@@ -48,9 +48,10 @@ def test_helps_load_no_numbers_no_formats_and_no_packages_of_others(folder):
     assert _loaded(folder, *commands, heavy=heavy) == [[]] * len(commands)
 
 
-def test_a_prediction_loads_neither_optimisers_nor_scikit_learn_nor_mitsuba(folder):
-    assert _loaded(folder, PREDICT, heavy=[*HEAVY, "rich"]) == [[]]
-    assert _loaded(folder, ["info", "model.h5"], ["info", "library.zarr"]) == [[], []]
+def test_a_prediction_loads_no_optimisers_and_nothing_that_only_writes_or_renders(folder):
+    heavy = [*HEAVY, "rich", "zarr", "filelock"]
+    assert _loaded(folder, PREDICT, heavy=heavy) == [[]]
+    assert _loaded(folder, ["info", "model.h5"], ["info", "library.zarr"], heavy=[*HEAVY, "zarr"]) == [[], []]
     assert (folder / "made.bsdf").is_file()
 
 

@@ -26,7 +26,7 @@ from helpers.small_library import measured
 from manifold import progress
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.library import staging
+from manifold.library import layout, staging
 from manifold.library.identity import is_material_name
 from manifold.library.importing import ImportResult, InconsistentFileWarning, import_files
 from manifold.library.store import Library
@@ -134,6 +134,48 @@ def test_an_unknown_material_is_a_usage_error(library: Library) -> None:
 
 
 # The store as others see it
+
+
+@pytest.mark.parametrize(
+    ("chunks", "shards", "is_compressed"),
+    [
+        (None, None, False), (None, None, True), ((1, 2, 3), None, False), ((1, 2, 3), None, True),
+        ((1, 2, 3), (3, 4, 6), False), ((4, 5, 7), (4, 5, 7), False),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("dtype", ["u1", "i4", "f2", "<f8"])
+def test_arrays_are_read_as_zarr_reads_them(
+    tmp_path: Path,
+    dtype: str,
+    chunks: tuple[int, ...] | None,
+    shards: tuple[int, ...] | None,
+    is_compressed: bool,
+) -> None:
+    values = np.arange(4 * 5 * 7).reshape(4, 5, 7).astype(dtype)
+    layout.write_array(
+        tmp_path / "a", layout.StoredArray(values, chunks, shards, is_compressed=is_compressed)
+    )
+    found = layout.read_array(tmp_path, "a")
+    by_zarr = np.asarray(zarr.open_array(tmp_path / "a", mode="r")[...])
+    np.testing.assert_array_equal(found, by_zarr, strict=True)
+    np.testing.assert_array_equal(found, values)
+    assert found.flags.writeable
+    assert found.flags.c_contiguous
+
+
+@pytest.mark.parametrize("values", [np.float32(2.5), np.zeros((0, 3), np.int16)])
+def test_numbers_and_empty_arrays_are_read(tmp_path: Path, values: np.ndarray) -> None:
+    layout.write_array(tmp_path / "a", layout.StoredArray(np.asarray(values)))
+    np.testing.assert_array_equal(layout.read_array(tmp_path, "a"), np.asarray(values), strict=True)
+
+
+@pytest.mark.parametrize("change", [-1, 1])
+def test_shards_of_another_size_are_refused(library: Library, change: int) -> None:
+    path = library.path / "materials" / "m01" / "spectra" / "c.0.0.0.0.0"
+    content = path.read_bytes()
+    path.write_bytes(content[:-1] if change < 0 else content + b"x")
+    with pytest.raises(LibraryError, match=rf"has {len(content) + change} bytes, expected {len(content)}"):
+        library.read("m01")
 
 
 def test_zarr_alone_reads_the_store(library: Library, folder: Path) -> None:

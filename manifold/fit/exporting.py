@@ -40,6 +40,7 @@ from manifold.plots import figures, html_page
 from manifold.plots.slice_figures import Source
 from manifold.progress import Stages
 from manifold.records import BsdfFile
+from manifold.registries import TARGETS
 from manifold.render import fit_json, images
 from manifold.render.fitted_brdf import FittedBRDF
 
@@ -187,6 +188,8 @@ def export(
         replace(principled, anisotropic=0.0)
     )
     parameters = fit_target(target, start, subject.samples)
+    other = None if target.beside is None else TARGETS[target.beside]
+    beside = None if other is None else fit_target(other, other.parameters(principled), subject.samples)
     model = TargetBRDF(target, parameters)
     made = Export(
         name=subject.name,
@@ -196,9 +199,10 @@ def export(
         errors=ball_errors(model, material),
         principled_errors=subject.principled_errors,
         against=subject.against,
+        beside=beside,
         textures=None if textures is None else textures(parameters),
     )
-    disk.write_bytes(path, target.content(made, principled))
+    disk.write_bytes(path, target.content(made))
     if picture is not None:
         sources = [Source(subject.against, material), Source(f"exported: {target.name}", model)]
         comparison.picture_of_brdfs(subject.name, sources, picture)

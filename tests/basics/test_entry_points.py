@@ -31,7 +31,7 @@ from dataclasses import replace
 from manifold.fit.exports import TARGETS
 
 
-def content(export, principled):
+def content(export):
     return json.dumps({"shader": "standard", **export.parameters}).encode()
 
 

@@ -35,7 +35,7 @@ def scripts(folder):
     for i, name in enumerate(NAMES):
         exported = export(name, "blender", MATERIALS["full"])
         path = folder / f"name_{i}.py"
-        path.write_bytes(TARGETS["blender"].content(exported, MATERIALS["full"]))
+        path.write_bytes(TARGETS["blender"].content(exported))
         made[str(path)] = name, exported.parameters
     return made
 

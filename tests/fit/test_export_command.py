@@ -81,6 +81,16 @@ def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_
     assert abs(made["errors"]["ball"] - made["principled_errors"]["ball"]) < 1.0
 
 
+def test_usd_with_materialx_holds_a_fit_of_each_surface(folder, tmp_path, monkeypatch):
+    values = {"usd-materialx": {"roughness": 0.123}, "openpbr": {"specular_roughness": 0.456}}
+    monkeypatch.setattr(exporting, "fit_target", lambda target, start, samples: start | values[target.name])
+    subject = exporting.subject_of(folder / "copper_rgb.fit.json", None)
+    exporting.export(subject, TARGETS["usd-materialx"], tmp_path / "x.usda")
+    text = (tmp_path / "x.usda").read_text()
+    assert "roughness = 0.123" in text
+    assert "specular_roughness = 0.456" in text
+
+
 def test_an_export_that_differs_visibly_says_so(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(exporting, "VISIBLE", 2.0)  # between the two
     write_bsdf(tmp_path / "felt_rgb.bsdf", measured("syn_felt_green"))

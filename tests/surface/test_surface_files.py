@@ -142,9 +142,7 @@ def test_the_glb_holds_both_textures_and_places_on_them(printed):
 
 
 def test_flakes_are_the_coat_of_gltf_with_normals_of_its_own(textured, tmp_path):
-    (tmp_path / "twin.glb").write_bytes(
-        TARGETS["gltf"].content(textured(TARGETS["gltf"], with_flakes=True), None)
-    )
+    (tmp_path / "twin.glb").write_bytes(TARGETS["gltf"].content(textured(TARGETS["gltf"], with_flakes=True)))
     document, _ = read_glb(tmp_path / "twin.glb")
     (material,) = document["materials"]
     coat = material["extensions"]["KHR_materials_clearcoat"]
@@ -158,9 +156,7 @@ def test_flakes_are_the_coat_of_gltf_with_normals_of_its_own(textured, tmp_path)
 
 @pytest.mark.parametrize("name", ["openpbr", "standard-surface"])
 def test_flakes_are_the_coat_of_materialx_with_normals_of_its_own(name, textured, tmp_path):
-    document = _read_materialx(
-        TARGETS[name].content(textured(TARGETS[name], with_flakes=True), None), tmp_path
-    )
+    document = _read_materialx(TARGETS[name].content(textured(TARGETS[name], with_flakes=True)), tmp_path)
     (shader,) = (node for node in document.getNodes() if node.getType() == "surfaceshader")
     fed = {}
     for key in shader.getInputs():
@@ -197,14 +193,14 @@ def _read_materialx(content, folder):
 
 @pytest.mark.parametrize("name", ["openpbr", "standard-surface"])
 def test_materialx_documents_are_valid_and_name_their_textures(name, textured, tmp_path):
-    document = _read_materialx(TARGETS[name].content(textured(TARGETS[name]), None), tmp_path)
+    document = _read_materialx(TARGETS[name].content(textured(TARGETS[name])), tmp_path)
     assert {node.getInputValue("file") for node in document.getNodes("image")} == {"base.png", "normal.png"}
 
 
 def test_usd_layers_read_their_textures(textured, tmp_path):
     usd, shade = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdShade")
     path = tmp_path / "twin.usda"
-    path.write_bytes(TARGETS["usd"].content(textured(TARGETS["usd"]), None))
+    path.write_bytes(TARGETS["usd"].content(textured(TARGETS["usd"])))
     stage = usd.Stage.Open(str(path))
     shaders = {p.GetName(): shade.Shader(p) for p in stage.Traverse() if p.GetTypeName() == "Shader"}
     for key, file in (("diffuseColor", "base.png"), ("normal", "normal.png")):
@@ -218,12 +214,12 @@ def test_usd_layers_read_their_textures(textured, tmp_path):
 
 
 def test_scripts_of_blender_load_their_textures(textured):
-    script = TARGETS["blender"].content(textured(TARGETS["blender"]), None).decode()
+    script = TARGETS["blender"].content(textured(TARGETS["blender"])).decode()
     compile(script, "twin.py", "exec")
     assert "picture('base.png', \"sRGB\")" in script
     assert "bump('normal.png', \"Normal\")" in script
     assert "coat.png" not in script
-    flaked = TARGETS["blender"].content(textured(TARGETS["blender"], with_flakes=True), None).decode()
+    flaked = TARGETS["blender"].content(textured(TARGETS["blender"], with_flakes=True)).decode()
     compile(flaked, "twin.py", "exec")
     assert "bump('flakes.png', \"Coat Normal\")" in flaked
     assert "picture('coat.png', \"Non-Color\")" in flaked
@@ -582,7 +578,7 @@ def test_three_js_lights_a_flake_under_the_lamp_that_it_faces(textured, tmp_path
     write_display(content.textures.coat_normal, 0.5 + 0.5 * normal)
     write_display(content.textures.coat, coat)
     dull = dict(content.parameters) | {"metallicFactor": 0.0, "roughnessFactor": 1.0}
-    (tmp_path / "twin.glb").write_bytes(TARGETS["gltf"].content(replace(content, parameters=dull), None))
+    (tmp_path / "twin.glb").write_bytes(TARGETS["gltf"].content(replace(content, parameters=dull)))
     modules, above = node_modules(), [0.0, 1.0, 0.0]
     with chromium() as browser:
         page = ThreeJs(browser, modules)

@@ -31,7 +31,7 @@ from manifold.records import Array, Bands
 from manifold.registries import EXPORT_SUFFIXES, EXPORTS_IN_WORDS, TARGETS
 
 Brdf = Callable[[Mapping[str, Any], ShadingPairs], Array]
-Content = Callable[[Export, Principled], bytes]
+Content = Callable[[Export], bytes]
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ class Target:
         curve: the base colour by the angle of view, and the one that it replaces; empty where there is none.
         hued: colours whose hue no fit changes, since renderers disagree on what another one does.
         textures: what its documents take of `TextureFiles`; empty where they take none.
+        beside: another target whose parameters its files hold as well; None where there is none.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Target:
     curve: tuple[str, ...] = ()
     hued: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()
+    beside: str | None = None
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -94,17 +96,13 @@ class TargetBRDF:
 
 
 def _json(conventions: Mapping[str, str]) -> Content:
-    def content(export: Export, material: Principled) -> bytes:
+    def content(export: Export) -> bytes:
         made = export.to_json() | {"about": export.sentence(), "conventions": dict(conventions)}
         if export.target == "unreal":
             made["shading_model"] = unreal.shading_model(export.parameters)
         return (json.dumps(made, indent=2, allow_nan=False) + "\n").encode()
 
     return content
-
-
-def _usd_materialx(export: Export, material: Principled) -> bytes:
-    return usd.usda(export, openpbr.parameters(material)).encode()
 
 
 _BLENDER = {
@@ -119,8 +117,9 @@ _FLAKES = (*_RELIEF, "coat", "coat_normal")
 
 
 def _target(
-    name: str, title: str, model: ModuleType, content: Content, textures: tuple[str, ...] = ()
-) -> Target:
+    name: str, title: str, model: ModuleType, content: Content, textures: tuple[str, ...] = (),
+    beside: str | None = None,
+) -> Target:  # fmt: skip
     """Make a target from the parameters and shading model of a module."""
     sheen, film, curve, hued = (getattr(model, names, ()) for names in ("SHEEN", "FILM", "CURVE", "HUED"))
     return Target(
@@ -138,25 +137,26 @@ def _target(
         curve,
         hued,
         textures,
+        beside,
     )
 
 
-GLTF = _target("gltf", "glTF 2.0, metallic-roughness and extensions", gltf, lambda e, _: glb.glb(e), _FLAKES)
-OPENPBR = _target("openpbr", "MaterialX, open_pbr_surface", openpbr, lambda e, _: materialx.mtlx(e), _FLAKES)
+GLTF = _target("gltf", "glTF 2.0, metallic-roughness and extensions", gltf, glb.glb, _FLAKES)
+OPENPBR = _target("openpbr", "MaterialX, open_pbr_surface", openpbr, materialx.mtlx, _FLAKES)
 STANDARD_SURFACE = _target(
     "standard-surface",
     "MaterialX, standard_surface",
     standard_surface,
-    lambda e, _: materialx.mtlx(e),
+    materialx.mtlx,
     _FLAKES,
 )
-USD = _target("usd", "USD, UsdPreviewSurface", preview_surface, lambda e, _: usd.usda(e).encode(), _RELIEF)
+USD = _target("usd", "USD, UsdPreviewSurface", preview_surface, lambda e: usd.usda(e).encode(), _RELIEF)
 USD_MATERIALX = _target(
     "usd-materialx", "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers", preview_surface,
-    _usd_materialx,
+    lambda e: usd.usda(e).encode(), beside="openpbr",
 )  # fmt: skip
 BLENDER = _target(
-    "blender", "Blender 4 and later, Principled BSDF, a script", blender, lambda e, _: blender.script(e).encode(),
+    "blender", "Blender 4 and later, Principled BSDF, a script", blender, lambda e: blender.script(e).encode(),
     _FLAKES,
 )  # fmt: skip
 BLENDER_JSON = _target(

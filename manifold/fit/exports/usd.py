@@ -14,15 +14,14 @@ from manifold.fit.exports.materialx import TURN, identifier
 OPENPBR_ID = "ND_open_pbr_surface_surfaceshader"
 
 
-def usda(export: Export, openpbr_parameters: Mapping[str, Any] | None = None) -> str:
+def usda(export: Export) -> str:
     """Return the layer: y up, in metres.
 
     `outputs:surface` is for previews, and `outputs:mtlx:surface` for MaterialX renderers.
 
     Args:
-        export: with the parameters of UsdPreviewSurface.
-        openpbr_parameters: the same material's, as `openpbr.parameters` gives them; None leaves that surface out, which
-            checkers without USD's plugin for MaterialX do not know.
+        export: with the parameters of UsdPreviewSurface, and those of OpenPBR `beside`; None leaves that surface out,
+            which checkers without USD's plugin for MaterialX do not know.
     """
     output = second = placed = nodes = ""
     name = identifier(export.name)
@@ -32,9 +31,9 @@ def usda(export: Export, openpbr_parameters: Mapping[str, Any] | None = None) ->
     if export.textures is not None:
         own["diffuseColor"] = preview_surface.DEFAULTS["diffuseColor"]
         placed, nodes = _textured(path, export.textures)
-    if openpbr_parameters is not None:
+    if export.beside is not None:
         output = f"            token outputs:mtlx:surface.connect = <{path}/OpenPBR.outputs:out>\n"
-        values = dict(openpbr_parameters)
+        values = dict(export.beside)
         turned = _turned_tangent(path, values.pop("geometry_tangent"))
         tangent = f"                float3 inputs:geometry_tangent.connect = <{path}/rotate3d.outputs:out>\n"
         second = f"""

@@ -25,7 +25,7 @@ from manifold.formats.text import (
     split_cells,
     wavelength_nm,
 )
-from manifold.formats.values import converted, unnamed_band
+from manifold.formats.values import as_brdf, converted, unnamed_band
 from manifold.records import Array
 
 _REMEDY = "export the measurement again"
@@ -67,7 +67,7 @@ def read(path: Path) -> list[Readings]:
     theta, phi, values = theta[above], phi[above], values[above]
     wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))
     wo = from_spherical(theta, phi)
-    values = kind.brdf(values, wi, wo)
+    values = as_brdf(values, kind, wi, wo, notes)
     nm: Array | None = None
     if values.shape[1] == 3 and "xyz" in header.get("colorimetry", "xyz").lower():
         values = converted(values, notes)

@@ -425,6 +425,22 @@ def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
     return None
 
 
+def _lights_in_columns(table: Table, columns: Columns, context: ErrorContext) -> list[str]:
+    """Return lines such as `illuminant: A` of columns that hold the light or the observer of CIELAB values."""
+    if not columns.is_viewing_assumed:
+        return []
+    lines = []
+    for k, head in enumerate(columns.heads):
+        if (word := column_heads.plain_head(head)) in ("illuminant", "observer"):
+            values = {table.text(row, k) for row in range(columns.row + 1, len(table.rows))} - {"", head}
+            if len(values) > 1:
+                raise context.error(
+                    f"column {head} holds {', '.join(sorted(values))[:60]}, expected one value"
+                )
+            lines += [f"{word}: {value}" for value in values]
+    return lines
+
+
 def read_table(
     table: Table, columns: Columns, context: ErrorContext, name: str, instrument: str
 ) -> list[Readings]:
@@ -433,6 +449,7 @@ def read_table(
     The name is that of the sample where the table has no column of names.
     """
     _require_nothing_above(table, columns, context)
+    columns = columns.seen_under(_lights_in_columns(table, columns, context))
     notes: list[str] = []
     is_percent = column_heads.is_percent(columns.band_heads)
     samples: dict[str, _Sample] = {}

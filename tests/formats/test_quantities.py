@@ -429,6 +429,14 @@ def test_a_title_may_name_the_light_of_colours_whose_heads_name_none(before, vie
             found.seen_under(Viewing("A", 2))
 
 
+def test_columns_may_hold_the_light_and_the_observer(tmp_path):
+    head = "Name,Illuminant,Observer,Geometry,L*,a*,b*"
+    rows = head + "\nred,A,10\u00b0,45as45,40,45,25\nred,{},10\u00b0,45as110,30,35,20\n"
+    assert read(tmp_path, rows.format("A")).viewing == Viewing("A", 10)
+    with pytest.raises(FileFormatError, match="column Illuminant holds A, D65, expected one value"):
+        read(tmp_path, rows.format("D65"))
+
+
 @pytest.mark.parametrize(("said", "nm"), [("WAVELENGTH 1.55um", 1550.0), ("WAVELENGTH 632,8nm", 632.8)])
 def test_astm_wavelengths_keep_their_unit(said, nm, tmp_path):
     assert astm(tmp_path, "BRDF", before=said + "\n").wavelengths_nm == pytest.approx([nm])
@@ -448,6 +456,7 @@ def test_pab_opto_formats_name_the_quantity_and_units_may_be_attached(tmp_path):
         found = registry.read_readings(path)
         np.testing.assert_allclose(found.values[:, 0], np.array([0.1, 0.2]) * scale)
         assert found.wavelengths_nm == [632.8]
+        assert any("divided by" in note for note in found.notes) == (word != "BSDF")
     for word in ("Intensity", "BTDF", "luminance"):
         path.write_text(text.format(word), encoding="utf-8")
         with pytest.raises(FileFormatError, match=r"format is .*expected BRDF|format .*expected theta phi"):

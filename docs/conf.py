@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
+import importlib
+import inspect
 import itertools
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -103,8 +106,56 @@ def _write_commands(*_: object) -> None:
         context = type(command).context_class(command, info_name=f"manifold {name}")
         help_text = command.get_help(context)
         lines += [f"## {name}", "", "```text", help_text.rstrip(), "```", ""]
-    target = HERE / "reference" / "commands.md"
-    text = "\n".join(lines)
+    _write_if_changed(HERE / "reference" / "commands.md", "\n".join(lines))
+
+
+def _examples() -> dict[str, str]:
+    """Return the examples of names, from reference/examples.py, by full name."""
+    text = (HERE / "reference" / "examples.py").read_text(encoding="utf-8")
+    parts = re.split(r"^# (manifold(?:\.\w+)+)$", text, flags=re.MULTILINE)
+    return {name: code.strip() for name, code in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def _write_api(*_: object) -> None:
+    """Write the reference of the Python interface, from its docstrings and examples: reference/api.md."""
+    lines = [
+        "# Python reference",
+        "",
+        "Signatures, parameters and examples of the names that stay the same between versions. The examples run in "
+        "this order; `manifold corpus corpus --rgb` writes the files of `corpus`.",
+        "",
+    ]
+    examples = _examples()
+    for stub in sorted((HERE.parent / "manifold").rglob("__init__.pyi")):
+        package = ".".join(stub.parent.relative_to(HERE.parent).parts)
+        module = importlib.import_module(package)
+        lines += [f"## {package}", ""]
+        for name in sorted(module.__all__, key=str.lower):
+            value, full = getattr(module, name), f"{package}.{name}"
+            lines += [f"### {name}", ""]
+            if inspect.ismodule(value):
+                lines += [inspect.getdoc(value) or "", ""]
+                own = {} if hasattr(value, "__path__") else vars(value)
+                members = {k: v for k, v in own.items() if getattr(v, "__module__", "") == value.__name__}
+            else:
+                members = {name: value} if callable(value) else {}
+                lines += [] if members else [f"Every {value.what}, by name.", ""]
+            for member, found in members.items():
+                if callable(found) and not member.startswith("_") and inspect.getdoc(found):
+                    kind = "autoclass" if inspect.isclass(found) else "autofunction"
+                    place = f"{value.__name__}.{member}" if inspect.ismodule(value) else full
+                    requests = ", ".join(
+                        name for name in dir(found) if re.fullmatch(r"set_\w+_request", name)
+                    )
+                    options = (
+                        ["   :members:", f"   :exclude-members: {requests}"] if kind == "autoclass" else []
+                    )
+                    lines += ["```{eval-rst}", f".. {kind}:: {place}", *options, "```", ""]
+            lines += ["```python", examples[full], "```", ""]
+    _write_if_changed(HERE / "reference" / "api.md", "\n".join(lines))
+
+
+def _write_if_changed(target: Path, text: str) -> None:
     if not target.exists() or target.read_text(encoding="utf-8") != text:
         target.write_text(text, encoding="utf-8")
 
@@ -160,5 +211,6 @@ def setup(sphinx: object) -> None:
     """Write what pages are made from; formulas."""
     sphinx.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
     sphinx.connect("config-inited", _write_commands)
+    sphinx.connect("config-inited", _write_api)
     sphinx.connect("config-inited", _write_failure_modes)
     sphinx.connect("config-inited", _make_materials)

@@ -183,7 +183,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         farthest_first: search in the order of the distance of the start from the origin, so that the order of the
             samples does not matter; False searches in the order of the samples.
         max_iter: limit on rounds of a search and on iterations of L-BFGS; 0 keeps the start.
-        tol: L-BFGS ends where an iteration gains less than a hundredth of this, times |F|, or no entry of the
+        tol: L-BFGS ends where an iteration gains less than a hundredth of this, times `|F|`, or no entry of the
             gradient is larger than this; direct local search where its steps are a hundred of these, in length scales.
 
     Attributes:

@@ -121,7 +121,7 @@ class GGX:
         return abs(float(np.linalg.det(self.transform)))
 
     def stretched_length(self, w: Array) -> Array:
-        """Return |M^-1 w|, shape (...); the cosine of the transformed direction is w_z over this."""
+        """Return `|M^-1 w|`, shape (...); the cosine of the transformed direction is w_z over this."""
         return np.sqrt(_squared_length(self._inverse, w))
 
     def D(self, wm: Array) -> Array:

@@ -14,7 +14,7 @@ from manifold.errors import FileFormatError, UsageError
 
 from . import terminal
 from .application import SHARED
-from .outputs import or_default
+from .outputs import checked, or_default
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -161,11 +161,14 @@ def make_many(
     `outputs` says what the folder is for, and what to do; `failed` what is wrong with other sources; `then` is called
     with what was made, before it is printed. For workers see `WorkerOptions.executor`.
     """
-    from manifold.batch import MEASURED, batch, cell, notes_of
+    from manifold.batch import MEASURED, Batch, batch, cell, notes_of
     from manifold.estimate import inputs
 
     require_folder(output, outputs, command.suffix)
     folder = or_default(output, command.what)
+    planned = Batch(command, folder, [])
+    for path in (*planned.tables, planned.sheet):
+        checked(path)
     inputs.require_apart([path for source in sources for path in inputs.files_of(source)], folder)
     with workers or nullcontext() as entered:
         made = batch(command, sources, folder, entered)

@@ -64,8 +64,10 @@ def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folde
 def test_outputs_that_nobody_named_destroy_nothing_either(run, folder):
     small, file = ("--resolution", "8", "--incidences", "4"), f"files/{NAMES[0]}_rgb.bsdf"
     assert run("predict", "--latent", "0,0", *small, "-o", "reconstructed.bsdf", cwd=folder)[0] == 0
+    (folder / "predictions.csv").write_text("x,y\n0.1,0.1\n0.2,0.2\n")
     before = _content(folder)
     for words, arguments in {
+        "predictions.csv: is an input of this command": ("predict", "--from", "predictions.csv", "-o", "."),
         "reconstructed.bsdf: is an input of this command": ("reconstruct", "reconstructed.bsdf"),
         "named for --json and for --output": ("predict", "--latent", "0,0", "--json", "predicted.bsdf"),
         "named for --json and for": ("render", file, "--json", "render.png"),

@@ -19,7 +19,7 @@ from helpers.sample_files import write_samples
 from helpers.small_library import NAMES, measured, small_library, small_model
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.cli.application import GROUPS, MODULES
+from manifold.cli.application import COMMANDS, GROUPS
 from manifold.directions import from_spherical
 from manifold.encoding import encoding_pairs
 from manifold.formats.tensor_file import read_tensors, write_tensors
@@ -28,7 +28,6 @@ from manifold.metrics import relative_error
 from manifold.model.manifold import Manifold
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
-COMMANDS = tuple(MODULES)
 
 
 def start(*arguments, cwd, **options):

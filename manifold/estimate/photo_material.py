@@ -47,6 +47,7 @@ _READING = (
     0.01  # weight of a reading, of that of all pixels: errors of pixels are alike, those of readings are not
 )
 _ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
+_MUCH_LESS = 0.7  # share of a residual
 _UNEXPLAINED = 0.03  # residual that noise can make
 _GRID_STRIDE = 7  # one in this many directions of the encoding grid is enough to compare mixtures
 _MODEL_ERROR = 0.05  # standard deviation of cube roots of pixels about the best mixture, relative
@@ -120,6 +121,8 @@ class PhotoMaterial:
                 f"the light is clipped: by the pixels its spots are {1.0 + self.strength:.3g} times as bright as in "
                 "its picture; expected errors take that as known",
             )
+        if self._of_differing_exposures is not None:
+            notes += (self._of_differing_exposures,)
         if self.residual <= _UNEXPLAINED or not self.calibration.is_beyond(self.residual):
             return notes
         return (
@@ -127,6 +130,21 @@ class PhotoMaterial:
             f"{100.0 * self.calibration.largest_residual:.3g} %): check the light, its turn and exposure, and "
             "the circle",
             *notes,
+        )
+
+    @cached_property
+    def _of_differing_exposures(self) -> str | None:
+        """Say that pictures which were taken as equally exposed agree better with an exposure each; None if not."""
+        if self.evidence.each or len(self.evidence.pictures) == 1 or self.residual <= _UNEXPLAINED:
+            return None
+        apart = solve(self.atoms, replace(self.evidence, each=True))
+        residual = float(indicators(self.atoms, apart)[0])
+        if residual > _MUCH_LESS * self.residual:
+            return None
+        return (
+            f"the pixels have a residual of {100.0 * self.residual:.2g} % with one exposure for all pictures, and of "
+            f"{100.0 * residual:.2g} % with {apart.gains.min():.2g} to {apart.gains.max():.2g} times their mean: if "
+            "the lamp or the camera's settings differed, give --exposure each"
         )
 
     @cached_property

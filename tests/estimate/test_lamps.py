@@ -255,6 +255,13 @@ def test_strengths_of_lamps_are_estimated_with_the_material(photo_atoms):
     assert found.residual < 0.02  # 0.1 if they share an exposure
 
 
+def test_pictures_of_differing_exposures_that_are_taken_as_equal_are_noted(photo_atoms):
+    for gains, is_noted in (([1.0, 0.25, 0.5], True), ([1.0, 1.0, 1.0], False)):
+        seen = sightings_of(DIRECTIONS, gains)
+        notes = find_material(photo_atoms, seen, np.eye(3), exposure=None).notes
+        assert any("give --exposure each" in note for note in notes) == is_noted
+
+
 def test_lamps_have_unknown_strengths_unless_a_card_or_an_exposure_says_more():
     def exposures(**given):
         request = PhotoOptions(lamp=["found"], **given).request_of([Path("a.png"), Path("b.png")])

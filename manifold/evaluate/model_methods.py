@@ -105,5 +105,8 @@ def _process(
     model: Manifold, data: Data, materials: Indices, output_variance: float | None = None
 ) -> LatentProcess:
     """Return the process on the latents of some materials of the model."""
-    gp = GaussianProcess(model.space.X[materials], model.space.kernel)
-    return LatentProcess(gp, data, model.mapping, materials, model.settings.prior, output_variance)
+    gp, s = GaussianProcess(model.space.X[materials], model.space.kernel), model.settings
+    return LatentProcess(
+        gp, data, model.mapping, materials, s.prior, 1.0 if s.as_published else output_variance,
+        is_clipped=not s.as_published,
+    )  # fmt: skip

@@ -12,6 +12,8 @@ from helpers.small_library import NAMES, measured
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError, UsageError
+from manifold.evaluate.method_data import Data
+from manifold.evaluate.model_methods import model_methods
 from manifold.gplvm import log_likelihood
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.compacting import compact_library
@@ -197,6 +199,16 @@ def test_the_letter_keeps_the_zeros_of_unmeasured_cells_also_when_it_is_loaded(l
     assert loaded.settings == literal.settings
     for model in (literal, loaded):
         assert np.all(model.materials.measured_file("syn_satin_gold").spectra[at] == 0.0)
+
+
+def test_reports_of_the_letter_keep_negative_values_and_the_unit_variance(literal):
+    data = Data.evaluate(literal.materials.filled(), RusinkiewiczGrid(8, 6, 4))
+    others = np.arange(1, len(NAMES))
+    for method in model_methods(literal):
+        if method.key in ("gp_latents_kept", "gp_encoded", "gp_refitted"):
+            found = method.fit(data, others)(0)
+            assert not found.is_clipped
+            assert 0.0 <= found.variance <= 1.0 + literal.settings.mu  # of s^2 = 1
 
 
 def test_the_letter_refuses_other_mappings():

@@ -88,7 +88,7 @@ def documents(root: Path) -> Iterator[Text]:
     """Yield the paragraphs, list entries and table cells of the documents, without code."""
     files = [*root.glob("*.md"), *sorted((root / "docs").rglob("*.md"))]
     for path in files:
-        if {"_build", "_work", "gallery"} & set(path.parts) or path.name == "commands.md":
+        if {"_build", "_work", "gallery"} & set(path.parts) or path.name in ("api.md", "commands.md"):
             continue
         kept, start, in_code = list[str](), 0, False
         for number, line in enumerate([*path.read_text(encoding="utf-8").split("\n"), ""], start=1):

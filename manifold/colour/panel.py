@@ -39,7 +39,7 @@ class Panel(Picture):
 
     @cached_property
     def signature(self) -> int:
-        """A hash of lights, pixels and directions, of 48 bits: what was calibrated in another panel is stale.
+        """A hash of lights, pixels and directions, of 48 bits; calibrations with another hash are stale.
 
         It is of rounded moments, which the last digits of other processors' functions do not change.
         """

@@ -179,7 +179,7 @@ Seen = Sighting | Readings | Mapping[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What cameras and instruments show of a material.
+    """Observations of a material by cameras and instruments.
 
     Attributes:
         pictures: rows of every picture in each of C channels, as its pixels are.
@@ -199,7 +199,7 @@ class Evidence:
         return self.each and len(self.pictures) > 1
 
     def under(self, exposure: float, gains: Array) -> list[Observation]:
-        """Return what is seen in every channel, under an exposure and gains (P,) of the pictures about it."""
+        """Return the observations in every channel, under an exposure and gains (P,) of the pictures."""
         channels = []
         for c, other in enumerate(self.beside):
             rows = Observation.joined(
@@ -228,7 +228,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What explains evidence.
+    """The explanation of observations.
 
     Attributes:
         weights: of atoms in every channel, shape (C, n).

@@ -215,7 +215,7 @@ def _seams(before: Array, after: Array, *, is_closed: bool = False) -> Indices:
 
 
 def _cheapest(costs: Array) -> Indices:
-    """Return the path through K tables of costs (K, N, M) that is cheapest, a column a line, by steps of at most 1."""
+    """Return the path through K tables of costs (K, N, M) of least cost, one column per line, by steps of at most 1."""
     total = costs.copy()
     for line in range(1, costs.shape[1]):
         padded = np.pad(total[:, line - 1], ((0, 0), (1, 1)), constant_values=np.inf)

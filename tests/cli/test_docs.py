@@ -16,7 +16,8 @@ DOCUMENTS = [
     *(
         path
         for path in sorted((REPOSITORY / "docs").rglob("*.md"))
-        if not {"_build", "_work", "gallery", "generated"} & {*path.parts} and path.name != "commands.md"
+        if not {"_build", "_work", "gallery", "generated"} & {*path.parts}
+        and path.name not in ("api.md", "commands.md")
     ),
 ]
 _spec = importlib.util.spec_from_file_location("figures", REPOSITORY / "docs" / "figures.py")

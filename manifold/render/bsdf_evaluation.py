@@ -72,16 +72,23 @@ def variant(family: BsdfFamily) -> str:
 
 
 def is_analytic(family: BsdfFamily) -> bool:
-    """Return whether NumPy evaluates a family: `principled` or `diffuse`, with plain numbers for fixed parameters."""
+    """Return whether NumPy evaluates a family.
+
+    It is `principled` or `diffuse`, with a colour per band and numbers from 0 to 1 for everything else.
+    """
     if family.type not in _MODELS:
         return False
     colour = _MODELS[family.type][1]
-    shared = [parameter.name for parameter in family.parameters if parameter.name != colour]
-    colours = [parameter.name for parameter in family.parameters if parameter.per_band]
+    shared = [parameter for parameter in family.parameters if parameter.name != colour]
+    names = {*family.fixed, *(parameter.name for parameter in shared)}
+    ends = [end for parameter in shared for end in (parameter.minimum, parameter.maximum)]
     return (
-        colours in ([], [colour])
-        and {*shared, *family.fixed} <= set(principled.DEFAULTS if family.type == "principled" else ())
-        and all(isinstance(value, int | float) for value in family.fixed.values())
+        names <= set(principled.DEFAULTS if family.type == "principled" else ())
+        and all(parameter.per_band == (parameter.name == colour) for parameter in family.parameters)
+        and all(
+            isinstance(value, int | float) and 0.0 <= value <= 1.0
+            for value in (*family.fixed.values(), *ends)
+        )
     )
 
 

@@ -14,6 +14,8 @@ from manifold.render import fit_json
 from manifold.render.bsdf_evaluation import evaluator
 from manifold.render.bsdf_parameters import BsdfFamily
 
+_BLOCK = 1 << 18  # pairs that are evaluated at once: 100 MB
+
 
 class FittedBRDF:
     """Values of a fit in linear sRGB, or in its bands where colours were fitted per band. It does not sample."""
@@ -62,8 +64,11 @@ class FittedBRDF:
         """Return f * cos(theta_o) in 1/sr, shape (..., B), for unit vectors (..., 3) that broadcast."""
         wi, wo = np.broadcast_arrays(require_directions(wi, "wi"), require_directions(wo, "wo"))
         flat_i, flat_o = (rotate_z(w.reshape(-1, 3), -self._rotation_rad) for w in (wi, wo))
-        made = evaluator(self._family, flat_i, flat_o, self._bands.count)
-        f_cos = np.asarray(made.values(made.layout.join(self._values))[0], dtype=np.float64)
+        f_cos = np.empty((len(flat_i), self._bands.count))
+        for first in range(0, len(flat_i), _BLOCK):
+            pairs = slice(first, first + _BLOCK)
+            here = evaluator(self._family, flat_i[pairs], flat_o[pairs], self._bands.count)
+            f_cos[pairs] = here.values(here.layout.join(self._values))[0]
         f_cos[(flat_i[:, 2] <= 0) | (flat_o[:, 2] <= 0)] = 0.0
         return f_cos.reshape(*wi.shape[:-1], self._bands.count)
 

@@ -8,9 +8,11 @@ import pytest
 from manifold.analytic.principled import DEFAULTS
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
+from manifold.records import Bands
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import AnalyticEvaluator, bsdf_dict, evaluator, is_analytic
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter, diffuse, principled
+from manifold.render.fitted_brdf import FittedBRDF
 
 EVERYTHING = principled(["base_color", *DEFAULTS])
 
@@ -81,6 +83,18 @@ def test_a_fixed_parameter_is_that_of_mitsubas_plugin(rng):
     assert is_analytic(fixed)
     assert not is_analytic(textured)  # Mitsuba evaluates it
     assert not is_analytic(BsdfFamily("principled", fixed.parameters, {"spec_trans": 0.5}))
+    for odd in (FreeParameter("roughness", 0.1, 2.0, 0.5), FreeParameter("base_color", 0.0, 1.0, 0.5)):
+        assert not is_analytic(BsdfFamily("principled", (odd,)))
+
+
+def test_a_fit_is_evaluated_in_blocks(rng, monkeypatch):
+    values = {"base_color": [0.5, 0.2, 0.1]} | {o.name: o.default for o in principled().parameters[1:]}
+    fit = FittedBRDF.of(principled(), values, Bands(None), {})
+    wi, wo = direction_pairs(rng, 50)
+    whole = fit.eval(wi, wo)
+    monkeypatch.setattr("manifold.render.fitted_brdf._BLOCK", 7)
+    np.testing.assert_allclose(fit.eval(wi, wo), whole, rtol=1e-12)
+    assert fit.eval(wi[:0], wo[:0]).shape == (0, 3)
 
 
 @pytest.mark.parametrize("family", [EVERYTHING, diffuse()], ids=["all", "diffuse"])

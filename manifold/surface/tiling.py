@@ -22,13 +22,11 @@ from manifold.surface.quilting import quilt
 
 _LEAST_SIZE, _MOST_SIZE = 192, 8192
 _MOST_EDGE = 0.125  # of a side, that may be cropped
-_EDGE_DIFFERENCE = (
-    0.12  # of a row's or column's median brightness from the sample's: a shadow of the aperture
-)
+_EDGE_DIFFERENCE = 0.12  # of the median brightness of a row or column from the sample's: an aperture's shadow
 _DUST = 6.0  # robust standard deviations of smoothed colour
 _ALIKE = 4.0  # of spots that are compared with dust
 _DUST_PX = 2.0  # standard deviation of that smoothing
-_LEAST_DUST_PX = 12  # area
+_LEAST_DUST_PX, _MOST_DUST_PX = 12, 1024  # area; what is larger is a part of the sample
 _FEW = 3  # spots of a colour, fewer than which do not tell how frequent they are
 _SAME_DIRECTION, _SAME_STRENGTH = 0.9, 0.4  # of differences from the sample's colour: cosine, and ratio
 _HEALED_PX = 4  # around dust, in which what replaces it is blended
@@ -134,7 +132,7 @@ def uncropped(albedo: Array) -> tuple[slice, slice]:
 
 
 def dust_in(logs: Array) -> Mask:
-    """Return a mask (H, W) of spots of a colour that the sample has nowhere else, from logs of colours (H, W, 3).
+    """Return a mask (H, W) of small spots of a colour that the sample has nowhere else, from logs of colours (H, W, 3).
 
     A colour of three spots or more belongs to the sample: fewer spots do not tell how frequent they are. The mask
     includes the two pixels around each spot.
@@ -149,7 +147,8 @@ def dust_in(logs: Array) -> Mask:
     is_alike = (along > _SAME_STRENGTH * strength) & (
         along > _SAME_DIRECTION * np.linalg.norm(others, axis=1)
     )
-    dust = np.isin(labels, spots[np.sum(is_alike, axis=1) < _FEW])
+    is_small = np.bincount(labels.ravel())[spots] <= _MOST_DUST_PX
+    dust = np.isin(labels, spots[is_small & (np.sum(is_alike, axis=1) < _FEW)])
     return np.asarray(binary_dilation(dust, iterations=2)) if dust.any() else dust
 
 

@@ -208,11 +208,12 @@ def test_marks_are_as_frequent_in_a_texture_as_in_the_sample(rng):
     assert density(texture) == pytest.approx(density(sample), rel=0.2)
 
 
-def test_a_single_spot_is_left_out_as_dust_and_noted_but_several_alike_stay(rng):
+def test_a_single_speck_is_left_out_as_dust_and_noted_but_several_alike_and_large_parts_stay(rng):
     logs = 0.05 * rough(rng)[..., None] * np.ones(3)
     logs[41:46, 61:66] += np.array([1.0, -1.0, 0.0])
     for row, column in ((30, 200), (120, 40), (150, 180)):
         logs[row : row + 6, column : column + 6] -= 1.0
+    logs[170:210, 20:60] += 0.8  # a part of the sample, though there is one only
     dust = dust_in(logs)
     assert dust[43, 63]
     assert np.all(dust[32:50, 52:74].sum() == dust.sum())

@@ -147,14 +147,14 @@ def main() -> None:
         if time.process_time() > asked.seconds:
             break
     for method, found in summary(rows).items():
-        print(method, {k: v for k, v in found.items() if k != "each"})
+        print(method, {k: v for k, v in found.items() if k not in ("each", "halfway")})
 
 
 def summary(rows: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
     """Median and largest of every error over families."""
     kinds = ("ball", "best_ball", "cube_root", "best_cube_root")
     return {
-        method: {"each": each}
+        method: {"each": each, "halfway": {family: [row[0], row[2]] for family, row in each.items()}}
         | {
             kind: [float(np.median([row[k] for row in each.values()])), max(row[k] for row in each.values())]
             for k, kind in enumerate(kinds)

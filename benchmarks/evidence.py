@@ -75,7 +75,7 @@ CHARTED = (
 RESULTS = {
     "letter": Result("bench_letter.py FILES", (*_GPLVM, "model/fitting.py"), 3),
     "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS), 3),
-    "fair_corpus": Result("bench_fair.py CORPUS --every 5", (*_GPLVM, *_BLEND, *_LIGHTS), 10),
+    "fair_corpus": Result("bench_fair.py CORPUS --every 10", (*_GPLVM, *_BLEND, *_LIGHTS), 10),
     "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic"), 5),
     "spectral": Result("bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS), 2),
     "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS), 2),

@@ -77,7 +77,7 @@ class Identity:
 class CubeRoot:
     """`T(f) = f^(1/3)`, signed: close to perceived lightness, and exact at zero.
 
-    >>> MAPPINGS["cube-root"].forward(np.array([0.008, 1.0]))
+    >>> CubeRoot().forward(np.array([0.008, 1.0]))
     array([0.2, 1. ])
     """
 

@@ -83,7 +83,7 @@ class CalibratedInstrument:
             return None  # its readings are left out, which says nothing of other colours
         before, after = learned.colours.mean(axis=0)
         if after > before:
-            return f"mean CIEDE2000 {before:.1f} without it, {after:.1f} with it"
+            return f"mean CIEDE2000 (D65/2) {before:.1f} without it, {after:.1f} with it"
         return self._worse if 2 * np.sum(learned.is_worse) > len(self.samples) else None
 
     @property
@@ -92,7 +92,7 @@ class CalibratedInstrument:
         colours = self.correction.colours
         worse = np.flatnonzero(self.correction.is_worse)
         named = [
-            f"{self.samples[k]} (CIEDE2000 {colours[k, 0]:.1f} before, {colours[k, 1]:.1f} after)"
+            f"{self.samples[k]} (CIEDE2000, D65/2: {colours[k, 0]:.1f} before, {colours[k, 1]:.1f} after)"
             for k in worse[np.argsort(colours[worse, 0] - colours[worse, 1], kind="stable")]
         ]
         return f"{counted(len(worse), 'sample')} of {len(self.samples)} become worse: {first_few(named)}"

@@ -55,7 +55,7 @@ NEEDS = {
     "slices": (["slices", "made.bsdf"], "plots"),
     "report --picture": (["report", "--picture", "map.png"], "plots"),
     "render": (["render", "made.bsdf"], "render"),
-    "fit": (["fit", "made.bsdf"], "render"),
+    "fit --bsdf": (["fit", "made.bsdf", "--bsdf", "rough.json"], "render"),
     "fetch": (["fetch", "cardboard", "--to", "rgl"], "fetch"),
     "explore": (["explore", "--no-browser"], "page"),
     "predict --scheduler": (

@@ -66,7 +66,7 @@ def test_options_of_commands_in_documents_exist(document):
     text = document.read_text(encoding="utf-8")
     for name, line in re.findall(r"(?:`|^ *)(?:\$ )?manifold ([a-z]+)([^`\n#]*)", text, flags=re.MULTILINE):
         if name in commands:
-            known = {o for p in commands[name].params for o in (*p.opts, *p.secondary_opts)}
+            known = {"--help"} | {o for p in commands[name].params for o in (*p.opts, *p.secondary_opts)}
             unknown = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", line)) - known
             assert not unknown, f"manifold {name}{line}"
 

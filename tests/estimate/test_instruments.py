@@ -269,7 +269,7 @@ def test_a_correction_that_makes_most_samples_worse_harms(rng):
     before, after = np.full(10, 2.0), np.full(10, 2.1)
     after[:4] = 0.0  # the mean is better
     harms = replace(made, correction=replace(learned, colours=np.column_stack([before, after])))
-    assert harms.harm.startswith("6 samples of 10 become worse: s4 (CIEDE2000 2.0 before, 2.1 after)")
+    assert harms.harm.startswith("6 samples of 10 become worse: s4 (CIEDE2000, D65/2: 2.0 before, 2.1 after)")
     after[4] = 0.0
     helps = replace(made, correction=replace(learned, colours=np.column_stack([before, after])))
     assert helps.harm is None

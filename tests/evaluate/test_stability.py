@@ -189,13 +189,13 @@ def test_stability_says_what_to_trust_and_which_kind_of_map_to_choose():
     made = Stability(
         (
             row("a", "blend", FINE, WARNED),
-            row("a", "material", FINE, FINE),
+            row("a", "gplvm", FINE, FINE),
             row("b", "blend", FINE, FINE, FINE),
         )
     )
     said = catalogue.conclusion(made)
     assert said.startswith("Results without a message can be trusted")
-    assert "choose: material, fine in 2 of 2 trials (blend 1)" in said
+    assert "choose: gplvm, fine in 2 of 2 trials (blend 1)" in said
     assert catalogue.conclusion(Stability((row("a", "blend", FINE, WRONG),))) == (
         "Wrong without a message, so check these by other means: blend (a)."
     )

@@ -30,7 +30,7 @@ LIBRARIES = {"duplicates", "near_duplicates", "outlier", "no_noise", "long_lengt
 
 Of other modes they try every method there ("Principled fit" in `exact_zeros` alone), and one at the harmless end."""
 TRIED_BELOW = {
-    ("short_length_scale", "material"),
+    ("short_length_scale", "gplvm"),
     ("ill_conditioned_kernel", "GP"),
 }
 """Their severe end must warn, with a guard, and be wrong without it."""
@@ -109,9 +109,9 @@ def test_lost_cells_are_the_share_of_the_measured_ones_that_was_asked_for(bed, s
 
 
 def test_without_the_flag_of_extrapolation_a_short_length_scale_is_silently_wrong(bed, monkeypatch):
-    assert tried(bed, "short_length_scale", "material").outcome == WARNED
+    assert tried(bed, "short_length_scale", "gplvm").outcome == WARNED
     monkeypatch.setattr(Manifold, "is_extrapolation", lambda *_: False)
-    assert unguarded(bed, "short_length_scale", "material").outcome == WRONG
+    assert unguarded(bed, "short_length_scale", "gplvm").outcome == WRONG
 
 
 def test_without_a_word_about_jitter_an_ill_conditioned_kernel_is_silently_wrong(bed, monkeypatch):
@@ -122,7 +122,7 @@ def test_without_a_word_about_jitter_an_ill_conditioned_kernel_is_silently_wrong
 
 @pytest.mark.parametrize(
     ("key", "method", "severity"),
-    [("long_length_scale", "material", 1000.0), ("bad_starts", "l-bfgs", 100.0)],
+    [("long_length_scale", "gplvm", 1000.0), ("bad_starts", "l-bfgs", 100.0)],
 )
 def test_without_the_warning_of_fits_that_predict_little_they_are_silently_wrong(
     bed, monkeypatch, key, method, severity

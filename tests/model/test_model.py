@@ -346,7 +346,7 @@ def test_impossible_settings_are_refused(library):
         Manifold.fit(library, Settings(latent_dim=len(NAMES)), calibrate=False)
     with pytest.raises(UsageError, match="cube-root"):
         Manifold.fit(library, Settings(mapping="cuberoot"), calibrate=False)
-    with pytest.raises(UsageError, match="blend or material"):
+    with pytest.raises(UsageError, match="blend or gplvm"):
         Settings(kind="metal")
     with pytest.raises(UsageError, match="expected l-bfgs"):
         Settings(kind="blend", optimizer="dls")

@@ -91,11 +91,10 @@ def textured(tmp_path):
             target.name,
             target.defaults,
             {"name": "twin"},
-            "direct",
             ball,
             ball,
             "measured file",
-            flaked if with_flakes else plain,
+            textures=flaked if with_flakes else plain,
         )
 
     return of

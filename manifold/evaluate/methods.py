@@ -23,7 +23,7 @@ from manifold.evaluate.storage_forms import Storage
 from manifold.model.settings import Settings
 
 PUBLISHED = "published"
-AFTER_PUBLISHED = "after Hikichi & Iwasaki, 2-D"
+AFTER_PUBLISHED = "after Hikichi & Iwasaki"
 NONNEGATIVE = "samples and lobes, weights >= 0"
 BLENDS = "blends, the default"
 _FEW = "one or two materials"

@@ -48,6 +48,7 @@ WORKS = {
     "convert": ["convert", "readings.csv", "-o", "readings.astm"],
     "find": ["find", "--lab", "50,20,10"],
     "report": ["report"],
+    "fit": ["fit", "made.bsdf", "--free", "roughness"],
     "explore --html": ["explore", "--html", "map.html"],
 }
 NEEDS = {
@@ -55,7 +56,6 @@ NEEDS = {
     "slices": (["slices", "made.bsdf"], "plots"),
     "report --picture": (["report", "--picture", "map.png"], "plots"),
     "render": (["render", "made.bsdf"], "render"),
-    "fit --bsdf": (["fit", "made.bsdf", "--bsdf", "rough.json"], "render"),
     "fetch": (["fetch", "cardboard", "--to", "rgl"], "fetch"),
     "explore": (["explore", "--no-browser"], "page"),
     "predict --scheduler": (

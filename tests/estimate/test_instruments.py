@@ -275,7 +275,7 @@ def test_a_correction_that_makes_most_samples_worse_harms(rng):
     assert helps.harm is None
     after[9] = 20.0
     shifts = replace(made, correction=replace(learned, colours=np.column_stack([before, after])))
-    assert shifts.harm == "mean CIEDE2000 2.0 without it, 2.8 with it"
+    assert shifts.harm == "mean CIEDE2000 (D65/2) 2.0 without it, 2.8 with it"
 
 
 def table_of(path, values):

@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 # Software rendering takes seconds for the balls of the map and for a picture at rest: tests that need one ask for it.
+TIMEOUT_MS = 90_000
+"""After which a page has failed; pictures are drawn without a GPU, by cores that others use as well."""
 COARSE = """new MutationObserver(() => {
   clearTimeout(explorer.refining);
   Object.assign(explorer, { rest: 1e6, pendingThumbnails: [] });
@@ -70,7 +72,7 @@ def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, *
         "request",
         lambda request: made.requests.append(request.url) if _leaves(request.url, made.address) else None,
     )
-    page.set_default_timeout(20_000)
+    page.set_default_timeout(TIMEOUT_MS)
     made.open(address)
     return made
 

@@ -18,7 +18,7 @@ from pkgutil import resolve_name
 from urllib.parse import quote
 
 import pytest
-from helpers.browser import chromium, control, visit
+from helpers.browser import TIMEOUT_MS, chromium, control, visit
 from helpers.small_library import NAMES, small_library, small_model
 
 from manifold.batch import batch
@@ -484,7 +484,7 @@ def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
     with chromium() as browser:
         made = visit(browser, server.address)
         page = made.page
-        page.set_default_timeout(90_000)
+        page.set_default_timeout(TIMEOUT_MS)
         control(page, "#action-name").fill("mine")
         control(page, "#do-predict").press("Enter")
         page.locator("#jobs li[data-state=done]", has_text="mine_rgb.bsdf").wait_for()

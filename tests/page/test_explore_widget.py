@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from helpers.browser import chromium
+from helpers.browser import TIMEOUT_MS, chromium
 from helpers.small_library import NAMES
 
 from manifold.errors import LatentError, UsageError
@@ -58,7 +58,7 @@ def page(widget, tmp_path_factory):
         errors: list[str] = []
         made.on("pageerror", lambda error: errors.append(str(error)))
         made.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
-        made.set_default_timeout(20_000)
+        made.set_default_timeout(TIMEOUT_MS)
         made.goto(path.as_uri())
         made.wait_for_selector("body[data-ready]", state="attached")
         yield made

@@ -100,7 +100,8 @@ _OF_PICTURE = ("name", "file", "filename", "picture", "image")
 def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
     """Read the lamps of a text file, a line each: `[picture] X Y Z`, and intensity in one channel or three.
 
-    A first line of one number is how many follow, as in photometric-stereo data sets and RTI's `.lp` files. A header
+    A first line of one number is how many follow, as in photometric-stereo data sets and RTI's `.lp` files. Lines may
+    begin with their number. A header
     may order the columns (`picture`, `x`, `y`, `z`, `intensity`, or `r`, `g`, `b`). Lamps of named pictures are
     returned in the order of `pictures`, which are names of files.
 
@@ -121,6 +122,8 @@ def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
         head = _lamp_columns(path, rows.pop(0)[1])
     if not rows:
         raise FileFormatError(f"{path}: no lamps, {_EXPECTED}")
+    if head is None and _are_counted([cells for _, cells in rows]):
+        rows = [(n, cells[1:]) for n, cells in rows]
     lamps: dict[str, Lamp] = {}
     for n, cells in rows:
         name, numbers = _lamp_cells(cells, head)
@@ -139,6 +142,13 @@ def read_lamps(path: Path, pictures: Sequence[str] = ()) -> list[Lamp]:
             raise FileFormatError(f"{path}, line {n}: {error}") from None
     is_named = all(_lamp_cells(cells, head)[0] for _, cells in rows)
     return _in_order(path, lamps, pictures) if is_named and pictures else list(lamps.values())
+
+
+def _are_counted(rows: list[list[str]]) -> bool:
+    """Return whether rows begin with their numbers, from 0 or 1, in front of X, Y and Z."""
+    first = [number(cells[0]) for cells in rows]
+    is_counted = first in ([*range(len(rows))], [*range(1, len(rows) + 1)])
+    return is_counted and len(rows) > 2 and all(len(cells) > 3 for cells in rows)
 
 
 def _lamp_columns(path: Path, heads: list[str]) -> tuple[int | None, list[int]]:

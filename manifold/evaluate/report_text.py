@@ -62,8 +62,8 @@ _LIGHTS: Columns = (
 )
 _LIGHTS_NOTE = """\
 Median CIEDE2000 of the ball in lights that no fit uses: the studio, uniform
-light, suns at the given degrees beside the view; worst: in the light where it is
-largest for each material, median and 90th percentile."""
+light, suns at the given degrees beside the view; worst: in the light where it
+is largest for each material, median and 90th percentile."""
 
 
 def _short(error: float) -> str:

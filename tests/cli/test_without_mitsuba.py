@@ -1,4 +1,4 @@
-"""What the commands do where Mitsuba cannot be imported, as on platforms that it has no wheel for."""
+"""Commands without Mitsuba: those that `test_core_alone` does not run, and what says that it is missing."""
 
 from __future__ import annotations
 
@@ -33,19 +33,13 @@ print(len([material.truth(Bands((450.0, 550.0, 650.0))) for material in every]))
 
 WORKS = {
     "import": ["import", "files"],
-    "info": ["info", "library.zarr"],
     "embed": ["embed"],
     "predict": ["predict", "--latent", "0.1,0.1", "--srgb", "#c87832", "-o", "made.bsdf"],
-    "locate": ["locate", "files/syn_satin_gold_rgb.bsdf"],
-    "reconstruct": ["reconstruct", "files/syn_satin_gold_rgb.bsdf", "--without", "syn_satin_gold"],
     "slices": ["slices", "made.bsdf", "syn_satin_gold"],
     "map": ["map", "--mark", "0.1,0.1"],
-    "report": ["report"],
     "compare": ["compare", "one.png", "other.png"],
-    "info --system": ["info", "--system"],
     "chart": ["chart", "--only", "nearest", "--only", "fit_gauss-newton"],
     "fit": ["fit", "made.bsdf"],
-    "fit of a latent": ["fit", "0.1,0.1"],
     "fit by Adam": ["fit", "made.bsdf", "--method", "adam", "--free", "base_color", "-o", "adam.fit.json"],
     "export of a fit": ["export", "made.fit.json"],
     "report of fits": ["report", "--principled"],

@@ -162,7 +162,7 @@ def test_weights_of_textures_are_those_of_the_model_and_slopes_their_differences
 @pytest.mark.parametrize(
     ("kind", "integrator"),
     [
-        ("rgb blend", "prb"),
+        pytest.param("rgb blend", "prb", marks=pytest.mark.slow),
         ("rgb material", "direct"),
         pytest.param("spectral blend", "prb", marks=pytest.mark.slow),
     ],
@@ -186,7 +186,7 @@ def test_derivatives_by_textures_are_central_differences(models, rng, monkeypatc
     [
         ("rgb blend", {}, "prb"),
         ("rgb material", {"tolerance": 0.05}, "direct"),
-        ("spectral blend", {"srgb": "#b06030"}, "direct"),
+        pytest.param("spectral blend", {"srgb": "#b06030"}, "direct", marks=pytest.mark.slow),
     ],
 )
 def test_derivatives_by_one_latent_and_its_colours_are_central_differences(
@@ -203,7 +203,7 @@ def test_derivatives_by_one_latent_and_its_colours_are_central_differences(
         assert abs(found - expected) < 0.01 * abs(expected)
 
 
-@pytest.mark.parametrize("kind", ["rgb blend", "rgb material"])
+@pytest.mark.parametrize("kind", ["rgb blend", pytest.param("rgb material", marks=pytest.mark.slow)])
 def test_a_changed_latent_gives_the_picture_of_a_bsdf_with_that_latent(models, kind):
     model = Manifold.load(models[kind])
     mi, dr = mitsuba_for(model), backend.drjit()

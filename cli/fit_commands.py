@@ -80,10 +80,10 @@ def fit(
     how well the samples determine each parameter. Fits that are up to date are kept. Several materials are fitted into
     a folder, with a table and a sheet of balls.
     """
-    from manifold.estimate import inputs
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits
     from manifold.formats import registry
+    from manifold.recognition import FIT_SUFFIX
     from manifold.render.bsdf_parameters import principled
 
     materials = options.material_sources(
@@ -117,7 +117,7 @@ def fit(
             f"{source}: {known.name}, which cannot be rendered; leave --picture out, or write a .bsdf with "
             f"`manifold convert` or `manifold complete`"
         )
-    target = or_default(output, f"{sample or source.name}{inputs.FIT}")
+    target = or_default(output, f"{sample or source.name}{FIT_SUFFIX}")
     with progress.shown("Fitting"):
         outcome = fits.fit(source, target, settings)
     predictions = [outcome.source] if places else []

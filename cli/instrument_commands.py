@@ -83,7 +83,7 @@ def convert(
     """
     from manifold.convert import conversion
     from manifold.convert.targets import Options
-    from manifold.estimate.inputs import is_readings, is_rgl
+    from manifold.recognition import is_readings, is_rgl
 
     results = terminal.Results(json)
     sources = options.several_materials(inputs, model, library)

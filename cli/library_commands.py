@@ -392,9 +392,9 @@ def find(
 def _sought(text: str, sample: str | None, model: Path, library: Path) -> BRDF | Readings:
     """Read the material of a file, name or place; readings if a file has such."""
     from manifold.brdf.measured import MeasuredBRDF
-    from manifold.estimate.inputs import is_readings
     from manifold.estimate.sources import FileSource, parse_source, read_source
     from manifold.formats import registry
+    from manifold.recognition import is_readings
 
     source = parse_source(text, model, library)
     if isinstance(source, FileSource) and is_readings(source.path):

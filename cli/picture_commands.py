@@ -314,7 +314,7 @@ def render(
         command = many.renders(settings, model=model, library=library, direct=direct)
         make_many(results, command, rows, output, workers.executor(), failed=failed)
         return
-    from manifold.estimate.inputs import is_rendered
+    from manifold.recognition import is_rendered
 
     sources = options.material_sources(
         materials or [], [] if latent is None else [latent], model, library,

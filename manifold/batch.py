@@ -29,11 +29,11 @@ from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.inputs import FIT
 from manifold.formats.readings import DAYLIGHT
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.names import printable
+from manifold.recognition import is_rendered
 from manifold.records import Array, BsdfFile
 from manifold.render import backend, thumbnails
 
@@ -305,10 +305,8 @@ def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
     """Return colour and gloss, for the table, of a BRDF, by default an RGL file's, and draw its ball for the sheet."""
     brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
     if backend.is_available():
-        if path.name.endswith((".bsdf", FIT)):
-            image = thumbnails.of_file(path)
-        else:
-            image = thumbnails.of_material(cast(BRDF, brdf))
+        is_file = is_rendered(path)
+        image = thumbnails.of_file(path) if is_file else thumbnails.of_material(cast(BRDF, brdf))
         _write_ball(ball_path(path), image)
     return {"appearance": _look(brdf)}
 

@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from manifold.disk import begins_with
 from manifold.errors import FileFormatError, LibraryError, UsageError
 from manifold.estimate.picture_colours import colour_of, reading_at
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, source_file
-from manifold.formats import registry, tensor_file
+from manifold.formats import registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import BALL, Errors
 from manifold.model.expected_error import NOT_CALIBRATED
-from manifold.model.model_file import MAGIC, read_model
+from manifold.model.model_file import read_model
+from manifold.recognition import Kind, kind_of
 from manifold.records import Array, Bands, BsdfFile
 
 if TYPE_CHECKING:
@@ -163,7 +163,6 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-_FIT = b'{\n  "format": "manifold fit"'
 _KINDS = {
     "blend": "blends of whole materials",
     "gplvm": "whole materials",
@@ -191,23 +190,24 @@ def inspect(
 
     A model's library may have been moved; to verify a library is to read and hash it again.
     """
-    if not path.exists():
+    kind = kind_of(path)
+    if kind is Kind.NOTHING:
         raise UsageError(
             f"{path}: no such path; name a file of a BRDF or an instrument, a library, a model, or a fit"
         )
-    if path.is_dir():
+    if kind in (Kind.LIBRARY, Kind.FOLDER):
         return _inspect_library(path, verify)
     if verify:
-        raise UsageError(f"{path}: only libraries can be verified; this is a file")
-    if path.suffix in (".h5", ".hdf5") or begins_with(path, MAGIC):
+        raise UsageError(f"{path}: only libraries can be verified; this is {kind}")
+    if kind is Kind.MODEL:
         return _inspect_model(path, library)
-    if begins_with(path, _FIT):
+    if kind is Kind.FIT:
         return _inspect_fit(path)
-    if path.is_file() and (known := registry.identify(path)) is not None:
-        return Inspection(f"{path.name}: {known.name}", *inspect_instrument_file(path, known.name))
-    if path.is_file() and path.suffix.lower() != ".bsdf" and not begins_with(path, tensor_file.MAGIC):
+    if kind is Kind.RGL:
+        return _inspect_file(read_bsdf(path), path)
+    if (known := registry.identify(path)) is None:
         raise registry.unknown(path)
-    return _inspect_file(read_bsdf(path), path)
+    return Inspection(f"{path.name}: {known.name}", *inspect_instrument_file(path, known.name))
 
 
 def inspect_source(source: MaterialSource, *, library: Path | None, verify: bool) -> Inspection:

@@ -12,9 +12,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from manifold.disk import begins_with
 from manifold.errors import FileFormatError, UsageError
-from manifold.formats.tensor_file import MAGIC, read_tensors, shape_text, write_tensors
+from manifold.formats.tensor_file import is_tensor_file, read_tensors, shape_text, write_tensors
 from manifold.formats.text import ErrorContext
 from manifold.names import printable
 from manifold.records import AnyArray, BsdfFile, Mask
@@ -43,17 +42,18 @@ def read_bsdf(path: Path | str) -> BsdfFile:
     """Read and validate an RGL file, spectral or RGB, isotropic or anisotropic.
 
     Args:
-        path: a `.bsdf` tensor file. The material's name is the file's without `_spec.bsdf` or `_rgb.bsdf`.
+        path: a `.bsdf` tensor file, or one that gzip compressed. The material's name is the file's without
+            `_spec.bsdf`, `_rgb.bsdf` and `.gz`.
 
     Returns:
-        A record whose arrays are read-only views of the mapped file.
+        A record whose arrays are read-only views of the mapped or decompressed file.
 
     Raises:
         FileFormatError: the file is missing, of another format, damaged, or lacks what an RGL file must hold;
             the message names the file and the field.
     """
     path = Path(path)
-    if os.path.isfile(path) and not begins_with(path, MAGIC):
+    if os.path.isfile(path) and not is_tensor_file(path):
         from manifold.formats import registry
 
         known = registry.identify(path)
@@ -94,7 +94,7 @@ def rgl_wavelengths_nm() -> AnyArray:
 
 def material_name(path: Path) -> str:
     """Name of the material in a file: `satin_gold` for `satin_gold_spec.bsdf`."""
-    name = path.name.removesuffix(".bsdf")
+    name = path.name.removesuffix(".gz").removesuffix(".bsdf")
     for suffix in ("_spec", "_rgb"):
         name = name.removesuffix(suffix)
     return name

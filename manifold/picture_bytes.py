@@ -16,6 +16,12 @@ from manifold.errors import FileFormatError
 from manifold.records import Array
 
 _MOST_PIXELS = 1 << 26
+KINDS = {
+    b"\x76\x2f\x31\x01": "openexr", b"#?": "hdr", b"PF": "pnm", b"Pf": "pnm", b"II*\0": "tiff", b"MM\0*": "tiff",
+    b"II+\0": "tiff", b"MM\0+": "tiff", b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"BM": "bmp", b"RIFF": "webp",
+}  # fmt: skip
+"""Kinds of pictures by how their files begin."""
+
 _MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG"}
 _OTHERS = {
     b"GIF8": "a GIF", b"%!PS": "a PostScript", b"BM": "a BMP", b"II*\0": "a TIFF", b"MM\0*": "a TIFF",

@@ -12,6 +12,7 @@ import numpy as np
 from manifold.colour.conversion import decode_srgb
 from manifold.errors import FileFormatError, MissingFileError
 from manifold.extras import require
+from manifold.picture_bytes import KINDS
 from manifold.records import Array, Mask
 
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
@@ -20,10 +21,6 @@ SUFFIXES = (".exr", ".hdr", ".pfm", ".tif", ".tiff", ".png", ".jpg", ".jpeg", ".
 """Suffixes of readable files; a file's content decides about its format."""
 
 _EXPECTED = "EXR, HDR, PFM, TIFF, PNG, JPEG, BMP or WebP"
-_MAGIC = {
-    b"\x76\x2f\x31\x01": "openexr", b"#?": "hdr", b"PF": "pnm", b"Pf": "pnm", b"II*\0": "tiff", b"MM\0*": "tiff",
-    b"II+\0": "tiff", b"MM\0+": "tiff", b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"BM": "bmp", b"RIFF": "webp",
-}  # fmt: skip
 _LINEAR = ("openexr", "hdr", "pnm", "tiff")  # unless a profile says otherwise
 _MOST_BYTES = 1_200_000_000  # size of decoded values: 100 million pixels in single precision
 _MOST_TILE = 1 << 24  # pixels of a tile, which is decoded whole
@@ -159,7 +156,7 @@ def _kind(path: Path) -> str:
             head = stream.read(12)
     except OSError as error:
         raise _unreadable(path, error.strerror or str(error)) from error
-    for magic, kind in _MAGIC.items():
+    for magic, kind in KINDS.items():
         if head.startswith(magic) and (kind != "webp" or head.endswith(b"WEBP")):
             return kind
     if head[4:8] == b"ftyp" and head[8:12] in _HEIF:

@@ -28,7 +28,7 @@ from manifold.convert.targets import Options, target_of
 from manifold.errors import UsageError
 from manifold.estimate import reports
 from manifold.estimate.predictions import predict
-from manifold.estimate.sources import MaterialSource, PlaceSource, source_file
+from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource, source_file
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import Errors
@@ -175,7 +175,10 @@ def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Pat
         yield sources[0]
         return
     with ExitStack() as files:
-        yield [files.enter_context(source_file(source)) for source in sources]
+        yield [
+            source.path if isinstance(source, FileSource) else files.enter_context(source_file(source))
+            for source in sources
+        ]
 
 
 def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:

@@ -16,17 +16,16 @@ from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
 from manifold.colour.correction import ColourCorrection
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, in_daylight, is_narrow, with_spectra
 from manifold.convert.tabulated import DenseBRDF, ReadingsBRDF
-from manifold.disk import begins_with
 from manifold.errors import UsageError
 from manifold.estimate.instruments import correct_colours
 from manifold.formats import registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import DAYLIGHT, Readings
-from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
 from manifold.model.output_file import EXPECTED_ERROR
 from manifold.model.prediction import ClippedBRDF
 from manifold.names import first_few
+from manifold.recognition import Kind, kind_of
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
 
 MOST_NODES = 100_000
@@ -123,7 +122,7 @@ def open_source(
     interpolated, which is quicker; merged files are of one sample although they name it differently; `unit` is of
     values in files that say none, see `registry.read`.
     """
-    of_rgl = [path for path in paths if begins_with(path, MAGIC)]
+    of_rgl = [path for path in paths if kind_of(path) is Kind.RGL]
     if of_rgl and len(paths) > 1:
         raise UsageError(f"{of_rgl[0]}: an RGL file among {len(paths)} files; convert it alone")
     if of_rgl and unit is not None:

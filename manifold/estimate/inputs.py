@@ -17,20 +17,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from manifold import disk, progress
-from manifold.disk import begins_with, matching
+from manifold.disk import matching
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource
 from manifold.formats import registry
 from manifold.formats.readings import Readings
-from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import decode, number
 from manifold.io_rgl import material_name
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.library.importing import find_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
+from manifold.recognition import FIT_SUFFIX, is_library, is_readings, is_rendered, is_rgl
 
-FIT = ".fit.json"
 _SAME_INCIDENCE = 1e-3  # largest difference between unit vectors
 
 
@@ -54,11 +53,6 @@ class Sample:
     def made_of(self) -> dict[str, Any]:
         """Return all that the content depends on, as plain values."""
         return {"parts": [[file_sha256(path), name] for path, name in self.parts], "note": self.note}
-
-
-def is_readings(path: Path) -> bool:
-    """Return whether a file's content is an instrument's; texts that describe files beside them may look like it."""
-    return path.suffix != ".md" and registry.identify(path) is not None
 
 
 def safe_name(name: str) -> str:
@@ -178,16 +172,6 @@ def _sha256(path: Path, changed_ns: int) -> str:
     return file_sha256(path)
 
 
-def is_rgl(path: Path) -> bool:
-    """Return whether a file has the suffix of the RGL database, or begins like one of its files."""
-    return path.suffix == ".bsdf" or begins_with(path, MAGIC)
-
-
-def is_rendered(path: Path) -> bool:
-    """Return whether a file has the suffix of an RGL file or a fit."""
-    return path.suffix == ".bsdf" or path.name.endswith(FIT)
-
-
 def is_many(sources: Sequence[MaterialSource]) -> bool:
     """Return whether sources are several, or a folder or library, which stands for several."""
     return len(sources) > 1 or any(isinstance(one, FileSource) and one.path.is_dir() for one in sources)
@@ -203,7 +187,7 @@ def find_inputs(
             found.append(Input(str(source).replace(":", "_"), source))
         elif isinstance(source, LibrarySource):
             found.append(Input(source.name, source))
-        elif (source.path / "zarr.json").is_file():
+        elif is_library(source.path):
             names = Library(source.path).names
             found += [Input(name, LibrarySource(source.path, name)) for name in names]
         else:
@@ -214,7 +198,7 @@ def find_inputs(
 
 def _of_file(path: Path) -> Input:
     is_known = is_rendered(path)
-    name = material_name(Path(path.name.removesuffix(FIT))) if is_known else safe_name(path.stem)
+    name = material_name(Path(path.name.removesuffix(FIT_SUFFIX))) if is_known else safe_name(path.stem)
     return Input(name, FileSource(path))
 
 

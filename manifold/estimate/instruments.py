@@ -24,12 +24,13 @@ from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.colour.narrow_bands import in_daylight
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import BandMismatchError, UsageError
-from manifold.estimate.inputs import Sample, is_readings
+from manifold.estimate.inputs import Sample
 from manifold.formats import registry
 from manifold.formats.readings import Between, Readings
 from manifold.library.identity import alike
 from manifold.library.importing import find_files
 from manifold.names import counted, first_few
+from manifold.recognition import is_readings
 from manifold.records import Array, plain
 
 _ENOUGH_SAMPLES = 6  # samples for a colour correction; see docs/explanation/completion.md

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
+from manifold.formats.tensor_file import is_compressed
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.places import Place, PlaceLike, is_place
@@ -141,13 +142,13 @@ def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
 
 @contextmanager
 def source_file(source: MaterialSource) -> Iterator[Path]:
-    """Yield the path of a file that holds a source, which is temporary unless the source is a file."""
-    if isinstance(source, FileSource):
+    """Yield the path of a file that holds a source and that Mitsuba opens; it is temporary unless the source is one."""
+    if isinstance(source, FileSource) and not is_compressed(source.path):
         yield source.path
         return
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{source.name}.bsdf"
-        if isinstance(source, LibrarySource):
+        if not isinstance(source, PlaceSource):
             write_bsdf(path, read_source(source))
         else:
             from manifold.estimate.predictions import predict

@@ -39,6 +39,7 @@ from manifold.model.places import PlaceLike
 from manifold.plots import figures, html_page
 from manifold.plots.slice_figures import Source
 from manifold.progress import Stages
+from manifold.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
 from manifold.records import BsdfFile
 from manifold.registries import TARGETS
 from manifold.render import fit_json, images
@@ -106,7 +107,7 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
 
     A fit is compared with a measured file or with the fit itself.
     """
-    if path.suffix.lower() == ".bsdf":
+    if is_rgl(path):
         if against is not None:
             raise UsageError(
                 f"{path}: a measured file is compared with itself, and a fit with {against}; name one"
@@ -306,7 +307,7 @@ def _export(
 
 def export_sources(source: Path) -> list[ExportSource]:
     """Return every material of a library, or every `.bsdf` file and fit of a folder, at every depth, unread."""
-    if (source / "zarr.json").is_file():
+    if is_library(source):
         library = Library(source)
         return [
             ExportSource(
@@ -317,10 +318,10 @@ def export_sources(source: Path) -> list[ExportSource]:
     fits: dict[str, Path] = {}
     files: dict[str, Path] = {}
     for path in sorted(source.rglob("*")):
-        kind = {".bsdf": files, ".json": fits if path.name.endswith(".fit.json") else None}.get(path.suffix)
+        kind = files if is_rgl(path) else fits if is_fit(path) else None
         if kind is None or not path.is_file():
             continue
-        name = material_name(Path(path.name.removesuffix(".fit.json")))
+        name = material_name(Path(path.name.removesuffix(FIT_SUFFIX)))
         if kind.setdefault(name, path) != path:
             raise UsageError(f"{path} and {kind[name]} have the same name; export them into two folders")
     found = []

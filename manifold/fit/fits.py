@@ -15,7 +15,7 @@ from manifold.batch import PREDICTED, Command, Content, Outcome, appearance
 from manifold.brdf.interface import BRDF
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate.inputs import FIT, Input, is_rgl
+from manifold.estimate.inputs import Input
 from manifold.estimate.sources import (
     FileSource,
     LibrarySource,
@@ -37,6 +37,7 @@ from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model
 from manifold.names import printable
 from manifold.progress import Stages
+from manifold.recognition import FIT_SUFFIX, is_rgl
 from manifold.records import BsdfFile, plain
 from manifold.registries import FITTERS
 from manifold.render import fit_json
@@ -159,8 +160,8 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     }
     return Command(
         "fits", partial(_fit_input, settings=settings, with_pictures=with_pictures),
-        settings.to_json() | {"pictures": with_pictures}, FIT, columns=columns, under=BALL_COLUMN, has_balls=True,
-        beside=_picture_of,
+        settings.to_json() | {"pictures": with_pictures}, FIT_SUFFIX, columns=columns, under=BALL_COLUMN,
+        has_balls=True, beside=_picture_of,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from manifold.formats.foreign import name_format
 from manifold.formats.light_side import with_light_side_note, without_hidden
 from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
-from manifold.formats.tensor_file import MAGIC
+from manifold.formats.tensor_file import holds_tensors
 from manifold.formats.text import read_bytes
 from manifold.formats.values import LONGEST_NM, SHORTEST_NM
 from manifold.names import first_few, names_like, printable
@@ -51,7 +51,7 @@ def identify(path: Path | str) -> Format | None:
     Formats of other packages are tried first: whoever installs one has such files.
     """
     head = _head(Path(path))
-    if head.startswith(MAGIC):
+    if holds_tensors(head):
         return None
     for name in [*FORMATS.packages, *FORMATS]:
         if name in FORMATS and (known := FORMATS.get(name)) is not None:
@@ -82,7 +82,7 @@ def unknown(path: Path) -> FileFormatError:
     """Return the error for a file of an unknown format."""
     head = _head(path)
     name = printable(path.name, 255)
-    if head.startswith(MAGIC):
+    if holds_tensors(head):
         return FileFormatError(
             f"{name}: found an RGL file, a whole BRDF, expected readings or a table; read it with manifold.read_bsdf, "
             "or write it as a table with `manifold convert`"

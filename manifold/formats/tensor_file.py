@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import mmap
+import os
 import struct
+import zlib
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -22,12 +24,14 @@ from manifold.formats.foreign import name_format
 from manifold.formats.text import ErrorContext
 from manifold.records import AnyArray
 
-MAGIC = b"tensor_file\0"
+MAGIC, GZIP = b"tensor_file\0", b"\x1f\x8b"
 _PREAMBLE = struct.Struct("<12sBBI")
 _FIELD = struct.Struct("<HBQ")  # number of axes, dtype, offset
 _MOST_FIELDS = 1024  # RGL files have 13
 _ALIGNMENT = 8
 _SNIFFED = 8192  # bytes of another format's header that may hold the word that tells it
+_GZIP_STREAM = 31  # of zlib: a header and a trailer of gzip
+_MOST_UNPACKED = 2 << 30  # bytes; the largest files of the database have a fifth
 
 _DTYPES = {
     1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8",
@@ -40,15 +44,40 @@ def shape_text(shape: tuple[int, ...]) -> str:
     return str(shape) if len(shape) <= 8 else f"({', '.join(map(str, shape[:4]))}, ... {len(shape)} axes)"
 
 
+def holds_tensors(head: bytes) -> bool:
+    """Return whether a file that begins with these bytes is a tensor file, compressed by gzip or not."""
+    if head.startswith(GZIP):
+        try:
+            head = zlib.decompressobj(_GZIP_STREAM).decompress(head, len(MAGIC))
+        except zlib.error:
+            return False
+    return head.startswith(MAGIC)
+
+
+def is_tensor_file(path: Path) -> bool:
+    """Return whether a path is a tensor file, compressed by gzip or not."""
+    if not os.path.isfile(path) or not os.access(path, os.R_OK):
+        return False
+    with path.open("rb") as stream:
+        return holds_tensors(stream.read(_SNIFFED))
+
+
+def is_compressed(path: Path) -> bool:
+    """Return whether a path is a tensor file that is compressed by gzip."""
+    return disk.begins_with(path, GZIP) and is_tensor_file(path)
+
+
 def read_tensors(path: Path | str) -> dict[str, AnyArray]:
-    """Return the fields of any tensor file in the order of the file: read-only views of the mapped file.
+    """Return the fields of any tensor file in its order: read-only views of the file, mapped or decompressed.
 
     It must not be shortened while the arrays live: the operating system ends a process that reads beyond the end of a
     mapped file. Replacing it by renaming, as `write_tensors` does, is safe.
     """
     path = Path(path)
     context = ErrorContext(path, "the file is damaged: fetch it again")
-    buffer = _map(path, context)
+    buffer: mmap.mmap | bytes = _map(path, context)
+    if buffer[:2] == GZIP and holds_tensors(buffer[:_SNIFFED]):
+        buffer = _decompress(buffer, context)
     magic, major, minor, count = _PREAMBLE.unpack_from(buffer)
     if magic != MAGIC:
         raise context.error(
@@ -89,8 +118,25 @@ def _map(path: Path, context: ErrorContext) -> mmap.mmap:
     return buffer
 
 
+def _decompress(packed: mmap.mmap | bytes, context: ErrorContext) -> bytes:
+    """Decompress a file, which ends with its size: no more memory is taken than that."""
+    size = int.from_bytes(packed[-4:], "little")
+    if size > _MOST_UNPACKED:
+        raise context.error(f"holds {size} bytes, expected at most {_MOST_UNPACKED}")
+    stream = zlib.decompressobj(_GZIP_STREAM)
+    try:
+        content = stream.decompress(packed, size + 1)
+    except zlib.error as error:
+        raise context.error(f"cannot be decompressed ({error})") from error
+    if len(content) != size or not stream.eof or stream.unused_data:
+        raise context.error(f"does not decompress to the {size} bytes that it announces")
+    if size < _PREAMBLE.size:
+        raise context.error(f"holds {size} bytes, expected an RGL tensor file")
+    return content
+
+
 def _read_field(
-    buffer: mmap.mmap, position: int, number: str, context: ErrorContext
+    buffer: mmap.mmap | bytes, position: int, number: str, context: ErrorContext
 ) -> tuple[str, AnyArray, int, int]:
     """Name, data and offset of a field, and the position behind its header; `number` stands for its name in errors."""
     try:

@@ -30,6 +30,7 @@ from manifold.library.identity import (
 from manifold.library.staging import make_store, write_material
 from manifold.library.store import Library
 from manifold.names import counted
+from manifold.recognition import is_rgl
 from manifold.records import Bands
 
 _MANY_TASKS = 64  # number of tasks from which on they have several files
@@ -151,7 +152,7 @@ def _warn_if_inconsistent(source: _Source) -> None:
 
 def find_files(
     sources: Iterable[Path | str],
-    is_wanted: Callable[[Path], bool] = lambda path: path.suffix == ".bsdf",
+    is_wanted: Callable[[Path], bool] = is_rgl,
     what: str = ".bsdf file",
 ) -> list[Path]:
     """Return the files among sources, each once, in order; folders are searched at every depth, and sorted.

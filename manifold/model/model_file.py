@@ -29,18 +29,18 @@ from manifold.model.expected_error import LeftOut
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.settings import Settings
+from manifold.recognition import MODEL_MAGIC
 from manifold.records import Array
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 4
 _ADDED_SETTINGS = {"as_published": False}  # of earlier files of this version, which lack them
 
-MAGIC = b"manifold model\r\n"
 _HEADER = struct.Struct("<16sI16x")  # magic, version
 _DIGEST = slice(_HEADER.size, _HEADER.size + 32)
 _USER_BLOCK = 512  # the least that HDF5 takes
 _MOST_BYTES = 1 << 30
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def write_model(path: Path, record: ModelRecord) -> None:
     except ValueError as error:
         raise ModelError(f"{path}: cannot be written ({error}); fit again with other settings") from error
     content = bytearray(memory.getvalue())
-    _HEADER.pack_into(content, 0, MAGIC, FORMAT_VERSION)
+    _HEADER.pack_into(content, 0, MODEL_MAGIC, FORMAT_VERSION)
     content[_DIGEST] = _digest(content)
     disk.write_bytes(path, bytes(content))
 
@@ -105,8 +105,8 @@ def read_model(path: Path) -> ModelRecord:
         content = disk.read_bytes(path, advice="name a model", most=_MOST_BYTES)
     except UsageError as error:
         raise ModelError(str(error)) from error
-    if not content.startswith(MAGIC):
-        is_hdf5 = content.startswith(HDF5_MAGIC)
+    if not content.startswith(MODEL_MAGIC):
+        is_hdf5 = content.startswith(_HDF5_MAGIC)
         what = "another HDF5 file, or a model of an old version" if is_hdf5 else "unknown or damaged header"
         raise ModelError(
             f"{path}: {what}, expected a manifold model of format {FORMAT_VERSION}; name another, or embed again"

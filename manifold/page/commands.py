@@ -18,12 +18,12 @@ from manifold.colour.lights import ENVIRONMENTS
 from manifold.colour.pictures import SUFFIXES
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
-from manifold.estimate.inputs import FIT
 from manifold.estimate.sightings import PhotoRequest
 from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.extras import require
 from manifold.model.colours import ColourChoice
 from manifold.model.places import parse_walk
+from manifold.recognition import FIT_SUFFIX
 from manifold.registries import TARGETS, Registry
 
 Request = Mapping[str, Any]
@@ -224,7 +224,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
     "fit": Command(
         "manifold.fit.fits:fit",
         lambda request, context, output, file: {"source": _place(request, context), "target": output},
-        _schema(_SHOWN, ["latent"]), FIT,
+        _schema(_SHOWN, ["latent"]), FIT_SUFFIX,
     ),
     "export": Command(
         "manifold.fit.exporting:export",

@@ -21,6 +21,7 @@ from manifold.library.identity import hash_arrays
 from manifold.model.colours import ColourChoice
 from manifold.model.places import PlaceLike
 from manifold.progress import Stages
+from manifold.recognition import Kind, kind_of
 from manifold.records import plain
 from manifold.render import backend, images, scenes
 from manifold.render.ball import BallMaterial, read_material
@@ -208,7 +209,7 @@ def compare(
     pictures = [
         source.path
         for source in (a, b)
-        if isinstance(source, FileSource) and source.path.suffix not in (".bsdf", ".json")
+        if isinstance(source, FileSource) and kind_of(source.path) is Kind.PICTURE
     ]
     if len(pictures) == 1:
         raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")

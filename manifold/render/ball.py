@@ -14,8 +14,10 @@ from manifold.colour import lights
 from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import MissingFileError, UsageError
+from manifold.formats.tensor_file import is_compressed
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.model.prediction import ClippedBRDF
+from manifold.recognition import is_fit
 from manifold.records import Array, BsdfFile
 from manifold.render import images
 from manifold.render.render import RenderSettings, render_bsdf
@@ -44,7 +46,7 @@ class BallMaterial:
 
 def read_material(path: Path) -> BallMaterial:
     """Read an RGL file, or the JSON of a fit."""
-    if path.suffix == ".json":
+    if path.suffix == ".json" or is_fit(path):
         from manifold.render import fit_json
 
         content = fit_json.read(path)
@@ -117,7 +119,10 @@ def render_ball(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if isinstance(material, str | Path):
-        return read_material(Path(material)).render(settings)
+        path = Path(material)
+        if is_compressed(path):  # which Mitsuba does not open
+            return render_material(read_bsdf(path), settings)
+        return read_material(path).render(settings)
     return render_material(material, settings)
 
 

@@ -10,9 +10,9 @@ import pytest
 from helpers.instrument_files import dense, lighttools_axes, write_every_format
 
 from manifold.errors import FileFormatError, UsageError
-from manifold.estimate.inputs import is_readings
 from manifold.formats import bird, registry
 from manifold.info import inspect
+from manifold.recognition import is_readings
 from manifold.records import Bands
 from manifold.render.ball import make_settings
 

@@ -31,6 +31,7 @@ from manifold.page.explore import write_page
 from manifold.pictures import maps, renders
 from manifold.pictures.maps import slices, sources
 from manifold.plots import figures, map_figure
+from manifold.registries import EXAMPLES
 from manifold.render import backend
 from manifold.render.render import RenderSettings
 
@@ -195,7 +196,7 @@ def run(
 def _make_the_rest(folder: Path, fitted: Manifold, has_mitsuba: bool, add: Callable[..., None]) -> None:
     """Make what `manifold demo --all` adds: balls on the map, a walk, budgets, a chart, failure modes."""
     from manifold.evaluate import chart_figure
-    from manifold.evaluate.budget import budgets, example_scenes
+    from manifold.evaluate.budget import budgets
     from manifold.evaluate.budget.budgets import BudgetSettings
     from manifold.evaluate.chart import make_chart
     from manifold.evaluate.stability import stability_figure
@@ -220,7 +221,7 @@ def _make_the_rest(folder: Path, fitted: Manifold, has_mitsuba: bool, add: Calla
         )
     if has_mitsuba:
         settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
-        for name in example_scenes.EXAMPLES:
+        for name in EXAMPLES:
             picture = folder / f"budget_{name}.png"
             with progress.shown(f"Budgeting the scene of {name}"):
                 budgets.example(name, settings=settings, output=folder / "budget" / name, picture=picture)

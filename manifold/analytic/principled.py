@@ -121,7 +121,7 @@ class Principled:
         """
         lobes, slopes = self._lobes(values, with_slopes=True)
         here = self._assemble(values, lobes)
-        by_name = {}
+        by_name: dict[str, Array] = {}
         for name in names:
             if name in slopes:
                 moved = lobes._replace(**{k: getattr(lobes, k) + slope for k, slope in slopes[name].items()})

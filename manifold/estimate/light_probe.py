@@ -224,7 +224,8 @@ def edges_on_limb(
         sharp.append(np.minimum(inner[best, ray] / np.maximum(inside, black), 1.0)[used] ** _SHARPNESS)
     A, y, counts = np.vstack(terms), np.concatenate(off), np.concatenate(sharp)
     pixel, alike = 1.0 / circle.radius, _ALIKE_EDGES
-    weights, scale, shift = counts, 0.5 * pixel, np.zeros(3)
+    weights, scale = counts, 0.5 * pixel
+    shift: Array = np.zeros(3)
     for _ in range(_ROUNDS):
         information = A.T @ (A * weights[:, None]) / (alike * scale**2) + np.eye(3) / deviation**2
         pull = A.T @ (weights * y) / (alike * scale**2) + before / deviation**2

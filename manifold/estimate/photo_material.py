@@ -444,7 +444,7 @@ def indicators(atoms: LibraryAtoms, solution: Solution) -> Array:
     """Return residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
     grid = atoms.on_grid[:, ::_GRID_STRIDE]
     spreads = [prior.spread(np.cbrt(prior.weights @ grid)) for prior in solution.priors]
-    return np.sqrt(np.mean(np.square([_residuals(solution), spreads]), axis=1))
+    return np.sqrt(np.mean(np.square(np.stack([_residuals(solution), np.array(spreads)])), axis=1))
 
 
 def calibrated(atoms: LibraryAtoms, evidence: Evidence, exposures: Array) -> Calibration:

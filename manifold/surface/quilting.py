@@ -46,7 +46,7 @@ class Patch:
     left: int
 
     @property
-    def at(self) -> tuple[Indices, Indices]:
+    def at(self) -> tuple[Indices, ...]:
         """Index of the patch in the texture."""
         return np.ix_(self.rows, self.columns)
 

@@ -28,7 +28,8 @@ from manifold.fit.exports.document import Export, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
 from manifold.records import Array, Bands
-from manifold.registries import EXPORT_SUFFIXES, EXPORTS_IN_WORDS, TARGETS
+from manifold.registries import EXPORT_SUFFIXES, EXPORTS_IN_WORDS
+from manifold.registries import TARGETS as TARGETS
 
 Brdf = Callable[[Mapping[str, Any], ShadingPairs], Array]
 Content = Callable[[Export], bytes]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import UsageError
+from manifold.recognition import is_library
 from manifold.records import AnyArray, Array, BsdfFile, origin_of
 
 
@@ -23,7 +24,7 @@ def require_outside_libraries(path: Path, *, into: bool = False) -> None:
     """Raise UsageError where a file or folder to be written lies in a library, or one to be written into is one."""
     real = Path(os.path.realpath(path))
     folders = [real, *real.parents] if into else real.parents
-    libraries = [folder for folder in folders if (folder / "zarr.json").is_file()]
+    libraries = [folder for folder in folders if is_library(folder)]
     if libraries:  # the last one is the library, others are its groups
         raise UsageError(
             f"{path}: in the library {libraries[-1]}, which other files would damage; name another path"

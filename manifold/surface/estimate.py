@@ -110,12 +110,17 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
     if np.isfinite(factors).any():
         colour = np.minimum(colour / np.nanmedian(factors, axis=0), 1.0)
     else:  # nothing says how bright it is: its brightest points are as bright as can be
-        colour /= np.max(np.quantile(colour * relative, _BRIGHTEST, axis=(0, 1)))
+        colour /= brightest(colour * relative)
     return Surface(
         pictures.name, colour, relative, state[..., :2],
         np.sqrt(np.diagonal(covariance)[:2]), state[..., 2], _glints(values, residual, pictures), gain,
         pictures,
     )  # fmt: skip
+
+
+def brightest(colours: Array) -> float:
+    """Return the brightest channel of the brightest of points (H, W, 3), glints and dust excepted."""
+    return float(np.max(np.quantile(colours, _BRIGHTEST, axis=(0, 1))))
 
 
 def _fitted(

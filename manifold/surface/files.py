@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -34,7 +34,7 @@ from manifold.records import Array
 from manifold.registries import TARGETS as EXPORTS
 from manifold.render.images import write_display, write_image
 from manifold.surface import preview
-from manifold.surface.estimate import Surface, estimate_surface
+from manifold.surface.estimate import Surface, brightest, estimate_surface
 from manifold.surface.lamp_pictures import SurfacePictures
 from manifold.surface.sparkle import DrawnFlakes, Sparkle, sparkle_of
 from manifold.surface.tiling import Textures, tile
@@ -188,6 +188,8 @@ def write_surface(
     sparkle = sparkle_of(surface)
     stages.begin("textures")
     textures = tile(surface, size)
+    if brdf is None:  # the scale is free, and textures do not show all parts of the sample equally often
+        surface = replace(surface, mean=surface.mean / brightest(surface.mean * textures.albedo))
     flakes = None
     if sparkle.flakes is not None and sparkle.density > _VISIBLE_SPARKLE:
         flakes = sparkle.flakes.drawn(size, np.random.default_rng(1))

@@ -98,18 +98,18 @@ def left_out(letter: Variant, materials: list[MeasuredBRDF]) -> dict[str, dict[s
         print(f"left out {materials[i].name}", flush=True)
     data = Data.evaluate(materials, GRID)
     balls = MaterialTable(materials, data.bands)
-    found = {}
+    tables = {}
     for name, is_clipped in (("letter", False), ("clipped", True)):
         errors = measured(data, balls, lambda i, c=is_clipped: Combination(Identity(), spread[i], None, c))
-        found[name] = {
+        tables[name] = {
             key: [float(np.median(of)), float(np.percentile(of, 90))]
             for key, of in (
                 (kind.replace("eq. 22", "eq_22"), errors[kind]) for kind in ("ball", "cube root", "linear")
             )
         }
     whole = eq_22(S, spread)
-    found["letter"]["eq_22"] = [float(np.median(whole)), float(np.percentile(whole, 90))]
-    return found
+    tables["letter"]["eq_22"] = [float(np.median(whole)), float(np.percentile(whole, 90))]
+    return tables
 
 
 def main() -> None:

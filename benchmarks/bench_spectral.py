@@ -104,16 +104,16 @@ def like_instrument(sample: Sample) -> Array:
     return np.array(chosen)
 
 
-def errors(sample: Sample, some: Array, found: Array) -> dict[str, object]:
+def errors(sample: Sample, some: Array, predicted: Array) -> dict[str, object]:
     """Errors of values (P', B) at some pairs, by region; CIEDE2000 where the bands are those of colours."""
     f, pairs, far = sample.f[some], sample.pairs[some], sample.from_mirror_deg[some]
     result: dict[str, object] = {}
     weight = np.cbrt(pairs.cosines)[:, None]
-    roots = [weight * np.cbrt(np.maximum(values, 0.0)) for values in (f, found)]
+    roots = [weight * np.cbrt(np.maximum(values, 0.0)) for values in (f, predicted)]
     is_colour = len(sample.nm) > 4
     if is_colour:
         difference, _ = colour_differences(
-            np.maximum(f, 0.0), np.maximum(found, 0.0), Bands(sample.nm), "D65"
+            np.maximum(f, 0.0), np.maximum(predicted, 0.0), Bands(sample.nm), "D65"
         )
     for name, (low, high) in {"all": (0.0, 181.0), **REGIONS}.items():
         here = (far >= low) & (far < high)
@@ -124,7 +124,9 @@ def errors(sample: Sample, some: Array, found: Array) -> dict[str, object]:
             "cube_root": float(
                 np.linalg.norm(roots[1][here] - roots[0][here]) / np.linalg.norm(roots[0][here])
             ),
-            "relative": float(np.median(np.abs(found[here] - f[here]) / np.maximum(np.abs(f[here]), 1e-6))),
+            "relative": float(
+                np.median(np.abs(predicted[here] - f[here]) / np.maximum(np.abs(f[here]), 1e-6))
+            ),
         }
         if is_colour:
             row["ciede2000"] = [
@@ -171,10 +173,12 @@ def main() -> None:
             )
             if case != "noisy":
                 problem = Problem(some, read.f[chosen], judged, materials)
-                methods |= {name: errors(sample, others, made(problem)) for name, made in BASELINES.items()}
+                methods |= {
+                    name: errors(sample, others, complete(problem)) for name, complete in BASELINES.items()
+                }
             rows[case] = methods
-            for name, found in methods.items():
-                print(sample.name, case, name, json.dumps(found), flush=True)
+            for name, of_method in methods.items():
+                print(sample.name, case, name, json.dumps(of_method), flush=True)
         result[sample.name] = rows
         if asked.json:
             asked.json.write_text(json.dumps(result, indent=1) + "\n")

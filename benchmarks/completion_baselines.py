@@ -61,8 +61,8 @@ def pca_ridge(problem: Problem) -> Array:
     _, read, judged = [(values - mean) @ vectors for values, mean in zip(logs, means, strict=True)]
     wrong = mapped(np.maximum(problem.values, 0.0), problem.read) - reference[1] - means[1]
     coefficients = np.linalg.solve(read.T @ read + _RIDGE * np.eye(read.shape[1]), read.T @ wrong)
-    found = np.exp(judged @ coefficients + means[2] + reference[2]) - _EPSILON
-    return np.maximum(found, 0.0) / np.maximum(problem.judged.cosines, 1e-3)[:, None]
+    f = np.exp(judged @ coefficients + means[2] + reference[2]) - _EPSILON
+    return np.maximum(f, 0.0) / np.maximum(problem.judged.cosines, 1e-3)[:, None]
 
 
 def nearest(problem: Problem) -> Array:
@@ -104,10 +104,10 @@ def lambert_and_lobe(problem: Problem) -> Array:
             # p^(1/3) - t = (p - t^3) / (p^(2/3) + p^(1/3) t + t^2): least squares of cube roots by weights.
             for _ in range(_REWEIGHTED):
                 weight = 1.0 / np.maximum(p * p + p * t + t * t, 1e-6)
-                found, _ = scipy.optimize.nnls(columns * weight[:, None], t**3 * weight)
-                p = np.cbrt(columns @ found)
-            strengths.append(found)
-            misfit += float(np.sum((np.cbrt(columns @ found) - target[:, band]) ** 2))
+                strength, _ = scipy.optimize.nnls(columns * weight[:, None], t**3 * weight)
+                p = np.cbrt(columns @ strength)
+            strengths.append(strength)
+            misfit += float(np.sum((np.cbrt(columns @ strength) - target[:, band]) ** 2))
         if best is None or misfit < best[0]:
             best = misfit, alpha, np.array(strengths).T
     assert best is not None

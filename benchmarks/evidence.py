@@ -77,7 +77,9 @@ RESULTS = {
     "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS), 3),
     "fair_corpus": Result("bench_fair.py CORPUS --every 10", (*_GPLVM, *_BLEND, *_LIGHTS), 10),
     "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic"), 5),
-    "spectral": Result("bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS), 2),
+    "spectral": Result(
+        "bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS, "../benchmarks/completion_baselines.py"), 2
+    ),
     "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS), 2),
     "met": Result("bench_met.py LIBRARY WORKBOOKS", (*_COMPLETE, *_LIGHTS)),
     "published": Result("bench_published.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS)),
@@ -151,31 +153,31 @@ def stamp(name: str, path: Path, data: dict[str, str], seconds: float | None) ->
     """Add to a result how it was made; data are hashes by the word that stands for them in the command."""
     content = json.loads(path.read_text(encoding="utf-8"))
     git = ["git", "-C", str(REPOSITORY), "rev-parse", "--short=10", "HEAD"]
-    made = {
+    record_of_run = {
         "command": RESULTS[name].command, "version": __version__,
         "commit": subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip(),
         "code": RESULTS[name].code_hash, "data": data, "date": datetime.now(UTC).date().isoformat(),
         "processor": f"{platform.machine()}, {platform.python_implementation()} {platform.python_version()}",
         "processor_seconds": None if seconds is None else round(seconds),
     }  # fmt: skip
-    path.write_text(json.dumps({MADE: made} | content, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps({MADE: record_of_run} | content, indent=1) + "\n", encoding="utf-8")
 
 
-def made(name: str) -> dict[str, object]:
+def record(name: str) -> dict[str, object]:
     """How a result was made."""
     return dict(json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))[MADE])
 
 
 def is_current(name: str) -> bool:
     """Whether a result was measured with the present code."""
-    return made(name)["code"] == RESULTS[name].code_hash
+    return record(name)["code"] == RESULTS[name].code_hash
 
 
 def table() -> str:
     """The results as a table of Markdown: command, date, commit, and whether the code has changed since."""
     rows = ["| result | command | measured | commit | code |", "|---|---|---|---|---|"]
     for path in sorted(FOLDER.glob("*.json")):
-        how = made(path.stem)
+        how = record(path.stem)
         code = (
             "not recorded" if how["code"] is None else "as now" if is_current(path.stem) else "changed since"
         )

@@ -51,10 +51,10 @@ class Places:
             return [str(self._given["WORKBOOKS"].resolve())]
         if word in self._given:
             return [str(self._given[word].resolve())]
-        made = {"LIBRARY": "library.zarr", "MODEL": "model.h5", "CORPUS": "corpus"}
-        if word not in made:
+        files = {"LIBRARY": "library.zarr", "MODEL": "model.h5", "CORPUS": "corpus"}
+        if word not in files:
             return [word]
-        path = self._folder / made[word]
+        path = self._folder / files[word]
         if not path.exists() and word == "CORPUS":
             self._run("corpus", str(path))
         elif not path.exists():

@@ -19,8 +19,8 @@ PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in evidence.FOLDER.glob("*.json")))
 def test_every_result_says_how_it_was_made(name):
-    made = evidence.made(name)
-    assert made.keys() >= {
+    record = evidence.record(name)
+    assert record.keys() >= {
         "command",
         "version",
         "commit",
@@ -30,8 +30,8 @@ def test_every_result_says_how_it_was_made(name):
         "processor",
         "processor_seconds",
     }
-    assert made["command"] == evidence.RESULTS[name].command
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d", str(made["date"]))
+    assert record["command"] == evidence.RESULTS[name].command
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", str(record["date"]))
 
 
 def test_every_module_that_a_result_depends_on_exists():

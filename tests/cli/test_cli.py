@@ -559,3 +559,9 @@ def test_a_place_by_its_old_option_still_works_with_a_note(run, folder):
     status, _, err = run("slices", "--latent", "0,0", "-o", "old.png", cwd=folder)
     assert status == 0
     assert "--latent 0,0 is now the argument 0,0" in err
+
+
+def test_the_old_name_of_the_gplvm_works_with_a_note(run, tmp_path):
+    status, _, err = run("embed", "--kind", "material", cwd=tmp_path)
+    assert "embed --kind material is now --kind gplvm" in err
+    assert status == 1  # there is no library

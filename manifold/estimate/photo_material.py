@@ -22,7 +22,7 @@ from manifold.colour.conversion import luminance, srgb_to_xyz
 from manifold.estimate.atoms import LibraryAtoms, shown_shares
 from manifold.estimate.expected import Calibration, cached
 from manifold.estimate.gloss import value_of_unit
-from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, Hypotheses, Mixtures
+from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, NOISE, Hypotheses, Mixtures
 from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -31,6 +31,9 @@ from manifold.model.estimator import LEAST, Observation, explain
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced, plain
+
+CONTRADICTION = 0.2
+"""Relative error of cube roots of readings, predicted from pictures alone, above which the two contradict."""
 
 _LEFT_OUT = 16  # materials by which expected errors are calibrated
 _CHANNELS_NM = (610.0, 550.0, 465.0)  # bands that stand for the channels of left-out materials
@@ -43,15 +46,13 @@ _TEMPERED = (
 )
 _STRENGTHS = 4.0 ** np.arange(6)  # candidates for spots in a clipped light, beside what is in its picture
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
-_READING = (
-    0.01  # weight of a reading, of that of all pixels: errors of pixels are alike, those of readings are not
-)
 _ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
 _MUCH_LESS = 0.7  # share of a residual
 _UNEXPLAINED = 0.03  # residual that noise can make
 _GRID_STRIDE = 7  # one in this many directions of the encoding grid is enough to compare mixtures
 _MODEL_ERROR = 0.05  # standard deviation of cube roots of pixels about the best mixture, relative
-_INDEPENDENT = 30.0  # number of pixels whose errors are independent
+_INDEPENDENT = 30.0  # number of pixels of a picture whose errors are independent
+_READING = (_MODEL_ERROR / NOISE) ** 2 / _INDEPENDENT  # weight of a reading, of that of a picture
 _EXPONENT = 2.0  # power of the norm of mixtures by which their likelihood is divided
 _KEEP = 1e-3  # weight of squared changes over all directions against those of pixels, both relative
 _DARK = 0.05  # share of the root mean square of cube roots: changes of darker directions cost no more
@@ -63,11 +64,9 @@ class PhotoMaterial:
     """A material found in photographs.
 
     Attributes:
-        weights: of atoms in the channels of the camera, shape (3, n).
+        solution: weights of atoms in the channels of the camera, and exposures of the photographs.
         to_bands: from channels to the bands of the library, shape (B, 3).
-        exposures: by which each photograph is brighter than light and material say, shape (P,).
-        channels: what was seen in each, under these exposures.
-        evidence: the same as it was seen.
+        evidence: photographs, readings and gloss.
         residual: relative error of cube roots of pixels.
         spread: of the mixtures that explain the pixels, relative, over all directions.
         unlit: what the light cannot tell, in sentences.
@@ -76,10 +75,8 @@ class PhotoMaterial:
     """
 
     atoms: LibraryAtoms
-    weights: Array
+    solution: Solution
     to_bands: Array
-    exposures: Array
-    channels: Sequence[Observation]
     evidence: Evidence
     residual: float
     spread: float
@@ -108,9 +105,24 @@ class PhotoMaterial:
         )
 
     @property
+    def weights(self) -> Array:
+        """Weights of atoms in the channels of the camera, shape (3, n)."""
+        return self.solution.weights
+
+    @property
+    def channels(self) -> Sequence[Observation]:
+        """What was seen in each channel, under the exposures."""
+        return self.solution.channels
+
+    @property
+    def exposures(self) -> Array:
+        """By which factor each photograph is brighter than light and material predict, shape (P,)."""
+        return self.solution.exposures
+
+    @property
     def exposure(self) -> float:
         """The geometric mean of the exposures."""
-        return float(np.exp(np.mean(np.log(self.exposures))))
+        return _mean(self.exposures)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -138,12 +150,12 @@ class PhotoMaterial:
         if self.evidence.each or len(self.evidence.pictures) == 1 or self.residual <= _UNEXPLAINED:
             return None
         apart = solve(self.atoms, replace(self.evidence, each=True))
-        residual = float(indicators(self.atoms, apart)[0])
+        residual, gains = float(indicators(self.atoms, apart)[0]), _relative(apart.exposures)
         if residual > _MUCH_LESS * self.residual:
             return None
         return (
             f"the pixels have a residual of {100.0 * self.residual:.2g} % with one exposure for all pictures, and of "
-            f"{100.0 * residual:.2g} % with {apart.gains.min():.2g} to {apart.gains.max():.2g} times their mean: if "
+            f"{100.0 * residual:.2g} % with {gains.min():.2g} to {gains.max():.2g} times their mean: if "
             "the lamp or the camera's settings differed, give --exposure each"
         )
 
@@ -183,32 +195,41 @@ class Evidence:
 
     Attributes:
         pictures: rows of every picture in each of C channels, as its pixels are.
-        beside: readings and gloss in each channel, if there are any.
+        readings: in each channel; empty without any.
+        gloss: in each channel; empty without any.
         exposure: by which pictures are brighter than light and material say; None where it is not known.
         each: whether every picture has an exposure of its own about that.
     """
 
     pictures: Sequence[Sequence[Observation]]
-    beside: Sequence[Observation | None]
     exposure: float | None = 1.0
     each: bool = False
+    readings: Sequence[Observation] = ()
+    gloss: Sequence[Observation] = ()
 
     @property
     def has_gains(self) -> bool:
         """Whether exposures of pictures relative to each other are to be estimated."""
         return self.each and len(self.pictures) > 1
 
-    def under(self, exposure: float, gains: Array) -> list[Observation]:
-        """Return the observations in every channel, under an exposure and gains (P,) of the pictures."""
+    def under(self, exposures: Array, noise: Array | None = None) -> list[Observation]:
+        """Return what is seen in every channel, under exposures (P,) of the pictures.
+
+        Pictures of more than the usual noise (P,) count less.
+        """
+        counts = np.ones(len(exposures)) if noise is None else (_MODEL_ERROR / noise) ** 2
         channels = []
-        for c, other in enumerate(self.beside):
-            rows = Observation.joined(
-                [
-                    picture[c].scaled(exposure * gain)
-                    for picture, gain in zip(self.pictures, gains.tolist(), strict=True)
-                ]
-            )
-            channels.append(rows if other is None else rows.beside(other))
+        for c in range(len(self.pictures[0])):
+            parts = [
+                replace(picture[c].scaled(exposure), weights=count * picture[c].weights)
+                for picture, exposure, count in zip(
+                    self.pictures, exposures.tolist(), counts.tolist(), strict=True
+                )
+            ]
+            rows = Observation.joined(parts)
+            for others in (self.readings, self.gloss):
+                rows = rows.beside(others[c]) if others else rows
+            channels.append(rows)
         return channels
 
     def of_another(self, own: Indices, exposures: Array) -> Evidence:
@@ -217,13 +238,12 @@ class Evidence:
             [seen_instead(rows.scaled(at), rows.atoms[k]) for rows, k in zip(picture, own, strict=True)]
             for picture, at in zip(self.pictures, exposures.tolist(), strict=True)
         ]
-        beside = [
-            None if rows is None else replace(rows, seen=rows.atoms[k])
-            for rows, k in zip(self.beside, own, strict=True)
-        ]
-        return replace(
-            self, pictures=pictures, beside=beside, exposure=None if self.exposure is None else 1.0
+        readings, gloss = (
+            [replace(rows, seen=rows.atoms[k]) for rows, k in zip(others, own, strict=True)] if others else []
+            for others in (self.readings, self.gloss)
         )
+        exposure = None if self.exposure is None else 1.0
+        return replace(self, pictures=pictures, readings=readings, gloss=gloss, exposure=exposure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,31 +254,46 @@ class Solution:
         weights: of atoms in every channel, shape (C, n).
         priors: mixtures of every channel.
         channels: what was seen in each, under the exposure and gains.
-        exposure: that all pictures have in common.
-        gains: of every picture about that, shape (P,); their geometric mean is 1.
+        exposures: of every picture, shape (P,).
+        residuals: relative error of cube roots of every picture, shape (P,).
+        contradiction: the same of readings as pictures alone predict them; 0 without any.
     """
 
     weights: Array
     priors: Sequence[Hypotheses]
     channels: Sequence[Observation]
-    exposure: float
-    gains: Array
+    exposures: Array
+    residuals: Array
+    contradiction: float = 0.0
 
 
 def solve(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None = None) -> Solution:
-    """Explain evidence by usable atoms (n,); unknown exposures are part of the estimate."""
-    gains = _first_gains(atoms, evidence)
+    """Explain evidence by usable atoms (n,); unknown exposures and the noise of pictures are part of the estimate.
+
+    Where there are readings, the pictures' noise is at least the error of these as pictures alone predict them.
+    """
+    contradiction = 0.0
+    exposures = (evidence.exposure or 1.0) * _first_gains(atoms, evidence)
+    if evidence.readings:
+        alone = solve(atoms, replace(evidence, readings=()), usable)
+        scale, contradiction = _predicted_readings(evidence, alone.weights)
+        exposures = alone.exposures * (scale if evidence.exposure is None else 1.0)
+    least = max(_MODEL_ERROR, contradiction)
+    noise = np.full(len(exposures), least)
     for _ in range(_ROUNDS):
-        exposure = evidence.exposure
-        if exposure is None:
-            exposure = probable_exposure(atoms, evidence, gains, usable)
-        channels = evidence.under(exposure, gains)
+        if evidence.exposure is None and not evidence.readings:
+            gains = _relative(exposures)
+            exposures = probable_exposure(atoms, evidence, gains, usable) * gains
+        channels = evidence.under(exposures, noise)
+        if contradiction > CONTRADICTION:  # readings choose the prior, too
+            channels = [replace(rows, n_beside=0) for rows in channels]
         weights, priors = estimate(atoms, channels, usable)
-        solution = Solution(weights, priors, channels, exposure, gains)
-        if not evidence.has_gains:
-            break
-        gains = _gains(evidence.pictures, weights)
-        if np.abs(np.log(gains / solution.gains)).max() < _SETTLED:
+        residuals = _residuals(evidence, weights, exposures)
+        solution = Solution(weights, priors, channels, exposures, residuals, contradiction)
+        exposures = _better_exposures(evidence, weights, exposures)
+        noise, noise_before = np.maximum(residuals, least), noise
+        changes = np.log([exposures / solution.exposures, noise / noise_before])
+        if np.abs(changes).max() < _SETTLED or not (evidence.readings or len(exposures) > 1):
             break
     return solution
 
@@ -287,36 +322,21 @@ def find_material(
     gloss = {angle: units for one in seen if isinstance(one, Mapping) for angle, units in one.items()}
     gloss = {angle: units for one in readings for angle, units in one.gloss.items()} | gloss
     channels = range(len(pictures[0]))
-    of_readings: list[Observation | None] = [None for _ in channels]
+    of_readings: list[Observation] = []
     if readings:
-        weight = sum(float(picture[0].weights.sum()) for picture in pictures)
+        weight = float(np.mean([picture[0].weights.sum() for picture in pictures]))
         of_readings = [
             Observation.joined([_of_readings(atoms, one, c, weight) for one in readings]) for c in channels
         ]
-    evidence = Evidence(pictures, of_readings, exposure, each)
+    evidence = Evidence(pictures, exposure, each, of_readings)
     solution = solve(atoms, evidence)
     if gloss:  # photographs say what colour highlights have
-        weight = float(np.mean(solution.channels[0].pixels.weights))
-        of_gloss = _of_gloss(atoms, gloss, solution.weights, weight)
-        beside = [
-            rows if other is None else Observation.joined([other, rows])
-            for rows, other in zip(of_gloss, of_readings, strict=True)
-        ]
-        evidence = replace(evidence, beside=beside)
+        weight = float(np.mean(np.concatenate([picture[0].weights for picture in pictures])))
+        evidence = replace(evidence, gloss=_of_gloss(atoms, gloss, solution.weights, weight))
         solution = solve(atoms, evidence)
     residual, spread = indicators(atoms, solution)
     return PhotoMaterial(
-        atoms,
-        solution.weights,
-        to_bands,
-        solution.exposure * solution.gains,
-        solution.channels,
-        evidence,
-        residual,
-        spread,
-        unlit(sightings),
-        library,
-        strength,
+        atoms, solution, to_bands, evidence, residual, spread, unlit(sightings), library, strength
     )
 
 
@@ -333,8 +353,8 @@ def strength_of_spots(
 
     def off(strength: float) -> float:
         rows = [s.rows(lit + strength * spots) for s, (lit, spots) in zip(sightings, sums, strict=True)]
-        solution = solve(atoms, Evidence(rows, [None] * len(rows[0]), exposure))
-        return float(np.mean(_residuals(solution) ** 2))
+        solution = solve(atoms, Evidence(rows, exposure))
+        return float(np.mean(_channel_errors(solution) ** 2))
 
     tried = np.append(0.0, _STRENGTHS)
     best = float(tried[np.argmin([off(s) for s in tried])])
@@ -355,26 +375,46 @@ def _first_gains(atoms: LibraryAtoms, evidence: Evidence) -> Array:
 
 def _relative(gains: Array) -> Array:
     """Divide gains (P,) by their geometric mean."""
-    logs = np.log(np.maximum(gains, np.finfo(float).tiny))
-    return np.asarray(np.exp(logs - logs.mean()))
+    return np.asarray(gains / _mean(gains))
 
 
-def _gains(per_picture: Sequence[Sequence[Observation]], weights: Array) -> Array:
-    """Return the ratios of pictures to the predictions of weights (C, n), with geometric mean 1: (P,)."""
-    gains = []
-    for rows in per_picture:
-        products = squares = 0.0
-        for one, w in zip(rows, weights, strict=True):
-            used = ~one.is_bound
-            made, seen = np.cbrt(np.maximum([w @ one.atoms, one.seen], 0.0))
-            products += float(np.sum(one.weights[used] * made[used] * seen[used]))
-            squares += float(np.sum(one.weights[used] * made[used] ** 2))
-        gains.append((products / max(squares, np.finfo(float).tiny)) ** 3)
-    return _relative(np.array(gains))
+def _mean(gains: Array) -> float:
+    """Return the geometric mean of gains (P,)."""
+    return float(np.exp(np.mean(np.log(np.maximum(gains, np.finfo(float).tiny)))))
+
+
+def _better_exposures(evidence: Evidence, weights: Array, exposures: Array) -> Array:
+    """Return exposures (P,), unknown ones as weights (C, n) predict the pictures."""
+    ratios = np.array([_ratio(picture, weights) for picture in evidence.pictures])
+    if evidence.exposure is None and evidence.readings:
+        return ratios if evidence.each else np.full(len(ratios), _mean(ratios))
+    return _mean(exposures) * _relative(ratios) if evidence.has_gains else exposures
+
+
+def _ratio(rows: Sequence[Observation], weights: Array) -> float:
+    """Return by which factor rows in C channels are larger than weights (C, n) predict, by their cube roots."""
+    products = squares = 0.0
+    for one, w in zip(rows, weights, strict=True):
+        used = ~one.is_bound
+        made, seen = np.cbrt(np.maximum([w @ one.atoms, one.seen], 0.0))
+        products += float(np.sum(one.weights[used] * made[used] * seen[used]))
+        squares += float(np.sum(one.weights[used] * made[used] ** 2))
+    return max((products / max(squares, np.finfo(float).tiny)) ** 3, np.finfo(float).tiny)
+
+
+def _predicted_readings(evidence: Evidence, weights: Array) -> tuple[float, float]:
+    """Return the factor by which weights (C, n) are brighter than readings, and the relative error of cube roots.
+
+    The factor is not part of the error where the exposure of pictures is unknown.
+    """
+    scale = 1.0 / _ratio(evidence.readings, weights)
+    made = weights / scale if evidence.exposure is None else weights
+    errors = [rows.relative.error(w) for rows, w in zip(evidence.readings, made, strict=True)]
+    return scale, float(np.sqrt(np.mean(np.square(errors))))
 
 
 def _of_readings(atoms: LibraryAtoms, readings: Readings, channel: int, of_pixels: float) -> Observation:
-    """Return readings of one channel; each counts as much as a hundredth of pixels, whose weights have a sum.
+    """Return readings of one channel; each counts as a part of a picture, whose weights have a sum.
 
     They are reflectance factors times a cosine, as pixels are; those brighter than white are scaled to it.
     """
@@ -414,7 +454,7 @@ def probable_exposure(
     """
     every = np.ones(len(atoms), bool) if usable is None else usable
     grey, n = atoms.mixed[-1], atoms.n_measured
-    pictures = [rows.pixels for rows in evidence.under(1.0, gains)]
+    pictures = [rows.pixels for rows in evidence.under(gains)]
     seen = sum(float(rows.weights @ np.maximum(rows.seen, 0.0)) for rows in pictures)
     of_atoms = np.sum([rows.atoms @ rows.weights for rows in pictures], axis=0)
     lit = float(of_atoms[grey])
@@ -425,15 +465,24 @@ def probable_exposure(
     prior -= 0.5 * (np.maximum(log_albedo, 0.0) / _WHITE) ** 2
     log = np.array(
         [
-            sum(pixel_posterior(atoms, rows, every).evidence for rows in evidence.under(t, gains))
+            sum(pixel_posterior(atoms, rows, every).evidence for rows in evidence.under(t * gains))
             for t in tried
         ]
     )
-    log = prior + (log if any(other is not None for other in evidence.beside) else _TEMPERED * log)
+    log = prior + (log if evidence.readings or evidence.gloss else _TEMPERED * log)
     return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
 
 
-def _residuals(solution: Solution) -> Array:
+def _residuals(evidence: Evidence, weights: Array, exposures: Array) -> Array:
+    """Return the relative error of every picture, root mean square over channels, (P,)."""
+    errors = [
+        [rows.scaled(at).relative.error(w) for rows, w in zip(picture, weights, strict=True)]
+        for picture, at in zip(evidence.pictures, exposures.tolist(), strict=True)
+    ]
+    return np.asarray(np.sqrt(np.mean(np.square(errors), axis=1)))
+
+
+def _channel_errors(solution: Solution) -> Array:
     """Return the relative error of every channel, (C,)."""
     return np.array(
         [rows.relative.error(w) for rows, w in zip(solution.channels, solution.weights, strict=True)]
@@ -444,7 +493,7 @@ def indicators(atoms: LibraryAtoms, solution: Solution) -> Array:
     """Return residual and spread, root mean square over channels, from which errors are predicted: (2,)."""
     grid = atoms.on_grid[:, ::_GRID_STRIDE]
     spreads = [prior.spread(np.cbrt(prior.weights @ grid)) for prior in solution.priors]
-    return np.sqrt(np.mean(np.square(np.stack([_residuals(solution), np.array(spreads)])), axis=1))
+    return np.sqrt(np.mean(np.square(np.stack([_channel_errors(solution), np.array(spreads)])), axis=1))
 
 
 def calibrated(atoms: LibraryAtoms, evidence: Evidence, exposures: Array) -> Calibration:
@@ -480,9 +529,9 @@ def _cache_key(atoms: LibraryAtoms, evidence: Evidence, exposures: Array, librar
         for rows in picture:
             for array in (rows.atoms, rows.weights, np.array(_clipping(rows) / exposure)):
                 digest.update(array.tobytes())
-    for other in evidence.beside:
-        for array in () if other is None else (other.atoms, other.weights):
-            digest.update(array.tobytes())
+    for rows in (*evidence.readings, *evidence.gloss):
+        digest.update(rows.atoms.tobytes())
+        digest.update(rows.weights.tobytes())
     return digest.hexdigest()
 
 

@@ -27,7 +27,7 @@ from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.lamps import lamp_picture
 from manifold.estimate.outlines import Circle
-from manifold.estimate.photo_material import PhotoMaterial, Seen, find_material
+from manifold.estimate.photo_material import CONTRADICTION, PhotoMaterial, Seen, find_material
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
 from manifold.formats.readings import Readings
 from manifold.formats.spectra import read_spectrum
@@ -38,7 +38,7 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.location import Located
 from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
-from manifold.model.prediction import ClippedBRDF, PredictedBRDF
+from manifold.model.prediction import ClippedBRDF
 from manifold.plots import figures
 from manifold.progress import Stages
 from manifold.records import Array, Bands, plain
@@ -86,7 +86,8 @@ class FromPhotographs:
             "photographs": [
                 f"{ball.photograph.path.name}, ball at {ball.circle}"
                 + "".join(f", lamp {lamp}" for lamp in ball.lamps)
-                for ball in self.balls
+                + f", residual {100 * residual:.1f} %"
+                for ball, residual in zip(self.balls, material.solution.residuals.tolist(), strict=True)
             ]
         }
         if place is not None:
@@ -120,8 +121,9 @@ class FromPhotographs:
                 "path": ball.photograph.path,
                 "circle": list(vars(ball.circle).values()),
                 "lamps": [lamp.direction for lamp in ball.lamps],
+                "residual": residual,
             }
-            for ball in self.balls
+            for ball, residual in zip(self.balls, self.material.solution.residuals.tolist(), strict=True)
         ]
         names = ("located", "output", "picture", "plausibility", "diagnostics", "seconds", "plan")
         known = {"photographs": photographs, "gloss": self.gloss}
@@ -280,14 +282,14 @@ def _found(
         exposure=request.exposure, each=request.each, library=library,
     )  # fmt: skip
     notes = [note for ball in balls for note in ball.notes] + list(material.notes)
-    if request.exposure is None:
+    if request.exposure is None and readings is None:
         notes.append(
             "the exposure was estimated from how bright the library's materials are: lightness may be off by a factor "
             "of two and more, which the expected errors include; a grey card in the picture (--grey) fixes it"
         )
     if readings is not None:
         notes += readings.notes
-    notes += _agreement(material.brdf, readings, gloss)
+    notes += _agreement(material, readings, gloss)
     if not library.bands.is_rgb:
         notes.append(
             "spectra are estimated from three channels: bands that no channel sees follow the library's"
@@ -295,14 +297,23 @@ def _found(
     return balls, material, tuple(dict.fromkeys(notes))
 
 
-def _agreement(brdf: PredictedBRDF, readings: Readings | None, gloss: Mapping[float, float]) -> list[str]:
+def _agreement(material: PhotoMaterial, readings: Readings | None, gloss: Mapping[float, float]) -> list[str]:
     """Return sentences on a material's distance from the values given beside its photographs."""
-    notes = []
+    notes, brdf = [], material.brdf
     if readings is not None:
         made, seen = np.cbrt(brdf.eval(readings.wi, readings.wo)), np.cbrt(np.maximum(readings.values, 0.0))
         is_read = np.isfinite(seen)
         error = float(np.linalg.norm((made - seen)[is_read]) / np.linalg.norm(seen[is_read]))
-        notes.append(f"readings: cube roots differ by {100 * error:.1f} % (root mean square)")
+        alone = material.solution.contradiction
+        notes.append(
+            f"readings: cube roots differ by {100 * error:.1f} % (root mean square); predicted from the "
+            f"photographs alone, by {100 * alone:.1f} %"
+        )
+        if alone > CONTRADICTION:
+            notes.append(
+                "readings and photographs contradict each other, and the photographs count less: check that both are "
+                "of one material, and the light of the photographs"
+            )
     given = {**(readings.gloss if readings is not None else {}), **gloss}
     for angle, units in gloss_units(brdf, given).items():
         notes.append(f"gloss at {angle:g} degrees: {given[angle]:g} given, {units:.3g} found")

@@ -27,9 +27,10 @@ from manifold.estimate.lamps import (
 )
 from manifold.estimate.light_probe import find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
-from manifold.estimate.photo_material import find_material, strength_of_spots
+from manifold.estimate.photo_material import CONTRADICTION, find_material, strength_of_spots
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, Sighting, see
+from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
 
@@ -261,6 +262,33 @@ def test_pictures_of_differing_exposures_that_are_taken_as_equal_are_noted(photo
         seen = sightings_of(DIRECTIONS, gains)
         notes = find_material(photo_atoms, seen, np.eye(3), exposure=None).notes
         assert any("give --exposure each" in note for note in notes) == is_noted
+
+
+def readings_of(brdf):
+    wi, wo = geometry_ma_t12()
+    return Readings("paint", "MA-T12", wi, wo, None, brdf.eval(wi, wo))
+
+
+def test_readings_fix_an_unknown_exposure(photo_atoms):
+    seen = [*sightings_of(DIRECTIONS[:1], [0.4]), readings_of(PAINT)]
+    found = find_material(photo_atoms, seen, np.eye(3), exposure=None, each=True)
+    # The library has coats of this kind: what is left is the noise of 24 points of a block.
+    assert found.exposure == pytest.approx(0.4, rel=0.1)
+
+
+def test_a_picture_that_contradicts_readings_counts_less(photo_atoms):
+    other = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.05, 0.04, 0.5]), Bands(None))
+    readings = readings_of(other)
+    right, wrong = (
+        find_material(photo_atoms, [*sightings_of(DIRECTIONS[:1], [1.0]), readings_of(brdf)], np.eye(3))
+        for brdf in (PAINT, other)
+    )
+    assert right.solution.contradiction < CONTRADICTION < wrong.solution.contradiction
+    # Values of cube roots between the two materials: nearer to the readings than to the picture.
+    made, picture, read = (
+        np.cbrt(brdf.eval(readings.wi, readings.wo)[:, 0]).mean() for brdf in (wrong.brdf, PAINT, other)
+    )
+    assert abs(made - read) < 0.2 * abs(made - picture)
 
 
 def test_lamps_have_unknown_strengths_unless_a_card_or_an_exposure_says_more():

@@ -179,13 +179,12 @@ def exports(files: dict[str, Path], target: Target, work: Path, written: Writer 
         target.name,
         target.parameters(material),
         {},
-        "mapping",
         Errors(),
         None,
         "nothing",
     )
     path = folder / f"{WHITE}{target.suffix}"
-    path.write_bytes(target.content(white, material))
+    path.write_bytes(target.content(white))
     made[WHITE] = white.to_json() | {"path": path}
     return made
 

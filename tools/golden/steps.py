@@ -137,7 +137,7 @@ COMMANDS: dict[str, str] = {
     "fit place and readings": "fit 0.3,0.5 -M real.h5 -o place.json; fit ma-t12/syn_satin_rose.xlsx"
     " -o readings.json; fit syn_satin_gold -M spectral.h5 -o spectral.json",
     "fit several": "fit real-left-out -o fits -j 1",
-    "export fit": "fit cardboard -M real.h5 -o cardboard.json; export cardboard.json --mapped -o mapped.glb;"
+    "export fit": "fit cardboard -M real.h5 -o cardboard.json; export cardboard.json -o fitted.glb;"
     "export cardboard.json --against real/cardboard_rgb.bsdf -o direct.mtlx;"
     "render cardboard.json --size 32 --samples 8 -o fit.exr",
     "export library": "export real-left-out --target unreal -o exports",

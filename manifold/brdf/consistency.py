@@ -221,7 +221,7 @@ def _agree(total: Array, expected: Array, is_rgb: bool) -> Mask:
     tolerance = _LUMINANCE_TOLERANCE if is_rgb else _SPECTRAL_LUMINANCE_TOLERANCE
     noise = 0.1 * tolerance * np.mean(np.abs(expected), axis=(2, 3), keepdims=True)
     largest = np.maximum(np.abs(total), np.abs(expected))
-    return np.asarray(np.abs(total - expected) <= tolerance * largest + noise)
+    return np.asarray(np.isfinite(total) & (np.abs(total - expected) <= tolerance * largest + noise))
 
 
 def _has_warp_of_visible_normals(file: BsdfFile) -> bool:

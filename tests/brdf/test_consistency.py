@@ -71,6 +71,15 @@ def test_damage_is_named(damage, name):
     assert is_named(found.to_json()), found.findings
 
 
+def test_rows_for_columns_disagree_by_no_factor():
+    """No channel times anything explains them, and nothing that is divided by zero agrees."""
+    file = measured("syn_felt_green")
+    turned = replace(file, spectra=np.ascontiguousarray(np.swapaxes(file.spectra, 3, 4)))
+    findings = check_consistency(turned).findings
+    assert findings
+    assert not any(" 0 times" in finding for finding in findings)
+
+
 @pytest.mark.parametrize("damage", ["cell", "negated", "incidence"])
 def test_damage_of_a_spectral_file_is_named(spectral, damage):
     file, is_named = damaged(damage, spectral)

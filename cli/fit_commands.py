@@ -230,8 +230,8 @@ def export(
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
     The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 of the ball
-    between the two, mean of {manifold.metrics.LIGHTS} that the fit did not use, beside that of Mitsuba's principled,
-    where the fit starts.
+    between the two, mean of {manifold.judged_lights.LIGHTS} that the fit did not use, beside that of Mitsuba's
+    principled, where the fit starts.
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ToleranceOption = Annotated[
     float | None,
     typer.Option(
-        help="{manifold.metrics.BALL} that a compact material may differ by.  [default: 0.2]",
+        help="{manifold.judged_lights.BALL} that a compact material may differ by.  [default: 0.2]",
         metavar="E",
     ),
 ]
@@ -229,10 +229,10 @@ def compact(
     them bit for bit. All commands read compact libraries, and models that were fitted before stay valid. The cube-root
     error is bounded, too: by 1 % at the default tolerance, otherwise in proportion.
     """
+    from manifold.judged_lights import BALL
     from manifold.library.compacting import compact_library
     from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.store import Library
-    from manifold.metrics import BALL
 
     results = terminal.Results(json)
     before = Library(library).disk_bytes
@@ -348,7 +348,7 @@ def find(
 ) -> None:
     """List the materials of a library nearest to a material, or to a colour, a gloss, or both.
 
-    Materials are compared as balls in {manifold.metrics.LIGHTS}, readings at their geometries, both by CIEDE2000.
+    Materials are compared as balls in {manifold.judged_lights.LIGHTS}, readings at their geometries, both by CIEDE2000.
     Colours are printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss counts
     in steps of a fifth, about as visible as a CIEDE2000 of 1.
     """

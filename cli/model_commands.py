@@ -162,7 +162,7 @@ def embed(
     It runs in this process, on all cores; with --scheduler, as one task of one worker.
     """
     from manifold.evaluate.selection import PAYS, embed
-    from manifold.metrics import BALL_COLUMN
+    from manifold.judged_lights import BALL_COLUMN
     from manifold.model.manifold import Settings
 
     results = terminal.Results(json)

@@ -317,7 +317,7 @@ def show_photographs(
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
     """Print where to hold a lamp."""
-    from manifold.metrics import LIGHTS
+    from manifold.judged_lights import LIGHTS
 
     heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")
 

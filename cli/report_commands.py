@@ -190,7 +190,7 @@ def chart(
 def _write_chart(made: Chart, results: terminal.Results, output: Path | None) -> None:
     from manifold.evaluate import chart_figure
     from manifold.evaluate.chart import conclusion
-    from manifold.metrics import BALL_COLUMN
+    from manifold.judged_lights import BALL_COLUMN
     from manifold.plots import figures
 
     if said := conclusion(made):
@@ -235,8 +235,8 @@ def _chart_readings(
     from manifold.estimate.atoms import LibraryAtoms
     from manifold.evaluate import chart_figure
     from manifold.evaluate.readings import measure_curves
+    from manifold.judged_lights import BALL_COLUMN
     from manifold.library.store import Library
-    from manifold.metrics import BALL_COLUMN
     from manifold.plots import figures
 
     opened = Library.open(library)

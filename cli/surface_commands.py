@@ -97,7 +97,7 @@ def surface(
         if len(sources) > 1:
             raise UsageError(f"found --sample {sample} of {len(sources)} files, expected one workbook")
         pictures, readings = read_workbook(sources[0], sample)
-    from manifold.metrics import BALL_COLUMN
+    from manifold.judged_lights import BALL_COLUMN
 
     folder = or_default(output, f"{sources[0].stem}_surface")
     with progress.shown("Making the surface"):

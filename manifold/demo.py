@@ -20,9 +20,9 @@ from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.evaluate.report import Report, make_report
 from manifold.evaluate.report_text import format_report, lead
 from manifold.evaluate.selection import embed
+from manifold.judged_lights import BALL_COLUMN, LIGHTS
 from manifold.library.identity import require_outside_libraries
 from manifold.library.importing import import_files
-from manifold.metrics import BALL_COLUMN, LIGHTS
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import Manifold
 from manifold.model.places import on_line

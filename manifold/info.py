@@ -20,7 +20,8 @@ from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import BALL, Errors
+from manifold.judged_lights import BALL
+from manifold.metrics import Errors
 from manifold.model.expected_error import NOT_CALIBRATED
 from manifold.model.model_file import read_model
 from manifold.recognition import Kind, kind_of

@@ -33,10 +33,10 @@ from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.coat import ColourSample
 from manifold.estimate.inputs import Input, Sample
 from manifold.estimate.sources import PlaceSource, read_source
+from manifold.judged_lights import BALL, BALL_COLUMN
 from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.metrics import BALL, BALL_COLUMN
 from manifold.model.location import Reconstruction
 from manifold.model.manifold import load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions

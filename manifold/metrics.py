@@ -9,20 +9,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from manifold.errors import ShapeError
-from manifold.names import in_words
+from manifold.judged_lights import BALL, LIGHTS
 from manifold.records import Array, plain
-
-JUDGED = ("studio 0", "white", "sun 45", "sun 80", "sun 130")
-"""The lights in which errors are measured, and which no fit uses: studio, uniform light, suns; see `colour.panel`."""
-
-LIGHTS = f"{in_words(len(JUDGED))} lights"
-"""The number of these lights, in words."""
-
-BALL = f"CIEDE2000 of the ball (mean of {LIGHTS})"
-"""In words, the error `Errors.ball`."""
-
-BALL_COLUMN = f"CIEDE2000 ({LIGHTS})"
-"""The error `Errors.ball` at the head of a column."""
 
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
 _UNKNOWN: Any = float("nan")

@@ -1,7 +1,7 @@
 """The panel of lights in which the look of a material is fitted, and those in which it is judged.
 
 One soft light flatters: what is fitted to it looks worse elsewhere. So fits see the ball in several lights, and errors
-are of other ones, `metrics.JUDGED`: means over these, and the worst of them by its name.
+are of other ones, `judged_lights.JUDGED`: means over these, and the worst of them by its name.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from manifold.colour import ball_colours, difference, lights
 from manifold.colour.ball_colours import Picture
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.directions import rotate_z
-from manifold.metrics import JUDGED, Errors
+from manifold.judged_lights import JUDGED
+from manifold.metrics import Errors
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands, Indices
 

@@ -35,8 +35,8 @@ from manifold.encoding import Decoder
 from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.formats.readings import DAYLIGHT, Readings, gloss_fault
+from manifold.judged_lights import LIGHTS
 from manifold.library.store import Library
-from manifold.metrics import LIGHTS
 from manifold.model.blend_space import require_blends
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.decoding import decoder_at

@@ -21,8 +21,9 @@ from manifold.evaluate.errors import KeptResults
 from manifold.evaluate.held_out import FOLDS, ChartRow, HeldOut
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
+from manifold.judged_lights import BALL, LIGHTS
 from manifold.library.store import Library
-from manifold.metrics import BALL, LIGHTS, Errors
+from manifold.metrics import Errors
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, plain

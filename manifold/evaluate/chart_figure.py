@@ -20,7 +20,7 @@ from manifold.evaluate.held_out import ChartRow
 from manifold.evaluate.methods import AFTER_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
 from manifold.evaluate.readings import Curve
 from manifold.evaluate.seen_fits import FAMILY
-from manifold.metrics import BALL
+from manifold.judged_lights import BALL
 from manifold.plots.figures import fix_layout, new_figure, place_names
 from manifold.records import Array
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from manifold.evaluate.report import MethodResult, Report
-from manifold.metrics import BALL, JUDGED, LIGHTS
+from manifold.judged_lights import BALL, JUDGED, LIGHTS
 from manifold.model.expected_error import GUARANTEED, LEVEL, NOT_CALIBRATED
 from manifold.names import counted
 from manifold.text_tables import table_lines

@@ -29,9 +29,10 @@ from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
-from manifold.metrics import BALL, BALL_COLUMN, LIGHTS, Errors
+from manifold.metrics import Errors
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model

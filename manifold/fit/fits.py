@@ -29,9 +29,9 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import FitResult, fit_bsdf
 from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
+from manifold.judged_lights import BALL_COLUMN
 from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.store import Library
-from manifold.metrics import BALL_COLUMN
 from manifold.model import diagnostics
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import load_model

@@ -22,7 +22,8 @@ from manifold.fit.fit_metrics import Criterion, ball_errors
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
-from manifold.metrics import BALL, Errors
+from manifold.judged_lights import BALL
+from manifold.metrics import Errors
 from manifold.records import Array, Bands, BsdfFile
 from manifold.registries import FITTERS
 from manifold.render import backend

@@ -14,6 +14,7 @@ from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.colour import panel
 from manifold.errors import LibraryError
+from manifold.judged_lights import BALL
 from manifold.library import staging, visible_normals
 from manifold.library.compact import EXTRA, Compact, decode
 from manifold.library.identity import (
@@ -27,7 +28,7 @@ from manifold.library.identity import (
 from manifold.library.layout import COEFFICIENTS, TABLES, read_attributes
 from manifold.library.staging import write_material
 from manifold.library.store import Library, read_material
-from manifold.metrics import BALL, cube_root_error
+from manifold.metrics import cube_root_error
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import AnyArray, Array, BsdfFile
 

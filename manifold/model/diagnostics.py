@@ -10,7 +10,8 @@ from manifold import __version__
 from manifold.brdf.interface import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
-from manifold.metrics import BALL, Errors
+from manifold.judged_lights import BALL
+from manifold.metrics import Errors
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.expected_error import COARSE_BELOW, NOT_CALIBRATED
 from manifold.records import Array, plain

@@ -23,7 +23,7 @@ from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb, xyz_to_
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
-from manifold.metrics import BALL, LIGHTS
+from manifold.judged_lights import BALL, LIGHTS
 from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold

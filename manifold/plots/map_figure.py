@@ -11,8 +11,8 @@ from matplotlib.patheffects import withStroke
 
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
+from manifold.judged_lights import BALL
 from manifold.library.identity import origins_in_words
-from manifold.metrics import BALL
 from manifold.model.manifold import Manifold
 from manifold.plots.figures import fix_layout, new_figure, place_names, shortened
 from manifold.records import Array, Indices

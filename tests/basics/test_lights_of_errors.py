@@ -7,8 +7,9 @@ import re
 from pathlib import Path
 
 from manifold.colour.panel import JUDGED
-from manifold.metrics import BALL, BALL_COLUMN, Errors
-from manifold.metrics import LIGHTS as NUMBER
+from manifold.judged_lights import BALL, BALL_COLUMN
+from manifold.judged_lights import LIGHTS as NUMBER
+from manifold.metrics import Errors
 
 ROOT = Path(__file__).parents[2]
 LIGHTS = re.compile(r"\blights?\b|D65|DAYLIGHT|\bsun\b|studio|viewing|\bBALL\b|LIGHTS|self\.errors")

@@ -14,8 +14,8 @@ from helpers.small_library import NAMES, small_library, small_model
 from manifold.colour import ball_colours
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import UsageError
+from manifold.judged_lights import BALL
 from manifold.library.store import Library
-from manifold.metrics import BALL
 from manifold.model.manifold import Manifold, Settings
 from manifold.page import explore, page_data
 from manifold.page.page import make_page, page_script, widget_module

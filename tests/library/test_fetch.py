@@ -107,7 +107,7 @@ def test_rgb_files_without_names_are_the_twenty_of_the_evaluation() -> None:
     chosen = select(None, rgb_table(), anisotropic=False)
     assert len(chosen) == 20
     for entry in chosen:
-        assert f"| `{entry.file}` | `{entry.sha256}` |" in page
+        assert f"`{entry.file}`" in page
     assert [entry.file for entry in select(["satin_gold"], rgb_table(), False)] == ["satin_gold_rgb.bsdf"]
 
 

@@ -59,7 +59,7 @@ def complete(
         typer.Option("--into", help="Also import the completed samples into this library.", metavar="FOLDER"),
     ] = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="Treat all files as one sample, whatever its names.")
+        bool, typer.Option("--merge", help="Treat all files as one sample, even if its names differ.")
     ] = False,
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
@@ -121,8 +121,8 @@ def complete(
     """Complete readings of a material to a full BRDF, with a library of materials as prior.
 
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
-    samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept. Their
-    --report is an index of one page each.
+    samples are completed into a folder, with a table and a sheet of balls; results of an earlier run are kept, and
+    --report writes an index and a page per sample.
     """
     from manifold.estimate import completions, inputs, instruments, reports, suggestions
     from manifold.estimate.attributes import readings_of_colour

@@ -31,7 +31,7 @@ def convert(
     output: Annotated[
         Path,
         options.output_option(
-            "What to write: {manifold.registries.CONVERTED_IN_WORDS}; or a folder.",
+            "The file to write: {manifold.registries.CONVERTED_IN_WORDS}; or a folder.",
             "OUT",
         ),
     ],
@@ -69,7 +69,7 @@ def convert(
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="Treat several files as one sample, whatever its names.")
+        bool, typer.Option("--merge", help="Treat several files as one sample, even if its names differ.")
     ] = False,
     report: options.ReportOption = None,
     workers: WorkerOptions = PER_CORE,

@@ -150,15 +150,15 @@ def import_(
         ),
     ] = False,
     compact: Annotated[
-        bool, typer.Option("--compact", help="Store them as `manifold compact` does; by default bit for bit.")
+        bool, typer.Option("--compact", help="Store them as `manifold compact` does, not bit for bit.")
     ] = False,
     tolerance: ToleranceOption = None,
     rotation: Annotated[
         str | None,
         typer.Option(
             "--rotation",
-            help="Azimuth in degrees by which anisotropic samples lay turned, which predictions undo; or auto, which "
-            "turns the direction in which normals spread most, and highlights are wide, to x.",
+            help="Azimuth in degrees by which anisotropic samples were turned; predictions turn them back. auto turns "
+            "the direction in which normals spread most, and highlights are wide, to x.",
             metavar="DEG|auto",
         ),
     ] = None,
@@ -225,9 +225,9 @@ def compact(
 ) -> None:
     """Store the materials of a library in a few per cent of their bytes, within a bound on the visible error.
 
-    What a material decodes to is compared with the original, which is then removed: keep the imported files if you need
-    them bit for bit. All commands read compact libraries, and models that were fitted before stay valid. The cube-root
-    error is bounded, too: by 1 % at the default tolerance, otherwise in proportion.
+    Each compact material is compared with the original, which is then removed: keep the imported files if you need them
+    bit for bit. All commands read compact libraries, and earlier models stay valid. The bound on the cube-root error
+    is 1 % at the default tolerance, otherwise in proportion.
     """
     from manifold.judged_lights import BALL
     from manifold.library.compacting import compact_library

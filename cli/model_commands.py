@@ -66,7 +66,7 @@ def embed(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     output: Annotated[
         Path,
-        written("--model", "-M", "--output", "-o", help="The model, which is written."),
+        written("--model", "-M", "--output", "-o", help="The model to write."),
     ] = options.DEFAULT_MODEL,
     kind: Annotated[
         Kind,
@@ -320,8 +320,8 @@ def predict(
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
-    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. With --lightness,
-    --chroma or --hue it is changed to these; with --gloss the material gets another coat, and what is below stays.
+    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. --lightness, --chroma and
+    --hue change it; --gloss changes only the coat, not the layer below.
     `--latent X,Y` is another way to name the place.
     """
     from manifold.estimate import predictions
@@ -481,8 +481,8 @@ def reconstruct(
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
 
-    The most accurate description of a new material by measured ones: single bands of all materials, and analytic
-    lobes, with weights that are never negative. It needs no model, and has no latent. Several are written into a
+    Describes a new material most accurately: by single bands of all materials and by analytic lobes, with weights that
+    are never negative. It needs no model, and the result has no latent. Several are written into a
     folder, with a table and a sheet of balls.
     """
     from manifold.estimate import predictions

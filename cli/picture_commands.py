@@ -91,8 +91,8 @@ def walk(
 ) -> None:
     """Draw a walk between two materials, in steps that look equally large, and below it the path of latents.
 
-    A walk is made of the two materials alone: roughness goes from one to the other, the rest is averaged. The path
-    of latents shows what `predict` makes of the surrounding materials on the straight line between the two.
+    A walk uses only the two materials: roughness goes from one to the other, the rest is averaged. The path of
+    latents shows predictions from the surrounding materials on the straight line between the two.
     `manifold predict FROM:TO:T -o FILE.bsdf` and `manifold export FROM:TO:T` write a step of the walk.
     """
     from manifold.pictures import maps
@@ -379,10 +379,9 @@ def compare(
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are rendered alike first.
 
-    CIEDE2000 is defined for uniform patches side by side, of which most observers tell a difference of 1 apart, and
-    Delta E_ITP of 1 likewise on a display with a white of 100 cd/m2; means over a ball have no such threshold. FLIP
-    ranges from 0 to 1 and ignores detail too fine to be visible. All three include the noise of the renders, which
-    decreases with --samples.
+    CIEDE2000 is defined for two uniform patches: most observers see a difference of 1. The same holds for a Delta E_ITP
+    of 1 on a display with a white of 100 cd/m2. Means over a ball have no such threshold. FLIP ranges from 0 to 1 and
+    ignores detail too fine to be visible. All three include the noise of the renders, which decreases with --samples.
     """
     from manifold.pictures import renders
     from manifold.render.ball import make_settings

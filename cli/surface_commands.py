@@ -38,7 +38,7 @@ def surface(
         Path | None,
         typer.Option(
             "--lamp",
-            help="Instead of workbooks, photographs of a flat sample from above: a text of their lamps with "
+            help="Instead of workbooks, photographs of a flat sample from above: a text file of their lamps with "
             "one line per picture, in the order of their names: right, up, towards the camera, and "
             "intensity if it differs.",
             metavar="FILE",
@@ -68,9 +68,9 @@ def surface(
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
-    """Make a textured material of the pictures that an instrument takes beside its readings.
+    """Make a textured material from the pictures that an instrument takes with its readings.
 
-    The readings are completed to the BRDF of the mean; pictures under lamps of known direction show how colour and
+    The readings are completed to the mean BRDF; pictures under lamps of known direction show how colour and
     slope differ from it, point by point. Writes textures without seams, and glTF, MaterialX, USD and Blender materials
     with them. Surfaces of several samples go into one folder, with a table and a sheet.
     """

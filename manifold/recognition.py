@@ -1,4 +1,4 @@
-"""What a path is: commands and workflows ask here, and open it as what it is.
+"""Recognition of the kind of a path, by which commands and workflows open it.
 
 Words that users write may also name a material of a library or a place on a map: see `estimate.sources.parse_source`.
 """
@@ -20,7 +20,7 @@ _FIT_HEAD = b'{\n  "format": "manifold fit"'
 
 
 class Kind(StrEnum):
-    """What a path is, in words."""
+    """Kinds of paths, in words."""
 
     NOTHING = "no file or folder"
     LIBRARY = "a library"
@@ -34,7 +34,7 @@ class Kind(StrEnum):
 
 
 def kind_of(path: Path) -> Kind:
-    """Return what a path is: by its content, and by its name only where that says nothing, as of damaged files."""
+    """Return the kind of a path by its content, and by its name only if the content does not tell, as in damaged files."""
     if not os.path.exists(path):
         return Kind.NOTHING
     if os.path.isdir(path):

@@ -34,7 +34,7 @@ class Kind(StrEnum):
 
 
 def kind_of(path: Path) -> Kind:
-    """Return the kind of a path by its content, and by its name only if the content does not tell, as in damaged files."""
+    """Return the kind of a path by its content, by its name only if the content does not tell."""
     if not os.path.exists(path):
         return Kind.NOTHING
     if os.path.isdir(path):

@@ -31,6 +31,8 @@ class Errors(Generic[Number]):
         fitted_ball: CIEDE2000 of the ball, mean over the lights that fits see.
         rmse: eq. 22 of Hikichi & Iwasaki, in 1/sr; bands are summed.
         rmse_80: the same of directions within 80 degrees, weighted by both cosines.
+        near_mirror: cube-root error of directions within 10 degrees of the mirror direction.
+        elsewhere: cube-root error of all other directions.
         lights: CIEDE2000 of the ball by light.
         colours: CIEDE2000 by illuminant, mean over six directions of a multi-angle instrument.
         angles_deg: spectral angle by illuminant, likewise.
@@ -45,6 +47,8 @@ class Errors(Generic[Number]):
     fitted_ball: Number = _UNKNOWN
     rmse: Number = _UNKNOWN
     rmse_80: Number = _UNKNOWN
+    near_mirror: Number = _UNKNOWN
+    elsewhere: Number = _UNKNOWN
     lights: Mapping[str, Number] = field(default_factory=dict)
     colours: Mapping[str, Number] = field(default_factory=dict)
     angles_deg: Mapping[str, Number] = field(default_factory=dict)
@@ -150,6 +154,8 @@ class Errors(Generic[Number]):
             "worst": f"{self.worst:.1f} in the worst of them, {self.worst_light}",
             "cube_root": f"{self.cube_root:.0%} cube-root error",
             "linear": f"{self.linear:.0%} linear",
+            "near_mirror": f"{self.near_mirror:.0%} cube-root error within 10 degrees of the mirror direction",
+            "elsewhere": f"{self.elsewhere:.0%} cube-root error elsewhere",
         }
         return [words for name, words in of_all.items() if name in self.known]
 

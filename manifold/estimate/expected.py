@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -21,7 +21,8 @@ from manifold.metrics import Errors
 from manifold.model.expected_error import BELOW_TWICE
 from manifold.records import Array, Bands, Mask
 
-_KINDS = ("ball", "cube_root", "linear")
+_KINDS = ("ball", "cube_root", "linear", "near_mirror", "elsewhere")  # of which some may be unknown
+_NEAR_MIRROR_DEG = 10.0  # from the mirror direction
 _MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
 _PRIOR = 0.1  # strength of the prior that errors do not depend on an indicator, in units of its variance
 
@@ -31,7 +32,7 @@ class Calibration:
     """Errors of left-out materials of a library, completed from the directions of some readings.
 
     Attributes:
-        errors: of the ball, cube-root and linear error of every material, each (N,).
+        errors: of every material, those of `_KINDS` that are known, each (N,).
         indicators: residual of the readings and spread of hypotheses, from which errors are predicted, shape (N, 2).
     """
 
@@ -44,8 +45,8 @@ class Calibration:
     ) -> Calibration:
         """Make a calibration from errors and indicators (2,) that a method finds for left-out materials."""
         errors, indicators = zip(*map(method, materials), strict=True)
-        found = Errors.of_several(errors)
-        return cls(Errors(found.ball, found.cube_root, found.linear), np.array(indicators))
+        known = Errors.of_several(errors).known
+        return cls(Errors(**{kind: known[kind] for kind in _KINDS if kind in known}), np.array(indicators))
 
     def __repr__(self) -> str:
         medians = ", ".join(self.errors.median.words)
@@ -63,7 +64,8 @@ class Calibration:
 
     def at(self, indicators: Array) -> Errors[float]:
         """Return the expected errors for some indicators (2,)."""
-        return Errors(*self._line(indicators, np.ones(len(self.indicators), bool)).tolist())
+        line = self._line(indicators, np.ones(len(self.indicators), bool))
+        return Errors(**dict(zip(self._kinds, line.tolist(), strict=True)))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
         """Return a note if the residual of the readings is larger than that of every left-out material."""
@@ -89,14 +91,19 @@ class Calibration:
     def left_out(self) -> Errors[Array]:
         """Expected errors of every material, learned from the others, each (N,)."""
         every = np.arange(len(self.indicators))
-        return Errors(*np.array([self._line(self.indicators[i], every != i) for i in every]).T)
+        lines = np.array([self._line(self.indicators[i], every != i) for i in every])
+        return Errors(**dict(zip(self._kinds, lines.T, strict=True)))
+
+    @property
+    def _kinds(self) -> list[str]:
+        return [kind for kind in _KINDS if kind in self.errors.known]
 
     @property
     def _table(self) -> Array:
-        return np.column_stack([getattr(self.errors, kind) for kind in _KINDS])
+        return np.column_stack([getattr(self.errors, kind) for kind in self._kinds])
 
     def _line(self, indicators: Array, known: Array) -> Array:
-        """Return expected ball, cube-root and linear errors (3,) at indicators (2,), from some materials (N,)."""
+        """Return expected errors of the known kinds at indicators (2,), from some materials (N,)."""
         x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.indicators, self._table))
         centre, level = x.mean(axis=0), y.mean(axis=0)
         scale = x.std(axis=0) + 1e-6
@@ -141,13 +148,16 @@ def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> 
     """
     key = hashlib.sha256(f"{key} {panel.judged().signature}".encode()).hexdigest()
     kept = library.cache_get(key) or {}
-    shapes = {name: array.shape[1:] for name, array in kept.items()}
-    if shapes == {"errors": (len(_KINDS),), "indicators": (2,)} and len(kept["errors"]) == len(
-        kept["indicators"]
+    indicators = kept.get("indicators", np.empty(0))
+    errors = {kind: kept[kind] for kind in _KINDS if kind in kept}
+    if (
+        errors
+        and all(array.shape == (len(indicators),) for array in errors.values())
+        and indicators.shape[1:] == (2,)
     ):
-        return Calibration(Errors(*kept["errors"].T), kept["indicators"])
+        return Calibration(Errors(**errors), indicators)
     calibration = calibrate()
-    library.cache_put(key, {"errors": calibration._table, "indicators": calibration.indicators})
+    library.cache_put(key, {**calibration.errors.known, "indicators": calibration.indicators})
     return calibration
 
 
@@ -161,7 +171,9 @@ def _cache_key(atoms: LibraryAtoms, readings: Readings, library: Library) -> str
         tuple(readings.gloss),
         readings.repeatability,
     )
-    digest = hashlib.sha256(f"completion in lights {__version__} {library.content_hash} {axes}".encode())
+    digest = hashlib.sha256(
+        f"completion in lights and regions {__version__} {library.content_hash} {axes}".encode()
+    )
     for array in (readings.wi, readings.wo, readings.weights):
         digest.update(array.tobytes())
     return digest.hexdigest()
@@ -219,4 +231,9 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Er
     own, n = atoms.material_of == m, atoms.n_grid
     truth, cosines = atoms.directions[own, :n].T ** 3, atoms.weights[:n] ** 1.5
     look = panel.judged().errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
-    return look | Errors.of_values(truth, on_grid, cosines)
+    wi, wo = atoms.grid.wi, atoms.grid.wo
+    is_near = np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1) > np.cos(np.deg2rad(_NEAR_MIRROR_DEG))
+    near, elsewhere = (
+        Errors.of_values(truth[part], on_grid[part], cosines[part]).cube_root for part in (is_near, ~is_near)
+    )
+    return replace(look | Errors.of_values(truth, on_grid, cosines), near_mirror=near, elsewhere=elsewhere)

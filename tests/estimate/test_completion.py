@@ -405,6 +405,22 @@ def three(errors):
     return np.array([errors.ball, errors.cube_root, errors.linear])
 
 
+def test_errors_near_the_mirror_direction_are_apart_from_those_elsewhere(atoms, calibration):
+    own, n = atoms.material_of == 0, atoms.n_grid
+    truth = atoms.directions[own, :n].T ** 3
+    mirrored = np.sum(atoms.grid.wi * atoms.grid.wo * [-1.0, -1.0, 1.0], axis=1)
+    for is_wrong, near, elsewhere in (
+        (mirrored > np.cos(np.deg2rad(10.0)), 1.0, 0.0),
+        (mirrored < np.cos(np.deg2rad(10.0)), 0.0, 1.0),
+    ):
+        made = np.where(is_wrong[:, None], 8.0 * truth, truth)
+        errors = expected.errors_of(atoms, 0, made, atoms.ball[own].T ** 3)
+        # Eight times the value has twice the cube root; values are kept in single precision.
+        assert (errors.near_mirror, errors.elsewhere) == pytest.approx((near, elsewhere), abs=1e-5)
+    words = " ".join(calibration.at(np.array([0.05, 0.1])).words)
+    assert "within 10 degrees of the mirror direction" in words
+
+
 def test_expected_errors_are_learned_from_the_other_materials(atoms, calibration):
     at = atoms.at(*DIRECTIONS)
     for m in (0, 5):

@@ -111,7 +111,7 @@ class PhotoMaterial:
 
     @property
     def channels(self) -> Sequence[Observation]:
-        """What was seen in each channel, under the exposures."""
+        """The measured values of each channel, under the exposures."""
         return self.solution.channels
 
     @property
@@ -213,7 +213,7 @@ class Evidence:
         return self.each and len(self.pictures) > 1
 
     def under(self, exposures: Array, noise: Array | None = None) -> list[Observation]:
-        """Return what is seen in every channel, under exposures (P,) of the pictures.
+        """Return the measured values of every channel, under exposures (P,) of the pictures.
 
         Pictures of more than the usual noise (P,) count less.
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import nnls
@@ -155,7 +156,7 @@ def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> 
         and all(array.shape == (len(indicators),) for array in errors.values())
         and indicators.shape[1:] == (2,)
     ):
-        return Calibration(Errors(**errors), indicators)
+        return Calibration(Errors(**cast(dict[str, Any], errors)), indicators)
     calibration = calibrate()
     library.cache_put(key, {**calibration.errors.known, "indicators": calibration.indicators})
     return calibration

@@ -74,7 +74,7 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
         (["predict", "--latnt", "0,0"], "--latent"),
         (["predict"], "found no place"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
-        (["embed", "--optimizer", "adam"], "for '--optimizer': 'adam' is not one of 'dls', 'l-bfgs'"),
+        (["embed", "--optimizer", "adam"], "optimizer 'adam' for kind blend, expected l-bfgs"),
         (["predict", "--latent", "0.3", "1.2"], "coordinates have commas and no blanks, such as 0.3,1.2"),
         (["complete", "--lab", "40", "50", "30"], "a colour has commas, such as 50,20,10"),
         (["calibrate", "samples"], "pairs of files or folders"),

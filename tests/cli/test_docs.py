@@ -33,7 +33,8 @@ def test_paths_and_modules_in_documents_exist(document):
     paths = re.findall(rf"`((?!docs/_build)(?:{'|'.join(FOLDERS)})/[\w./-]*)`", text)
     links = re.findall(r"\]\((?!https?:)([^)#]+)\)", text)
     missing = [path for path in paths if not (REPOSITORY / path).exists()]
-    missing += [link for link in links if not (document.parent / link).exists()]
+    generated = {"api.md"}  # by docs/conf.py
+    missing += [link for link in links if link not in generated and not (document.parent / link).exists()]
     assert not missing
     for name in re.findall(r"`(manifold(?:\.\w+)+)`", text):
         module, _, last = name.rpartition(".")

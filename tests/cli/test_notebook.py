@@ -120,7 +120,7 @@ def test_a_brdf_of_ones_own_becomes_a_file_a_picture_and_a_fit(tmp_path):
         (lambda model, file: model.embed("a.bsdf"), "found str, without bands"),
         (lambda model, file: model.reconstruct(file), "material to reconstruct: found BsdfFile"),
         (lambda model, file: MeasuredBRDF("a.bsdf"), "found str, expected a file that was read: read_bsdf"),
-        (lambda model, file: fit_bsdf("a.bsdf"), "what is fitted: found str"),
+        (lambda model, file: fit_bsdf("a.bsdf"), "the material to fit: found str"),
         (lambda model, file: goniometer.measure(file, "a"), "goniometer.measure: found BsdfFile"),
         (
             lambda model, file: write_bsdf("a.bsdf", Gloss()),

@@ -57,6 +57,7 @@ def few_materials():
         patch.setattr(corpus, "isotropic_materials", lambda: few)
         patch.setattr(corpus, "measure", in_few_bands)
         patch.setattr(example_scenes, "EXAMPLES", SCENE)
+        patch.setattr(demo_module, "EXAMPLES", SCENE)
         patch.setattr(budgets, "BudgetSettings", partial(budgets.BudgetSettings, size=32, samples=16))
         patch.setattr(demo_module.maps, "walk", partial(demo_module.maps.walk, steps=2))
         patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))

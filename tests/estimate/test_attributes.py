@@ -223,7 +223,7 @@ def test_gloss_that_no_dielectric_has_is_said(run, model, tmp_path):
     assert code == 0
     (note,) = json.loads(out)["diagnostics"]
     assert note.startswith("gloss at 20 degrees")
-    assert "900 asked" in note
+    assert "900 requested" in note
 
 
 def test_a_list_of_colours_makes_a_folder(run, model, tmp_path):

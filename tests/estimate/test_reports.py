@@ -104,7 +104,7 @@ def test_conversions_and_colours_have_reports(run, library, tmp_path):
         cwd=tmp_path,
     )  # fmt: skip
     assert status == 0, err
-    assert "50 asked" in (tmp_path / "c.html").read_text()
+    assert "50 requested" in (tmp_path / "c.html").read_text()
 
 
 def test_angles_are_those_of_the_instrument_and_the_flop_index_is_alman_s():

@@ -103,7 +103,7 @@ def test_flip_limits_too(rng):
 def test_limits_of_time_leave_slow_candidates_out(rng):
     candidates = {"a": some_candidates(rng)}
     slow = candidates["a"][-1]
-    with pytest.raises(UsageError, match=r"closest is 'c\d' with .*allow more"):
+    with pytest.raises(UsageError, match=r"closest is 'c\d' with .*raise either limit"):
         search(
             candidates,
             Tolerance(1e-3, milliseconds=5.0),

@@ -272,7 +272,7 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         (TURNED.replace("500,1,2,", "500,1,two,"), "row 12, column 3: found 'two'"),
         (
             TURNED.replace("45as25", "45as15"),
-            "row 1, column 3: geometry '45as15' stands in row 1, column 2, too",
+            "row 1, column 3: geometry '45as15' is also in row 1, column 2",
         ),
         ("Name,45as15 400,45as15 500,45as25 400\nA,1,2,3\n", "has a header such as 'Name, Geometry, 400"),
         (
@@ -283,7 +283,7 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         ("Geometry,400,410,9000\n45as15,1,2,3\n", "row 1, column 4: found '9000' among wavelengths"),
         ("Geometry,400,410,400 nm\n45as15,1,2,3\n", "two columns of the same wavelength"),
         ("45as25,1,2\nGeometry,400,410\n45as15,1,2\n", "row 1: readings above the header"),
-        ("Geometry,400,410\n45as15,1,2\n45as15,1,3\n", "row 3: geometry '45as15' stands in row 2, too"),
+        ("Geometry,400,410\n45as15,1,2\n45as15,1,3\n", "row 3: geometry '45as15' is also in row 2"),
         ("Name,Geometry,400,410\nA,45as15,1,2\nA,195as25,1,3\n", "row 3: found geometry '195as25'"),
         ('Name,Geometry,400,410\nA,45as15,"1,2\nA,45as25,1,3\n', "row 2: not cells of a table"),
         (

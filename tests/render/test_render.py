@@ -51,7 +51,7 @@ def folder(tmp_path_factory) -> Path:
         write_bsdf(path / f"{name}_rgb.bsdf", measured(name))
     gold = {m.name: m for m in corpus.isotropic_materials()}["syn_satin_gold"]
     write_bsdf(path / "syn_satin_gold_spec.bsdf", corpus.measure(gold))
-    (path / "flat.png").touch()
+    (path / "flat.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     small_model(path)
     return path
 

@@ -557,7 +557,7 @@ def test_a_sparkling_surface_has_flakes_in_engines_whose_coats_have_normals_of_t
     }
     paths = {kind: folder / f"twin{ending}" for kind, ending in endings.items()}
     write_display(paths["flakes"], 0.5 + 0.5 * flakes.normal)
-    files.write_exports(paths, flat, flakes, ("gltf", "usd"))
+    files.write_exports(paths, flat, flakes, ("gltf", "usd"), {})
     document, _ = read_glb(folder / "twin_gltf.glb")
     assert document["materials"][0]["extras"]["textures"]["coat_normal"] == "twin_flakes.png"
     coat = read_display(folder / "twin_gltf_coat.png")[flakes.mask]

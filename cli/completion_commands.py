@@ -122,7 +122,7 @@ def complete(
 
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
     samples are completed into a folder, with a table and a sheet of balls; results of an earlier run are kept, and
-    --report writes an index and a page per sample.
+    A report (--report) of several has an index and a page per sample.
     """
     from manifold.estimate import completions, inputs, instruments, reports, suggestions
     from manifold.estimate.attributes import readings_of_colour

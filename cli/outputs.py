@@ -27,7 +27,7 @@ _running: ContextVar[_Running] = ContextVar("_running")
 def written(*names: str, help: str, metavar: str = "FILE", hidden: bool = False, at_end: bool = False) -> Any:
     """Return an option for an annotation that names a file or folder to be written; see `check_all`.
 
-    What is written `at_end` is a file that may lie in the folder which the command itself makes.
+    A file that is written `at_end` may lie in the folder that the command makes.
     """
     option = typer.Option(*names, help=help, metavar=metavar, hidden=hidden)
     option.is_written, option.at_end = True, at_end

@@ -438,7 +438,7 @@ class OutputIndex:
             for entry in map(json.loads, lines):
                 if not isinstance(entry["file"], str):
                     raise ValueError
-                if entry.pop("digest", None) == _digest(entry):  # what was changed by others is made again
+                if entry.pop("digest", None) == _digest(entry):  # others may have changed the line
                     self._entries[entry["file"]] = entry
         except (ValueError, KeyError, RecursionError):
             raise FileFormatError(

@@ -243,7 +243,7 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
     Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`
     (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,
     `srgb` and `reflectance`, a path from the folder of the table. Separators are comma, semicolon or tab; Excel's line
-    `sep=;` may come first. Of a table that `locate` or `predict` wrote, latents and names are read.
+    `sep=;` may come first. From the table of `locate` or `predict`, read latents and names.
     """
     advice = "name a CSV file of points"
     text = decode(disk.read_bytes(path, advice=advice, most=disk.MOST_TEXT))

@@ -75,7 +75,7 @@ class CalibratedInstrument:
 
     @property
     def harm(self) -> str | None:
-        """Why the correction is worse than none by its leave-one-out errors; None where it is not."""
+        """The reason why the correction is worse than none by its leave-one-out errors; None if it is not worse."""
         learned = self.correction
         error = learned.errors[learned.form]
         if error >= learned.uncorrected:

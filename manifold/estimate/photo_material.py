@@ -197,7 +197,7 @@ class Evidence:
         pictures: rows of every picture in each of C channels, as its pixels are.
         readings: in each channel; empty without any.
         gloss: in each channel; empty without any.
-        exposure: by which pictures are brighter than light and material say; None where it is not known.
+        exposure: factor of the pictures over light times material; None if it is unknown.
         each: whether every picture has an exposure of its own about that.
     """
 
@@ -253,7 +253,7 @@ class Solution:
     Attributes:
         weights: of atoms in every channel, shape (C, n).
         priors: mixtures of every channel.
-        channels: what was seen in each, under the exposure and gains.
+        channels: observations by channel, under the exposure and gains.
         exposures: of every picture, shape (P,).
         residuals: relative error of cube roots of every picture, shape (P,).
         contradiction: the same of readings as pictures alone predict them; 0 without any.
@@ -276,7 +276,7 @@ def solve(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None = None) -
     exposures = (evidence.exposure or 1.0) * _first_gains(atoms, evidence)
     if evidence.readings:
         alone = solve(atoms, replace(evidence, readings=()), usable)
-        scale, contradiction = _predicted_readings(evidence, alone.weights)
+        scale, contradiction = _scale_and_contradiction(evidence, alone.weights)
         exposures = alone.exposures * (scale if evidence.exposure is None else 1.0)
     least = max(_MODEL_ERROR, contradiction)
     noise = np.full(len(exposures), least)
@@ -402,7 +402,7 @@ def _ratio(rows: Sequence[Observation], weights: Array) -> float:
     return max((products / max(squares, np.finfo(float).tiny)) ** 3, np.finfo(float).tiny)
 
 
-def _predicted_readings(evidence: Evidence, weights: Array) -> tuple[float, float]:
+def _scale_and_contradiction(evidence: Evidence, weights: Array) -> tuple[float, float]:
     """Return the factor by which weights (C, n) are brighter than readings, and the relative error of cube roots.
 
     The factor is not part of the error where the exposure of pictures is unknown.

@@ -205,7 +205,7 @@ def pairs_of_tables(folder, spectra):
 
 @pytest.fixture
 def spectra(rng):
-    """Of ten samples, 400 to 700 nm."""
+    """Ten samples, 400 to 700 nm."""
     nm = np.arange(400.0, 701.0, 20.0)
     humps = np.exp(-(((nm - np.array([450.0, 550.0, 650.0])[:, None]) / 60.0) ** 2))
     return 0.1 + 0.25 * rng.random((10, 3)) @ humps

@@ -90,7 +90,7 @@ class Export:
         errors: of the ball of the target's own model, from what `against` names.
         principled_errors: those of Mitsuba's `principled`; None where that is what `against` names.
         against: `measured file`, `prediction` or `fit`.
-        beside: parameters of `Target.beside`; None where there is none.
+        beside: parameters of `Target.beside`; None if the target has none.
         textures: in place of the base colour and the flat normal; None for one material everywhere.
     """
 

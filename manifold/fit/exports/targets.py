@@ -53,7 +53,7 @@ class Target:
         curve: the base colour by the angle of view, and the one that it replaces; empty where there is none.
         hued: colours whose hue no fit changes, since renderers disagree on what another one does.
         textures: what its documents take of `TextureFiles`; empty where they take none.
-        beside: another target whose parameters its files hold as well; None where there is none.
+        beside: another target whose parameters its files also hold; None for most targets.
     """
 
     name: str

@@ -81,14 +81,15 @@ def test_what_is_moved_in_a_view_is_in_the_traits(page):
 
 
 def test_what_is_set_in_python_is_shown_in_every_view(page, widget):
-    x = widget.model.latent(NAMES[2]).tolist()
+    # The material whose colours the view has; in those of another one it is a prediction.
+    x = widget.model.latent(NAMES[1]).tolist()
     page.evaluate("(x) => model.set('latent', x)", x)
     for view in ("a", "b"):
         page.locator(f"#{view} #tab-here").click()
-        page.locator(f"#{view} #nearest tr").first.get_by_text(NAMES[2]).wait_for()
+        page.locator(f"#{view} #nearest tr").first.get_by_text(NAMES[1]).wait_for()
         page.locator(f"#{view} #error-value", has_text="none: a measured material").wait_for()
     assert page.evaluate("model.get('link')").startswith(
-        f"x={NAMES[2]}"
+        f"x={NAMES[1]}"
     )  # a view that is opened later is there, too
     page.evaluate("(name) => model.set('link', `x=${name}`)", NAMES[3])
     for view in ("a", "b"):

@@ -9,6 +9,7 @@ coefficient), Hapke 1993, chapter 10 (I/F and REFF).
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -54,7 +55,7 @@ class Quantity:
         """Say what is done to the values; None if they are the BRDF."""
         done = ["divided by pi"] if self.scale != 1.0 else []
         done += [f"divided by the cosine of theta_{letter}" for letter in self.cosines]
-        log = f"logarithms to base {'e' if self.base == np.e else '10'} of " if self.base else ""
+        log = f"logarithms to base {'e' if self.base == math.e else '10'} of " if self.base else ""
         return f"{log}{self.title}{', ' if done else ''}{' and '.join(done)}" if done or log else None
 
 
@@ -88,7 +89,7 @@ _PATTERNS = tuple(
         (I_OVER_F, "i f|i over f|radf"),
     )
 )
-_LOGS = {"lg": 10.0, "ln": float(np.e)}
+_LOGS = {"lg": 10.0, "ln": math.e}
 _FILLERS = {
     "spectral", "value", "values", "measured", "mean", "average", "averaged", "avg", "data", "the", "of",
 }  # fmt: skip

@@ -226,6 +226,14 @@ class LibraryAtoms:
         """Atoms of values times both cosines at the encoding grid, shape (n, P_g)."""
         return self._from_roots(self.directions[:, : self.n_grid], self.grid) * self.grid.cosines
 
+    def grid_products(self, stride: int) -> Array:
+        """Return the inner products of atoms of values over one in `stride` pairs of the grid, shape (n, n)."""
+        kept: dict[int, Array] = self.__dict__.setdefault("_grid_products", {})
+        if stride not in kept:
+            some = self.on_grid[:, ::stride]
+            kept[stride] = some @ some.T
+        return kept[stride]
+
     @cached_property
     def on_ball(self) -> Array:
         """Pixels of a ball in the judged lights, of atoms of values, shape (n, K)."""

@@ -72,19 +72,35 @@ class Mixtures:
         X (n + 1, R) is what atoms and, last, the Lambertian were seen to be, and y (R,) what was seen, whitened: errors
         have variance 1. `material_of` and `n_library` are as of `posterior`.
         """
+        return cls.of_products(X @ X.T, X @ y, float(y @ y), material_of, n_library)
+
+    @classmethod
+    def of_products(
+        cls,
+        inner: Array,
+        with_seen: Array,
+        square: float,
+        material_of: Indices,
+        n_library: int | None = None,
+    ) -> Mixtures:
+        """Fit as `fitted` does, from inner products.
+
+        They are those of atoms and Lambertian, (n + 1, n + 1), of these with what was seen, (n + 1,), and of that.
+        """
         N = int(material_of[-1])
-        first, second, share = atom_pairs(N, (len(material_of) - 1) // N)
-        log_prior = log_prior_of(material_of[first], material_of[second], material_prior(N, n_library))
-        with_seen, inner = X @ y, _products(X @ X.T, first, second, share)
+        n = len(material_of) - 1
+        first, second, share = atom_pairs(N, n // N)
+        log_prior = _log_prior(N, n // N, n_library)
+        aa, al, ll = products(inner, first, second, share)
         # Gaussian priors of scale and Lambertian, as terms of the normal equations.
         of_scale, of_lambertian = SCALE_SPREAD**-2, LAMBERTIAN_SPREAD**-2
-        aa, al, ll = inner[0] + of_scale, inner[1], inner[2] + of_lambertian
+        aa, ll = aa + of_scale, ll + of_lambertian
         of_mixture = share * with_seen[first] + (1.0 - share) * with_seen[second] + of_scale
         scale, lambertian = two_nonnegative(aa, al, ll, of_mixture, float(with_seen[-1]))
         misfit = scale**2 * aa + 2.0 * scale * lambertian * al + lambertian**2 * ll
         misfit -= 2.0 * (of_mixture * scale + with_seen[-1] * lambertian)
-        misfit = np.maximum(misfit + y @ y + of_scale, 0.0)
-        return cls(first, second, share, scale, lambertian, log_prior, misfit, len(X) - 1, log_prior)
+        misfit = np.maximum(misfit + square + of_scale, 0.0)
+        return cls(first, second, share, scale, lambertian, log_prior, misfit, n, log_prior)
 
     def weighed(self, count: float, norm: Array, exponent: float) -> Mixtures:
         """Return the mixtures with posterior probabilities.
@@ -114,7 +130,11 @@ class Mixtures:
 
         The inner products are those of atoms and Lambertian, (n + 1, n + 1).
         """
-        aa, al, ll = _products(inner, self.first, self.second, self.share)
+        return self.norm_of(products(inner, self.first, self.second, self.share))
+
+    def norm_of(self, products: tuple[Array, Array, float]) -> Array:
+        """Return squared norms of the mixtures, shape (H,), from their `products` before scale and Lambertian."""
+        aa, al, ll = products
         return self.scale**2 * aa + 2.0 * self.scale * self.lambertian * al + self.lambertian**2 * ll
 
     def weights(self, chosen: Indices) -> Array:
@@ -186,7 +206,7 @@ def log_likelihood(misfit: Array, count: float) -> Array:
     return np.asarray(-0.5 * (_FREEDOM + count) * np.log1p(misfit / _FREEDOM))
 
 
-def _products(inner: Array, first: Indices, second: Indices, share: Array) -> tuple[Array, Array, float]:
+def products(inner: Array, first: Indices, second: Indices, share: Array) -> tuple[Array, Array, float]:
     """Return inner products of mixtures `x g_i + (1 - x) g_j`, (H,), and with the Lambertian, (H,).
 
     The third value is the Lambertian's own.
@@ -212,6 +232,13 @@ def atom_pairs(N: int, per_material: int) -> tuple[Indices, Indices, Array]:
     first = np.concatenate([alone, *([i] * len(SHARES))])
     second = np.concatenate([alone, *([j] * len(SHARES))])
     return first, second, np.concatenate([np.ones(len(of)), np.repeat(SHARES, len(i))])
+
+
+@lru_cache(maxsize=4)
+def _log_prior(N: int, per_material: int, n_library: int | None) -> Array:
+    """Return the logarithms of the prior of `atom_pairs`, (H,), see `log_prior_of`."""
+    first, second, _ = atom_pairs(N, per_material)
+    return log_prior_of(first // per_material, second // per_material, material_prior(N, n_library))
 
 
 def two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:

@@ -22,7 +22,14 @@ from manifold.colour.conversion import luminance, srgb_to_xyz
 from manifold.estimate.atoms import LibraryAtoms, shown_shares
 from manifold.estimate.expected import Calibration, cached
 from manifold.estimate.gloss import value_of_unit
-from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, NOISE, Hypotheses, Mixtures
+from manifold.estimate.mixtures import (
+    LAMBERTIAN_SPREAD,
+    NOISE,
+    Hypotheses,
+    Mixtures,
+    atom_pairs,
+    products,
+)
 from manifold.estimate.sightings import Sighting, unlit
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -44,6 +51,7 @@ _WHITE = 0.1  # standard deviation of the logarithm of what is brighter than whi
 _TEMPERED = (
     0.05  # weight of the evidence of pixels against the prior: the exposure is off by the least with it
 )
+_NEGLIGIBLE = 40.0  # logarithm of the ratio of probabilities: exposures that are less probable do not count
 _STRENGTHS = 4.0 ** np.arange(6)  # candidates for spots in a clipped light, beside what is in its picture
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
@@ -463,13 +471,13 @@ def probable_exposure(
     log_albedo = np.log(seen / lit / tried)
     prior = -0.5 * ((log_albedo - brightness.mean()) / max(brightness.std(), 0.1)) ** 2
     prior -= 0.5 * (np.maximum(log_albedo, 0.0) / _WHITE) ** 2
-    log = np.array(
-        [
-            sum(pixel_posterior(atoms, rows, every).evidence for rows in evidence.under(t * gains))
-            for t in tried
-        ]
-    )
-    log = prior + (log if evidence.readings or evidence.gloss else _TEMPERED * log)
+    weight = 1.0 if evidence.readings or evidence.gloss else _TEMPERED
+    channels = [PixelPosterior.of(atoms, rows, every, tried) for rows in evidence.under(gains)]
+    log = np.full(len(tried), -np.inf)
+    for e in np.argsort(-prior, kind="stable").tolist():
+        # The evidence is at most 1, and its logarithm at most 0.
+        if prior[e] > log.max() - _NEGLIGIBLE:
+            log[e] = prior[e] + weight * sum(channel.at(e).evidence for channel in channels)
     return float(np.exp(np.exp(log - logsumexp(log)) @ np.log(tried)))
 
 
@@ -575,31 +583,86 @@ def estimate(
     return explain([rows.relative for rows in channels], kept, mixed, usable), priors
 
 
-def pixel_posterior(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Mixtures:
-    """Return posterior probabilities of mixtures of two usable atoms (n,) that are `mixed`, given one channel's pixels.
+@dataclass(frozen=True, eq=False)
+class PixelPosterior:
+    """Posterior probabilities of mixtures of two usable atoms, given one channel's pixels, under several exposures.
 
     As `posterior` has it for readings; mixtures and errors are of values, and those of bounds that hold are none.
+    Pixels brighter than `LEAST` have a noise in proportion to them, others one noise. Their inner products scale with
+    the exposure and are summed once.
+
+    Attributes:
+        exposures: by which what was seen is divided, ascending, shape (E,).
+        material_of: of the Q usable atoms that are mixed, shape (Q,).
+        n_library: how many of the materials are measured.
+        bright, dark: inner products of atoms under every exposure, over its square and as they are, (E, Q, Q).
+        with_bright, with_dark: likewise with what was seen, over the exposure and times it, (E, Q).
+        square_bright, square_dark: likewise of what was seen, as they are and times the exposure squared, (E,).
+        bounds: atoms (Q, b), what was seen (b,) and roots of weights (b,) of clipped pixels.
+        of_grid: products of mixtures over all directions, see `mixtures.products`.
     """
-    index = atoms.mixed[usable[atoms.mixed]]
-    _, material_of = np.unique(atoms.material_of[index], return_inverse=True)
-    seen = np.maximum(rows.seen, LEAST)
-    whitened = np.sqrt(_INDEPENDENT * rows.weights / rows.weights.sum()) / (3.0 * _MODEL_ERROR * seen)
-    X, y, is_bound = rows.atoms[index] * whitened, rows.seen * whitened, rows.is_bound
-    n_library = int(material_of[-1]) - len(atoms.coats)
-    mixtures = Mixtures.fitted(X[:, ~is_bound], y[~is_bound], material_of, n_library)
-    misfit = mixtures.misfit
-    for row, bound in zip(X[:, is_bound].T, y[is_bound], strict=True):
-        misfit = misfit + np.maximum(bound - mixtures.of(row), 0.0) ** 2
-    X, y, G = X[:, ~is_bound], y[~is_bound], atoms.on_grid[index, ::_GRID_STRIDE]
-    # A Lambertian as bright as what was seen, or black to the eye.
-    albedo = max(float(X[-1] @ y) / (float(X[-1] @ X[-1]) + LAMBERTIAN_SPREAD**-2), LEAST)
-    relative = np.maximum(mixtures.norm(G @ G.T) / (albedo**2 * float(G[-1] @ G[-1])), 1.0)
-    return replace(mixtures, misfit=misfit).weighed(_INDEPENDENT, relative, _EXPONENT)
+
+    exposures: Array
+    material_of: Indices
+    n_library: int
+    bright: Array
+    dark: Array
+    with_bright: Array
+    with_dark: Array
+    square_bright: Array
+    square_dark: Array
+    bounds: tuple[Array, Array, Array]
+    of_grid: tuple[Array, Array, float]
+
+    @classmethod
+    def of(cls, atoms: LibraryAtoms, rows: Observation, usable: Mask, exposures: Array) -> PixelPosterior:
+        """Sum the products of pixels of usable atoms (n,)."""
+        index = atoms.mixed[usable[atoms.mixed]]
+        _, material_of = np.unique(atoms.material_of[index], return_inverse=True)
+        A, is_seen = rows.atoms[index], ~rows.is_bound
+        roots = np.sqrt(_INDEPENDENT * rows.weights / rows.weights.sum()) / (3.0 * _MODEL_ERROR)
+        B, seen, b = A[:, is_seen], np.maximum(rows.seen[is_seen], 0.0), roots[is_seen]
+        E, Q = len(exposures), len(index)
+        inner, with_seen, square = np.zeros((2, E, Q, Q)), np.zeros((2, E, Q)), np.zeros((2, E))
+        n_bright = np.searchsorted(LEAST * exposures, seen)  # exposures under which a pixel is brighter
+        for count in np.unique(n_bright).tolist():
+            own = n_bright == count
+            some, s = B[:, own], seen[own]
+            for k, at in enumerate((slice(count), slice(count, None))):
+                if exposures[at].size:
+                    noise = LEAST if k else s
+                    X, y = some * (b[own] / noise), s * b[own] / noise
+                    inner[k, at] += X @ X.T
+                    with_seen[k, at] += X @ y
+                    square[k, at] += y @ y
+        n = int(material_of[-1])
+        on_grid = atoms.grid_products(_GRID_STRIDE)[np.ix_(index, index)]
+        bounds = A[:, rows.is_bound], rows.seen[rows.is_bound], roots[rows.is_bound]
+        return cls(
+            exposures, material_of, n - len(atoms.coats), inner[0], inner[1], with_seen[0], with_seen[1], square[0],
+            square[1], bounds, products(on_grid, *atom_pairs(n, (Q - 1) // n)),
+        )  # fmt: skip
+
+    def at(self, e: int) -> Mixtures:
+        """Return the mixtures under one of the exposures, by index."""
+        t = float(self.exposures[e])
+        inner = t * t * self.bright[e] + self.dark[e]
+        with_seen = t * self.with_bright[e] + self.with_dark[e] / t
+        square = float(self.square_bright[e] + self.square_dark[e] / t**2)
+        mixtures = Mixtures.of_products(inner, with_seen, square, self.material_of, self.n_library)
+        misfit, (A, seen, roots) = mixtures.misfit, self.bounds
+        scale = roots / np.maximum(seen / t, LEAST)
+        for row, bound in zip((A * scale).T, seen / t * scale, strict=True):
+            misfit = misfit + np.maximum(bound - mixtures.of(row), 0.0) ** 2
+        # A Lambertian as bright as what was seen, or black to the eye.
+        albedo = max(float(with_seen[-1]) / (float(inner[-1, -1]) + LAMBERTIAN_SPREAD**-2), LEAST)
+        relative = np.maximum(mixtures.norm_of(self.of_grid) / (albedo**2 * self.of_grid[2]), 1.0)
+        return replace(mixtures, misfit=misfit).weighed(_INDEPENDENT, relative, _EXPONENT)
 
 
 def pixel_mixtures(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Hypotheses:
-    """Return the most probable of the mixtures of `pixel_posterior`, in one channel."""
-    mixtures = pixel_posterior(atoms, rows, usable)
+    """Return the most probable of the mixtures under one exposure, in one channel."""
+    mixtures = PixelPosterior.of(atoms, rows, usable, np.ones(1)).at(0)
     best = mixtures.most_probable(_COUNT)
     probability = mixtures.probability[best] / mixtures.probability[best].sum()
     weights = np.zeros((len(best), len(atoms)))

@@ -15,7 +15,13 @@ from manifold.directions import from_spherical
 from manifold.estimate import photo_material
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.outlines import Circle, Photograph
-from manifold.estimate.photo_material import errors_of, estimate, find_material, seen_instead
+from manifold.estimate.photo_material import (
+    PixelPosterior,
+    errors_of,
+    estimate,
+    find_material,
+    seen_instead,
+)
 from manifold.estimate.photographs import wiener_matrix
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import Sighting
@@ -168,3 +174,18 @@ def test_neutral_colours_have_flat_spectra(rng):
     responses = rng.random((3, 31))
     responses /= responses.sum(axis=1, keepdims=True)
     assert np.allclose(wiener_matrix(spectra, responses) @ np.full(3, 0.4), 0.4)
+
+
+def test_pixels_under_many_exposures_are_those_divided_by_each(photo_atoms):
+    rng = np.random.default_rng(3)
+    index = rng.choice(len(photo_atoms), 40)
+    pixels = photo_atoms.on_grid[:, index]
+    seen = 0.6 * pixels[4] + 0.01 * rng.random(40)
+    seen[:4] = 0.0, 0.002, 0.02, 0.05  # some are darker than `LEAST` under some exposures only
+    rows = Observation(pixels, seen, 1.0 + rng.random(40), np.arange(40) >= 37)
+    exposures, usable = np.array([0.1, 1.0, 5.0]), np.ones(len(photo_atoms), bool)
+    together = PixelPosterior.of(photo_atoms, rows, usable, exposures)
+    for e, exposure in enumerate(exposures.tolist()):
+        alone = PixelPosterior.of(photo_atoms, rows.scaled(exposure), usable, np.ones(1))
+        assert together.at(e).evidence == pytest.approx(alone.at(0).evidence, rel=1e-9)
+        np.testing.assert_allclose(together.at(e).misfit, alone.at(0).misfit, rtol=1e-7, atol=1e-7)

@@ -37,6 +37,7 @@ from manifold.judged_lights import BALL, BALL_COLUMN
 from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.metrics import EXPECTED_BALL
 from manifold.model.location import Reconstruction
 from manifold.model.manifold import load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
@@ -44,12 +45,10 @@ from manifold.pictures import renders as pictures
 from manifold.registries import CONVERTED
 from manifold.render import images
 from manifold.render.render import RenderSettings, require_d65
+from manifold.results import Columns, placed
 from manifold.surface.files import require_textured, write_surface
 from manifold.surface.lamp_pictures import read_workbook
 
-Columns = dict[str, Callable[[Content], Any]]
-
-_EXPECTED = f"expected {BALL_COLUMN}"
 _ERRORS: Columns = {
     BALL_COLUMN: lambda content: content["errors"]["ball"],
     "cube root": lambda content: content["errors"]["cube_root"],
@@ -78,22 +77,14 @@ def completions_of(
     if correction is not None:
         read_correction(correction)
         how["correction"] = file_sha256(correction)
-    columns: Columns = {
-        "from": lambda content: content.get("from"),
-        "instrument": lambda content: content["instrument"],
-        "readings": lambda content: content["readings"],
-        **PREDICTED,
-        _EXPECTED: lambda content: content["expected"]["ball"],
-        "expected cube root": lambda content: content["expected"]["cube_root"],
-        "expected linear": lambda content: content["expected"]["linear"],
-        "residual": lambda content: content["residual"],
-    }
+    columns: Columns = {"from": lambda content: content.get("from")}
+    columns |= placed(completions.Completed.columns(), PREDICTED, before=EXPECTED_BALL)
     make = partial(
         _complete, library=library, correction=correction, count=count, instrument=instrument, options=options,
         pages=pages,
     )  # fmt: skip
     return Command(
-        "completions", make, how, columns=columns, under=_EXPECTED, has_balls=True,
+        "completions", make, how, columns=columns, under=EXPECTED_BALL, has_balls=True,
         beside=None if pages is None else partial(_report_of, pages),
         conclude=None if report is None else partial(_list_reports, report),
     )  # fmt: skip
@@ -137,10 +128,10 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
 
     Mixtures are of the library's materials, as those of samples without gloss always are.
     """
-    columns: Columns = {**PREDICTED, _EXPECTED: lambda content: content["expected"]["ball"]}
+    columns: Columns = {**PREDICTED, EXPECTED_BALL: lambda content: content["expected"]["ball"]}
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
     make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
-    return Command("completions", make, how, columns=columns, under=_EXPECTED, has_balls=True)
+    return Command("completions", make, how, columns=columns, under=EXPECTED_BALL, has_balls=True)
 
 
 def surfaces(
@@ -207,7 +198,7 @@ def predictions_of(
     columns: Columns = {
         **_latent_columns(loaded.settings.latent_dim),
         "colour": lambda content: content["colour"],
-        _EXPECTED: lambda content: (content["expected"] or {}).get("ball"),
+        EXPECTED_BALL: lambda content: (content["expected"] or {}).get("ball"),
     }
     return Command(
         "predictions", partial(_predict, options=options), asdict(options), suffix, (".bsdf",), columns,

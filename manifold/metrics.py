@@ -9,11 +9,17 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from manifold.errors import ShapeError
-from manifold.judged_lights import BALL, LIGHTS
+from manifold.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.records import Array, plain
 
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
 _UNKNOWN: Any = float("nan")
+
+EXPECTED_BALL = f"expected {BALL_COLUMN}"
+ERROR_COLUMNS = {BALL_COLUMN: ("ball",), "cube root": ("cube_root",), "linear": ("linear",)}
+"""Columns of a batch that show errors, see `results.Entry`."""
+EXPECTED_COLUMNS = {f"expected {title}": keys for title, keys in ERROR_COLUMNS.items()}
+"""Columns of a batch that show expected errors."""
 
 Number = TypeVar("Number", bound=float | Array)
 

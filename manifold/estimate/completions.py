@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,28 +19,29 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import Completion
+from manifold.estimate.completion import Alternative, Completion
 from manifold.estimate.expected import calibrate
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.picture_colours import with_picture_colours
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
-from manifold.formats.readings import Readings, Viewing, gloss_fault
+from manifold.formats.readings import Between, Readings, Viewing, gloss_fault
 from manifold.formats.text import number
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.metrics import EXPECTED_COLUMNS, Errors
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.names import counted
 from manifold.progress import Stages
-from manifold.records import Array, plain
+from manifold.records import Array
+from manifold.results import Result, derived, entry
 
 _PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Completed:
-    """A completed material, as written.
+class Completed(Result):
+    """A completed material, as written. A new field or property is shown everywhere if it has an entry.
 
     Attributes:
         picture: of its ball; None where none was asked for.
@@ -52,93 +53,159 @@ class Completed:
         seconds: in all, without reading.
     """
 
-    path: Path
-    picture: Path | None
+    path: Path = field(metadata=entry())
+    picture: Path | None = field(metadata=entry())
     completion: Completion
-    correction: ColourCorrection | None
-    expected: Errors[float]
-    plausibility: Plausibility
-    suggested: Suggested | None
-    diagnostics: tuple[str, ...]
-    seconds: float
 
     @property
+    @derived()
+    def sample(self) -> str:
+        """Name of the sample."""
+        return self.completion.readings.name
+
+    @property
+    @derived(columns={"instrument": ()})
+    def instrument(self) -> str:
+        """Name of the instrument."""
+        return self.completion.readings.instrument
+
+    @property
+    @derived(
+        row="readings", columns={"readings": ()},
+        words=lambda made: f"{made.readings} of {made.sample}, {made.instrument}, {made.completion.readings.bands}",
+    )  # fmt: skip
+    def readings(self) -> int:
+        """Number of readings."""
+        return len(self.completion.readings)
+
+    correction: ColourCorrection | None = field(metadata=entry())
+    expected: Errors[float] = field(
+        metadata=entry(
+            row="expected error", columns=EXPECTED_COLUMNS,
+            words=lambda made: [
+                words + made.beside(made.expected.ball) * (k == 0) for k, words in enumerate(made.expected.words)
+            ],
+        )
+    )  # fmt: skip
+
+    @property
+    @derived(
+        row="residual of readings", columns={"residual": ()},
+        words=lambda made: f"{100 * made.residual:.1f} % in cube roots, "
+        f"at most {100 * max(made.misfits.max(), made.residual):.1f} %",
+    )  # fmt: skip
     def residual(self) -> float:
-        """Return the residual of the readings in cube roots: root mean square, or that of gloss if it is larger."""
+        """Residual of the readings in cube roots: root mean square, or that of gloss if it is larger."""
         return self.completion.residual_of_readings
 
     @property
-    def rows(self) -> dict[str, object]:
-        """Return the rows of its table, by label: words, and lists of words."""
-        found = self.completion
-        rows: dict[str, object] = {
-            "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
-            f"{found.readings.bands}",
-            "expected error": [
-                words + self._beside(self.expected.ball) * (not k)
-                for k, words in enumerate(self.expected.words)
-            ],
-            "residual of readings": f"{100 * self.residual:.1f} % in cube roots, "
-            f"at most {100 * max(found.misfits.max(), self.residual):.1f} %",
-        }
-        if (off := found.colour_misfits) is not None:
-            most = int(off.argmax())
-            wi, wo = (
-                np.degrees(np.arccos(min(w[most, 2], 1.0))) for w in (found.readings.wi, found.readings.wo)
-            )
-            rows["colours at the readings"] = (
-                f"off by CIEDE2000 ({found.viewing}) {off.mean():.2f} in the mean, at most {off[most]:.2f} "
-                f"(at {wi:.0f} and {wo:.0f} degrees)" + self._beside(off[most])
-            )
-        if (between := found.readings.between) is not None:
-            rows["between measurements"] = (
-                f"{100 * between.deviation:.1f} % of a value, beyond what each repeats (Mandel-Paule, "
-                f"{counted(between.pairs, 'shared reading')}); CIEDE2000 ({found.viewing}) {between.ciede2000:.2f}"
-            )
-        if found.readings.gloss:
-            rows["gloss"] = [
-                f"{found.gloss[a]:.3g} at {a:g} degrees, {u:g} given" for a, u in found.readings.gloss.items()
-            ]
-        rows["combination of"] = [f"{name} {weight:.2f}" for name, weight in found.made_of]
-        rows["albedo"] = f"at most {self.plausibility.max_albedo:.2f}"
-        return rows
+    @derived()
+    def misfits(self) -> Array:
+        """Relative errors at the readings, see `Completion.misfits`, shape (P,)."""
+        return self.completion.misfits
 
-    def _beside(self, ciede2000: float) -> str:
+    @property
+    @derived()
+    def viewing(self) -> str:
+        """Light and observer of the colours."""
+        return str(self.completion.viewing)
+
+    @property
+    @derived()
+    def lab(self) -> tuple[Array, Array] | None:
+        """CIELAB of the readings and of the completion there, (P, 3) each; None without colours."""
+        return self.completion.colours
+
+    @property
+    @derived(row="colours at the readings", words=lambda made: made.colours_in_words())
+    def misfits_ciede2000(self) -> Array | None:
+        """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
+        return self.completion.colour_misfits
+
+    @property
+    @derived()
+    def repeatability(self) -> float:
+        """Repeatability of the instrument, relative."""
+        return self.completion.readings.repeatability
+
+    @property
+    @derived(row="between measurements", words=lambda made: made.between_in_words())
+    def between_measurements(self) -> Between | None:
+        """Difference between measurements of the sample; None where there is one."""
+        return self.completion.readings.between
+
+    @property
+    @derived(
+        row="gloss",
+        words=lambda made: [
+            f"{made.completion.gloss[angle]:.3g} at {angle:g} degrees, {units:g} given"
+            for angle, units in made.completion.readings.gloss.items()
+        ],
+    )
+    def gloss(self) -> dict[str, dict[str, float | None]]:
+        """Gloss units by angle in degrees: read, and completed."""
+        read = self.completion.readings.gloss
+        return {
+            f"{angle:g}": {"read": read.get(angle), "completed": units}
+            for angle, units in self.completion.gloss.items()
+        }
+
+    @property
+    @derived(
+        row="combination of", words=lambda made: [f"{name} {weight:.2f}" for name, weight in made.made_of.items()]
+    )  # fmt: skip
+    def made_of(self) -> dict[str, float]:
+        """Weights of materials, by name."""
+        return dict(self.completion.made_of)
+
+    @property
+    @derived()
+    def alternatives(self) -> tuple[Alternative, ...]:
+        """Mixtures that explain the readings, most probable first."""
+        return self.completion.alternatives
+
+    @property
+    @derived()
+    def uncertainty(self) -> dict[str, Any]:
+        """Relative standard deviation of f over hypotheses, in the plane of incidence, by direction."""
+        return uncertainty(self.completion)
+
+    plausibility: Plausibility = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))
+    suggested: Suggested | None
+
+    @property
+    @derived()
+    def suggested_deg(self) -> Array | None:
+        """Angles of the next readings to take, in degrees."""
+        return None if self.suggested is None else self.suggested.angles_deg
+
+    diagnostics: tuple[str, ...] = field(metadata=entry())
+    seconds: float = field(metadata=entry())
+
+    def colours_in_words(self) -> str:
+        """Return the mean and largest difference of colours at the readings, with the angles of the largest."""
+        off, readings = self.misfits_ciede2000, self.completion.readings
+        assert off is not None
+        most = int(off.argmax())
+        wi, wo = (np.degrees(np.arccos(min(w[most, 2], 1.0))) for w in (readings.wi, readings.wo))
+        return (
+            f"off by CIEDE2000 ({self.viewing}) {off.mean():.2f} in the mean, at most {off[most]:.2f} "
+            f"(at {wi:.0f} and {wo:.0f} degrees)" + self.beside(off[most])
+        )
+
+    def between_in_words(self) -> str:
+        """Return the difference between measurements, and the number of readings that it is based on."""
+        between = self.between_measurements
+        assert between is not None
+        return (
+            f"{100 * between.deviation:.1f} % of a value, beyond what each repeats (Mandel-Paule, "
+            f"{counted(between.pairs, 'shared reading')}); CIEDE2000 ({self.viewing}) {between.ciede2000:.2f}"
+        )
+
+    def beside(self, ciede2000: float) -> str:
         """Return a remark on an error that is smaller than the differences between measurements of the sample."""
-        between = self.completion.readings.between
+        between = self.between_measurements
         return "" if between is None or ciede2000 > between.ciede2000 else " (less than measurements differ)"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        made = self.completion
-        known = {
-            "path": self.path,
-            "picture": self.picture,
-            "sample": made.readings.name,
-            "instrument": made.readings.instrument,
-            "readings": len(made.readings),
-            "misfits": made.misfits,
-            "viewing": str(made.viewing),
-            "lab": made.colours,
-            "misfits_ciede2000": made.colour_misfits,
-            "repeatability": made.readings.repeatability,
-            "between_measurements": made.readings.between,
-            "residual": self.residual,
-            "gloss": {
-                f"{angle:g}": {"read": made.readings.gloss.get(angle), "completed": units}
-                for angle, units in made.gloss.items()
-            },
-            "made_of": dict(made.made_of),
-            "alternatives": made.alternatives,
-            "expected": self.expected,
-            "uncertainty": uncertainty(made),
-            "correction": self.correction,
-            "plausibility": self.plausibility,
-            "suggested_deg": self.suggested and self.suggested.angles_deg,
-            "diagnostics": self.diagnostics,
-            "seconds": self.seconds,
-        }
-        return plain(known)
 
 
 def complete(

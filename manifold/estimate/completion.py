@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.interface import BRDF
-from manifold.colour.conversion import to_srgb
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import BandMismatchError, UsageError
@@ -383,22 +382,16 @@ def bands_of(readings: Readings, bands: Bands) -> Bands:
     return readings.bands if bands.is_rgb else bands
 
 
-def in_srgb(readings: Readings) -> Readings:
-    """Convert spectra of readings to linear sRGB under D65; return other readings unchanged."""
+def in_channels(readings: Readings, responses: Array) -> Readings:
+    """Return spectra as a camera of some responses (3, B) to their bands sees them; RGB readings as they are."""
     nm = readings.wavelengths_nm
     if nm is None:
         return readings
-    rgb = np.full((len(readings), 3), np.nan)
-    values = _without_gaps(readings.values, nm)
-    whole = np.isfinite(values).all(axis=1)
-    rgb[whole] = to_srgb(values[whole], readings.bands)
-    converted = replace(readings, wavelengths_nm=None, values=rgb, viewing=DAYLIGHT)
-    return converted.with_note(
-        "spectra are converted to linear sRGB under D65, as photographs have three channels"
-    )
+    values = without_gaps(readings.values, nm) @ responses.T
+    return replace(readings, wavelengths_nm=None, values=values, viewing=DAYLIGHT)
 
 
-def _without_gaps(values: Array, nm: Array) -> Array:
+def without_gaps(values: Array, nm: Array) -> Array:
     """Interpolate gaps between measured bands of spectra (P, B); unmeasured ends stay NaN."""
     filled = values.copy()
     for row in filled:

@@ -73,12 +73,13 @@ class PhotoMaterial:
 
     Attributes:
         solution: weights of atoms in the channels of the camera, and exposures of the photographs.
-        to_bands: from channels to the bands of the library, shape (B, 3).
+        to_bands: from channels to the bands of the result, shape (B, 3).
         evidence: photographs, readings and gloss.
         residual: relative error of cube roots of pixels.
         spread: of the mixtures that explain the pixels, relative, over all directions.
         unlit: what the light cannot tell, in sentences.
         library: in whose cache the calibration is kept, if any.
+        bands: of the result: those of the library, or of spectra read beside photographs and an RGB library.
         strength: of spots in a clipped light, see `strength_of_spots`; 0 without any.
     """
 
@@ -89,6 +90,7 @@ class PhotoMaterial:
     residual: float
     spread: float
     unlit: tuple[str, ...]
+    bands: Bands
     library: Library | None = None
     strength: float = 0.0
 
@@ -98,8 +100,8 @@ class PhotoMaterial:
 
     @cached_property
     def brdf(self) -> PredictedBRDF:
-        """The BRDF in the bands of the library; of spectral ones slightly negative where colours are saturated."""
-        return self.atoms.predicted(self.to_bands @ self.weights, self.atoms.bands)
+        """The BRDF; in spectral bands slightly negative where colours are saturated."""
+        return self.atoms.predicted(self.to_bands @ self.weights, self.bands)
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -313,11 +315,13 @@ def find_material(
     *,
     exposure: float | None = 1.0,
     each: bool = False,
+    bands: Bands | None = None,
     library: Library | None = None,
 ) -> PhotoMaterial:
-    """Find the material that explains photographs, with readings in linear sRGB and gloss if there are any.
+    """Find the material that explains photographs, with readings in the same channels and gloss if there are any.
 
-    At least one is a photograph, and all are by one camera; for `to_bands` see `photographs.band_matrix`. Their
+    At least one is a photograph, and all are by one camera; `to_bands` is the matrix (B, 3) from channels to the bands
+    of the result, by default those of the library, see `photographs.band_matrix`. The photographs'
     exposure is relative to the light; None finds the one that the library's materials, and what else was seen, make
     most probable; with `each`, every photograph has its own about this one. The library keeps errors of left-out
     materials in its cache.
@@ -344,7 +348,16 @@ def find_material(
         solution = solve(atoms, evidence)
     residual, spread = indicators(atoms, solution)
     return PhotoMaterial(
-        atoms, solution, to_bands, evidence, residual, spread, unlit(sightings), library, strength
+        atoms,
+        solution,
+        to_bands,
+        evidence,
+        residual,
+        spread,
+        unlit(sightings),
+        bands or atoms.bands,
+        library,
+        strength,
     )
 
 

@@ -22,7 +22,7 @@ from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectanc
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import for_library, in_srgb
+from manifold.estimate.completion import bands_of, for_library, in_channels, without_gaps
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.lamps import lamp_picture
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 _MARGIN = 0.05  # width around the ball in pictures of residuals, in radii
 _SIZE, _SAMPLES = 256, 32  # pixels a side, and samples per pixel, of predicted pictures
 _NOISE = 0.02  # standard deviation of channels, relative to their mean
+_UNLIKE = 0.1  # standard deviation of how a material's matrix from channels to bands differs from the prior's
 _STEP_NM = 5.0
 _VIEWS_DEG = ((45.0, 0.0), (30.0, -50.0), (60.0, 10.0))  # incidence and viewing elevation, off the highlight
 _LARGEST_ERROR = 10.0  # CIEDE2000 of the brightest colour
@@ -262,24 +263,21 @@ def _found(
         if request.responses is None
         else read_responses(request.responses, library.bands)
     )
-    if readings is not None:
-        if not library.bands.is_rgb:
-            raise UsageError(
-                f"photographs and readings together, and a library of {library.bands}, expected one in RGB; "
-                "give only the readings or only the photographs, or convert the library"
-            )
-        readings = in_srgb(for_library(readings, library.bands))
     stages.begin("reading materials")
     atoms = LibraryAtoms.of_library(library).in_values
     stages.begin("comparing pixels")
     seen: list[Seen] = [ball.sighting for ball in balls]
+    bands, to_bands = library.bands, band_matrix(library, atoms.names, responses)
     if readings is not None:
-        seen.append(readings)
+        readings = for_library(readings, library.bands)
+        bands = bands_of(readings, library.bands)
+        channels, to_bands = matrix_of_readings(readings, library.bands, responses, to_bands)
+        seen.append(channels)
     if gloss:
         seen.append(gloss)
     material = find_material(
-        atoms, seen, band_matrix(library, atoms.names, responses),
-        exposure=request.exposure, each=request.each, library=library,
+        atoms, seen, to_bands,
+        exposure=request.exposure, each=request.each, bands=bands, library=library,
     )  # fmt: skip
     notes = [note for ball in balls for note in ball.notes] + list(material.notes)
     if request.exposure is None and readings is None:
@@ -290,7 +288,11 @@ def _found(
     if readings is not None:
         notes += readings.notes
     notes += _agreement(material, readings, gloss)
-    if not library.bands.is_rgb:
+    if readings is not None and not readings.bands.is_rgb:
+        notes.append(
+            "spectra follow the readings; photographs determine how three channels change with direction"
+        )
+    elif not library.bands.is_rgb:
         notes.append(
             "spectra are estimated from three channels: bands that no channel sees follow the library's"
         )
@@ -301,7 +303,10 @@ def _agreement(material: PhotoMaterial, readings: Readings | None, gloss: Mappin
     """Return sentences on a material's distance from the values given beside its photographs."""
     notes, brdf = [], material.brdf
     if readings is not None:
-        made, seen = np.cbrt(brdf.eval(readings.wi, readings.wo)), np.cbrt(np.maximum(readings.values, 0.0))
+        made, seen = brdf.eval(readings.wi, readings.wo), np.cbrt(np.maximum(readings.values, 0.0))
+        if (nm := readings.wavelengths_nm) is not None:
+            made = made @ interpolation_matrix(np.array(brdf.bands.wavelengths_nm), nm).T
+        made = np.cbrt(made)
         is_read = np.isfinite(seen)
         error = float(np.linalg.norm((made - seen)[is_read]) / np.linalg.norm(seen[is_read]))
         alone = material.solution.contradiction
@@ -342,7 +347,7 @@ def draw_residuals(
             made = lit if brdf.bands.is_rgb else to_srgb(lit, brdf.bands)
         else:
             made = render_floating_ball(
-                file, material.atoms.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
+                file, material.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
                 turn_deg=camera.turn_deg, elevation_deg=camera.elevation_deg, distance=camera.distance,
             )  # fmt: skip
         made = made * (of_picture / known)
@@ -445,6 +450,33 @@ def _of_materials(library: Library, names: tuple[str, ...]) -> Array:
     return np.pi * np.vstack(
         [np.maximum(MeasuredBRDF(library.read(name)).eval(wi, wo), 0.0) for name in names]
     )
+
+
+def matrix_of_readings(
+    readings: Readings, of_library: Bands, responses: Array, prior: Array
+) -> tuple[Readings, Array]:
+    """Return readings in the channels of a camera, and the matrix (B, 3) from channels to the bands of the result.
+
+    The matrix reproduces the spectra of the readings from their channels as closely as its prior allows: with an RGB
+    library the Wiener estimate of their bands, with a spectral one `prior` (B, 3). For bands see `bands_of`, for
+    responses (3, B) to the library's bands `srgb_responses`.
+    """
+    read_nm = readings.wavelengths_nm
+    if read_nm is None:
+        return readings, prior
+    nm = read_nm if of_library.is_rgb else np.array(of_library.wavelengths_nm)
+    to_read, to_result = interpolation_matrix(nm, read_nm), interpolation_matrix(read_nm, nm)
+    if of_library.is_rgb:
+        responses = srgb_responses(readings.bands)
+        prior = wiener_matrix(_measured(readings.bands), responses)
+    channels = in_channels(readings, responses @ to_result)
+    spectra = without_gaps(readings.values, read_nm)
+    known = np.isfinite(spectra).all(axis=1)
+    level = np.maximum(np.abs(spectra[known]).mean(axis=1, keepdims=True), np.finfo(float).tiny)
+    x, y = channels.values[known] / level, spectra[known] / level
+    precision = x.T @ x + (_NOISE / _UNLIKE) ** 2 * np.eye(3)
+    change = np.linalg.solve(precision, x.T @ (y - x @ (to_read @ prior).T)).T
+    return channels, to_result @ (to_read @ prior + change)
 
 
 @cache

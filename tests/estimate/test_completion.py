@@ -26,7 +26,7 @@ from manifold.encoding import encoding_pairs
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import completion_weights, for_library, in_all_bands, in_srgb
+from manifold.estimate.completion import completion_weights, for_library, in_all_bands, in_channels
 from manifold.estimate.completions import _of_unit as of_unit
 from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
 from manifold.estimate.mixtures import (
@@ -38,6 +38,7 @@ from manifold.estimate.mixtures import (
     material_prior,
     posterior,
 )
+from manifold.estimate.photographs import srgb_responses
 from manifold.estimate.residual import coordinates, covariance, residual_factors
 from manifold.estimate.suggestions import DIRECTIONS as INSTRUMENTS
 from manifold.estimate.suggestions import Deviations, _residual, next_readings
@@ -649,11 +650,11 @@ def test_libraries_of_thousands_are_refused(library, monkeypatch):
 def test_spectra_become_rgb_for_photographs_and_rgb_no_spectrum():
     nm = np.arange(400.0, 701.0, 10.0)
     white = readings(np.full((12, 31), 1.0 / np.pi), nm=nm)
-    taken = in_srgb(white)
+    taken = in_channels(white, srgb_responses(white.bands))
     np.testing.assert_allclose(taken.values, 1.0 / np.pi, rtol=0.02)  # the light beyond 400 to 700 nm
     gaps = np.array(white.values)
     gaps[3, 5:7], gaps[4, -1] = np.nan, np.nan
-    found = in_srgb(readings(gaps, nm=nm)).values
+    found = in_channels(readings(gaps, nm=nm), srgb_responses(Bands(nm))).values
     np.testing.assert_allclose(found[3], taken.values[3])
     assert np.isnan(found[4]).all()
     narrow = readings(np.tile([0.1, 0.2, 0.3], (12, 1)), nm=np.array([465.0, 525.0, 630.0]))

@@ -12,14 +12,17 @@ import tifffile
 from helpers.small_library import measured, spectral_files
 from PIL import Image
 
+from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.colour.conversion import encode_srgb
+from manifold.colour.conversion import encode_srgb, interpolation_matrix
 from manifold.colour.lights import environment
 from manifold.colour.pictures import read_picture
+from manifold.directions import from_spherical
 from manifold.estimate import photographs, sightings
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.photographs import read_responses
+from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.comparison import brdf_errors
@@ -116,20 +119,49 @@ def test_errors_of_a_located_photograph_are_those_of_the_physical_file(folder, l
     assert found.located.errors == brdf_errors(ClippedBRDF(found.material.brdf), written)
 
 
-def test_a_camera_is_described_by_its_sensitivities(run, tmp_path):
+@pytest.fixture(scope="module")
+def spectral_library(tmp_path_factory):
+    """A library of the materials in 15 bands, beside the files."""
+    made = tmp_path_factory.mktemp("spectral")
+    (made / "files").mkdir()
+    for name, file in spectral_files().items():
+        thin = replace(file, wavelengths_nm=file.wavelengths_nm[::4], spectra=file.spectra[:, :, ::4])
+        write_bsdf(made / "files" / f"{name}_spec.bsdf", thin)
+    import_files(made / "library.zarr", [made / "files"])
+    return made / "library.zarr"
+
+
+@pytest.mark.parametrize("kind", ["library", "spectral_library"])
+def test_readings_give_the_spectra_beside_a_photograph(kind, folder, tmp_path, request):
+    """The spectrum of gold, from few readings far from the highlight, and its highlight from the picture."""
+    gold = next(m for m in corpus.isotropic_materials() if m.name == "syn_satin_gold")
+    nm = np.arange(400.0, 701.0, 10.0)
+    truth, (wi, wo) = gold.truth(Bands(tuple(nm.tolist()))), geometry_ma_t12()
+    pictures = sightings.PhotoRequest([folder / "ball.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
+    seen = Readings("gold", "simulated", wi, wo, nm, truth.eval(wi, wo))
+    found = photographs.complete(
+        request.getfixturevalue(kind), pictures, tmp_path / "x.bsdf", readings=seen
+    ).material.brdf
+    expected = nm if kind == "library" else np.linspace(400.0, 700.0, 60)[::4]
+    np.testing.assert_allclose(found.bands.wavelengths_nm, expected, rtol=1e-6)
+    half = (
+        from_spherical(np.deg2rad([20.0, 45.0, 45.0]), np.pi),
+        from_spherical(np.deg2rad([20.0, 45.0, 0.0]), 0.0),
+    )
+    made = found.eval(*half) @ interpolation_matrix(expected, nm).T
+    shape, of_truth = (f / f.mean(axis=1, keepdims=True) for f in (made, truth.eval(*half)))
+    np.testing.assert_allclose(
+        shape, of_truth, atol=0.12
+    )  # a line between nodes of 21 nm, of a steep spectrum
+    np.testing.assert_allclose(made.mean(axis=1), truth.eval(*half).mean(axis=1), rtol=0.2)
+
+
+def test_a_camera_is_described_by_its_sensitivities(run, tmp_path, spectral_library):
     """Its picture is that of RGB files of what its channels see of the spectra, in a light without colour."""
     nm = np.arange(400.0, 701.0, 5.0)
     curves = np.exp(-(((nm[:, None] - [590.0, 550.0, 460.0]) / 35.0) ** 2))
     np.savetxt(tmp_path / "curves.csv", np.column_stack([nm, curves]), delimiter=",", header="nm,r,g,b")
-    (tmp_path / "files").mkdir()
-    files = {
-        name: replace(file, wavelengths_nm=file.wavelengths_nm[::4], spectra=file.spectra[:, :, ::4])
-        for name, file in spectral_files().items()
-    }
-    for name, file in files.items():
-        write_bsdf(tmp_path / "files" / f"{name}_spec.bsdf", file)
-    import_files(tmp_path / "library.zarr", [tmp_path / "files"])
-    truth = files["syn_satin_gold"]
+    truth = read_bsdf(spectral_library.parent / "files" / "syn_satin_gold_spec.bsdf")
     responses = read_responses(tmp_path / "curves.csv", Bands(tuple(truth.wavelengths_nm.tolist())))
     seen = np.einsum("cb,pibxy->picxy", responses, truth.spectra).astype(np.float32)
     write_bsdf(tmp_path / "seen_rgb.bsdf", replace(measured("syn_satin_gold"), spectra=seen))
@@ -142,7 +174,7 @@ def test_a_camera_is_described_by_its_sensitivities(run, tmp_path):
     for camera in ((), ("--camera", "curves.csv")):
         code, _, err = run(
             "photograph", "ball.exr", "--light", "overcast", "--distance", 8, "--circle", "48,48,36.9",
-            *camera, "-o", "found_spec.bsdf", cwd=tmp_path,
+            "--library", spectral_library, *camera, "-o", "found_spec.bsdf", cwd=tmp_path,
         )  # fmt: skip
         assert code == 0, err
         found = MeasuredBRDF(read_bsdf(tmp_path / "found_spec.bsdf"))

@@ -172,7 +172,7 @@ def main() -> None:
                 np.median(np.abs(f - exchanged) / np.maximum(f + exchanged, 1e-9))
             )
             if case != "noisy":
-                problem = Problem(some, read.f[chosen], judged, materials)
+                problem = Problem(some, read.f[chosen], Bands(sample.nm), judged, materials)
                 methods |= {
                     name: errors(sample, others, complete(problem)) for name, complete in BASELINES.items()
                 }

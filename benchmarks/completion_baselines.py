@@ -6,17 +6,23 @@ bands: every channel of every file is a sample, as Nielsen et al. take them.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import values_at
 from manifold.directions import half_vector
+from manifold.fit.fit_samples import FitSamples
+from manifold.fit.principled import fit_bsdf
 from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array
+from manifold.records import Array, Bands
 
 _EPSILON = 1e-3  # of the logarithm, in 1/sr, as Nielsen et al.
 _RIDGE = 40.0  # weight of the coefficients, as Nielsen et al.
@@ -32,6 +38,7 @@ class Problem:
 
     read: Pairs
     values: Array
+    bands: Bands
     judged: Pairs
     materials: list[BRDF]
 
@@ -122,6 +129,42 @@ def lambert(problem: Problem) -> Array:
     return np.tile(problem.values.mean(axis=0), (len(problem.judged), 1))
 
 
+def principled(problem: Problem) -> Array:
+    """Mitsuba's principled fitted to the readings: shared parameters in sRGB, then a base colour per band."""
+    read = problem.read
+    bands = problem.bands
+    samples = FitSamples.from_arrays(read.wi, read.wo, problem.values, bands=bands)
+    return fit_bsdf(samples).brdf.eval(problem.judged.wi, problem.judged.wo)
+
+
+def gaussian_process_of_one(read: Pairs, values: Array, judged: Pairs) -> Array:
+    """Return f (P, B) of a Gaussian process of the readings (R, B), without other materials.
+
+    Cube roots of f over square roots of half-vector elevations and over difference angles, with a squared
+    exponential whose length scales and noise maximise the likelihood: the idea of 10.1145/3806194 for few readings.
+    """
+
+    def coordinates(pairs: Pairs) -> Array:
+        half = half_vector(pairs.wi, pairs.wo)
+        cosines = half[:, 2], np.sum(pairs.wi * half, axis=1)
+        elevation, difference = (np.arccos(np.clip(c, -1.0, 1.0)) for c in cosines)
+        return np.stack([np.sqrt(elevation), difference], axis=1)
+
+    kernel = ConstantKernel(1.0, (1e-2, 1e2)) * RBF([0.4, 0.6], (0.1, 5.0)) + WhiteKernel(1e-3, (1e-6, 1e-1))
+    process = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=2, random_state=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # a length scale at its bound is no failure here
+        process.fit(coordinates(read), np.cbrt(np.maximum(values, 0.0)))
+    roots = np.asarray(process.predict(coordinates(judged))).reshape(len(judged), -1)
+    return np.maximum(roots, 0.0) ** 3
+
+
+def gaussian_process(problem: Problem) -> Array:
+    """A Gaussian process of the readings."""
+    return gaussian_process_of_one(problem.read, problem.values, problem.judged)
+
+
 BASELINES: dict[str, Callable[[Problem], Array]] = {
-    "pca_ridge": pca_ridge, "nearest": nearest, "lambert_and_lobe": lambert_and_lobe, "lambert": lambert,
+    "pca_ridge": pca_ridge, "nearest": nearest, "principled": principled, "gaussian_process": gaussian_process,
+    "lambert_and_lobe": lambert_and_lobe, "lambert": lambert,
 }  # fmt: skip

@@ -80,6 +80,11 @@ RESULTS = {
     "spectral": Result(
         "bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS, "../benchmarks/completion_baselines.py"), 2
     ),
+    "counts": Result(
+        "bench_counts.py LIBRARY",
+        (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py", "evaluate/readings.py", "fit/principled.py",
+         "../benchmarks/completion_baselines.py"),
+    ),
     "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS), 2),
     "met": Result("bench_met.py LIBRARY WORKBOOKS", (*_COMPLETE, *_LIGHTS)),
     "published": Result("bench_published.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS)),

@@ -507,7 +507,7 @@ def reconstruct(
         )  # fmt: skip
     rows: dict[str, object] = {
         "combination of": f"{made.materials} materials, and analytic lobes",
-        "largest shares": [f"{name} ({share:.2f})" for name, share in made.largest_parts],
+        "largest shares": [f"{name} ({share:.2f})" for name, share in made.parts],
     }
     _show_reconstruction(results, f"Reconstructed {source}", rows, made, source, target)
 

@@ -38,7 +38,8 @@ from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import EXPECTED_BALL
-from manifold.model.location import Reconstruction
+from manifold.model.diagnostics import DiagnosedPrediction
+from manifold.model.location import Located, Reconstruction
 from manifold.model.manifold import load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.pictures import renders as pictures
@@ -48,12 +49,6 @@ from manifold.render.render import RenderSettings, require_d65
 from manifold.results import Columns, placed
 from manifold.surface.files import require_textured, write_surface
 from manifold.surface.lamp_pictures import read_workbook
-
-_ERRORS: Columns = {
-    BALL_COLUMN: lambda content: content["errors"]["ball"],
-    "cube root": lambda content: content["errors"]["cube_root"],
-    "linear": lambda content: content["errors"]["linear"],
-}
 
 
 def completions_of(
@@ -128,7 +123,7 @@ def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) ->
 
     Mixtures are of the library's materials, as those of samples without gloss always are.
     """
-    columns: Columns = {**PREDICTED, EXPECTED_BALL: lambda content: content["expected"]["ball"]}
+    columns = placed(coat.Coated.columns(), PREDICTED, before=EXPECTED_BALL)
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
     make = partial(_complete_colour, library=library, is_mixture=is_mixture, options=options)
     return Command("completions", make, how, columns=columns, under=EXPECTED_BALL, has_balls=True)
@@ -195,11 +190,7 @@ def predictions_of(
     """Predict at the places of a model that `inputs.read_points` reads; see `predictions.predict`."""
     loaded = load_model(model, library)
     suffix = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
-    columns: Columns = {
-        **_latent_columns(loaded.settings.latent_dim),
-        "colour": lambda content: content["colour"],
-        EXPECTED_BALL: lambda content: (content["expected"] or {}).get("ball"),
-    }
+    columns = _latent_columns(loaded.settings.latent_dim) | DiagnosedPrediction.columns()
     return Command(
         "predictions", partial(_predict, options=options), asdict(options), suffix, (".bsdf",), columns,
         prepare=loaded.prepare,
@@ -216,13 +207,8 @@ def _predict(source: Input, path: Path, *, options: OutputOptions) -> Content:
 def locations(model: Path, *, library: Path | None, options: OutputOptions) -> Command[Input]:
     """Find the latents of measured files, and write the predictions there; see `predictions.locate`."""
     loaded = load_model(model, library)
-    columns: Columns = {
-        **_latent_columns(loaded.settings.latent_dim),
-        "nearest": lambda content: content["nearest"][0][0],
-        **MEASURED,
-        **PREDICTED,
-        **_ERRORS,
-    }
+    columns = _latent_columns(loaded.settings.latent_dim)
+    columns |= placed(Located.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
     content_hash = loaded.library.content_hash
     how = {"model": file_sha256(model), "library": content_hash, **asdict(options)}
     make = partial(_locate, model=model, library=library, options=options)
@@ -251,7 +237,7 @@ def reconstructions_of(
     library: Path, *, without: tuple[str, ...], numbers: int | None, options: OutputOptions
 ) -> Command[Input]:
     """Reconstruct measured files from a library; see `predictions.reconstruct`."""
-    columns = {**MEASURED, **PREDICTED, **_ERRORS}
+    columns = placed(Reconstruction.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
     used = {"library": Library(library).content_hash, "without": sorted(without), "numbers": numbers}
     make = partial(_reconstruct, library=library, without=without, numbers=numbers, options=options)
     return Command(
@@ -272,14 +258,9 @@ def _shown(made: Reconstruction, source: Input, path: Path) -> Content:
 def conversions(to: str, *, correction: Path | None = None, options: Options) -> Command[Input]:
     """Convert files, or every sample of those with several, into one of `CONVERTED`; see `conversion.convert`."""
     target = CONVERTED[to]
-    columns: Columns = {
-        "from": lambda content: content["source"],
-        "bands": lambda content: content["bands"],
-        **appearance_columns("written"),
-        **LAB_UNDER,
-        "cube root": lambda content: content["errors"]["cube_root"],
-        "linear": lambda content: content["errors"]["linear"],
-    }
+    columns = placed(
+        conversion.Conversion.columns(), appearance_columns("written") | LAB_UNDER, before="cube root"
+    )
     how = {"to": to, **options._asdict()}
     if correction is not None:
         how["correction"] = file_sha256(correction)

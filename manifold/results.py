@@ -10,7 +10,8 @@ from typing import Any, ClassVar, TypeVar
 
 from manifold.records import plain
 
-Columns = dict[str, Callable[[dict[str, Any]], Any]]
+Column = Callable[[dict[str, Any]], Any]
+Columns = dict[str, Column]
 """Columns of the table of a batch: functions of the JSON of a result, by title."""
 _Getter = TypeVar("_Getter", bound=Callable[[Any], Any])
 _ENTRY = "entry"
@@ -24,17 +25,18 @@ class Entry:
         row: label of its row in the printed table and the report; None for no row. A value that is None or empty has
             none.
         words: text of the row: a format of the value, such as `{:.1%}`, or a function of the result; by default the
-            value, numbers with three digits.
-        unit: of the value, which follows the words.
-        columns: of the table of a batch: keys that lead from the value in JSON to the cell, by title.
-        in_json: whether JSON holds the value, by the name of the field.
+            value itself, or a number with three digits.
+        unit: of the value, which follows its format.
+        columns: of the table of a batch, by title: keys that lead from the value in JSON to the cell, or a function of
+            the JSON of the result.
+        json: whether JSON holds the value, by the name of the field; or a function of the result in place of the value.
     """
 
     row: str | None = None
-    words: str | Callable[[Any], object] = "{}"
+    words: str | Callable[[Any], object] | None = None
     unit: str = ""
-    columns: Mapping[str, tuple[str | int, ...]] = field(default_factory=dict)
-    in_json: bool = True
+    columns: Mapping[str, tuple[str | int, ...] | Column] = field(default_factory=dict)
+    json: bool | Callable[[Any], object] = True
 
     def row_of(self, result: object, name: str) -> object:
         """Return the text of the row of a result's field; None for no row."""
@@ -42,12 +44,11 @@ class Entry:
         if value is None:
             return None
         if callable(self.words):
-            words = self.words(result)
-        elif self.words == "{}":
-            words = f"{value:.3g}" if isinstance(value, float) else value
-        else:
-            words = self.words.format(value)
-        return f"{words} {self.unit}" if self.unit else words
+            return self.words(result)
+        number = "{:.3g}" if isinstance(value, float) else None
+        if (words := self.words or number) is not None:
+            value = words.format(value)
+        return f"{value} {self.unit}" if self.unit else value
 
 
 def entry(**how: Any) -> Mapping[str, Entry]:
@@ -86,15 +87,19 @@ class Result:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values."""
-        return {name: plain(getattr(self, name)) for name, shown in self.entries.items() if shown.in_json}
+        return {
+            name: plain(shown.json(self) if callable(shown.json) else getattr(self, name))
+            for name, shown in self.entries.items()
+            if shown.json
+        }
 
     @classmethod
     def columns(cls) -> Columns:
         """Return the columns in the table of a batch; a cell is None if the JSON has no such value."""
         return {
-            title: _cell_of(name, *keys)
+            title: cell if callable(cell) else _cell_of(name, *cell)
             for name, shown in cls.entries.items()
-            for title, keys in shown.columns.items()
+            for title, cell in shown.columns.items()
         }
 
 
@@ -114,7 +119,7 @@ def _entry_of(value: object) -> Entry | None:
     return getattr(get, _ENTRY, None)
 
 
-def _cell_of(*keys: str | int) -> Callable[[dict[str, Any]], Any]:
+def _cell_of(*keys: str | int) -> Column:
     def cell(content: dict[str, Any]) -> Any:
         value: Any = content
         for key in keys:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -35,8 +34,9 @@ from manifold.metrics import Errors
 from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.pairs import cosine_weight
 from manifold.plots import html_page
-from manifold.records import Array, Bands, BsdfFile, plain
+from manifold.records import Array, Bands, BsdfFile
 from manifold.registries import CONVERTED
+from manifold.results import Result, derived, entry
 
 _SAME_PAIR = 1e-6  # largest difference between unit vectors that were written with nine digits
 _DARK = 1e-3  # share of the brightest value, with which darker ones are compared
@@ -44,7 +44,7 @@ _FEW = 20  # readings per incidence, of spectrophotometers rather than of goniom
 
 
 @dataclass(frozen=True)
-class Conversion:
+class Conversion(Result):
     """The result of a conversion.
 
     Attributes:
@@ -54,30 +54,34 @@ class Conversion:
         median, percentile_95: of `|f* - f| / |f|` over nodes and bands.
     """
 
-    name: str
-    files: tuple[str, ...]
-    source: str
-    target: str
-    bands: Bands
-    nodes: int
-    errors: Errors[float]
-    median: float
-    percentile_95: float
-    notes: tuple[str, ...]
+    name: str = field(metadata=entry(row="material"))
+    files: tuple[str, ...] = field(metadata=entry(row="file", words=lambda made: list(made.files)))
+    source: str = field(metadata=entry(row="from", columns={"from": ()}))
+    target: str = field(metadata=entry())
+    bands: Bands = field(
+        metadata=entry(row="bands", json=lambda made: str(made.bands), columns={"bands": ()})
+    )
+    nodes: int = field(metadata=entry(row="nodes compared"))
+    errors: Errors[float] = field(
+        metadata=entry(
+            row="error, linear", words="{.linear:.2%}", columns={"cube root": ("cube_root",), "linear": ("linear",)}
+        )
+    )  # fmt: skip
 
     @property
-    def rows(self) -> dict[str, object]:
-        """Return the rows of its table, by label."""
-        return {
-            "material": self.name,
-            "file": list(self.files),
-            "from": self.source,
-            "bands": str(self.bands),
-            "nodes compared": self.nodes,
-            "error, linear": f"{self.errors.linear:.2%}",
-            "error, cube root": f"{self.errors.cube_root:.2%}",
-            "deviation": f"median {self.median:.2%}, 95 % of values within {self.percentile_95:.2%}",
-        }
+    @derived(row="error, cube root", words="{:.2%}", json=False)
+    def cube_root_error(self) -> float:
+        """See `Errors`."""
+        return self.errors.cube_root
+
+    median: float = field(
+        metadata=entry(
+            row="deviation",
+            words=lambda made: f"median {made.median:.2%}, 95 % of values within {made.percentile_95:.2%}",
+        )
+    )
+    percentile_95: float = field(metadata=entry())
+    notes: tuple[str, ...] = field(metadata=entry())
 
     def write_report(self, path: Path, output: Path) -> None:
         """Write a page of HTML about the file that was written."""
@@ -87,10 +91,6 @@ class Conversion:
             sections += [reports.balls(shown), reports.gloss(shown)]
         sections.append(html_page.Section("Notes", notes=self.notes))
         html_page.write(path, self.name, f"{output.name}: {self.target}.", sections)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return plain(vars(self) | {"bands": str(self.bands)})
 
 
 def convert(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +46,12 @@ from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
 from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.metrics import EXPECTED_BALL, Errors
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.progress import Stages
-from manifold.records import Array, Bands, plain
+from manifold.records import Array, Bands
+from manifold.results import Result, derived, entry
 
 _INDEX = 1.5  # refractive index of most varnishes and plastics
 _INDEX_SPREAD = 0.3  # its standard deviation, which lets gloss of several angles decide
@@ -80,7 +81,7 @@ class ColourSample:
 
 
 @dataclass(frozen=True, eq=False)
-class Coated:
+class Coated(Result):
     """A coat over a Lambertian, as written.
 
     Attributes:
@@ -93,55 +94,51 @@ class Coated:
         diagnostics: what a user should know, in sentences.
     """
 
-    path: Path
-    sample: ColourSample
-    alpha: float
-    index: float
-    lab: Array
-    gloss: Mapping[float, float]
-    expected: Errors[float]
-    plausibility: Plausibility
-    diagnostics: tuple[str, ...]
-    seconds: float
+    path: Path = field(metadata=entry())
+    sample: ColourSample = field(metadata=entry(json=lambda made: made.sample.name))
+    alpha: float = field(
+        metadata=entry(
+            row="made",
+            words=lambda made: (
+                f"a dielectric coat (alpha {made.alpha:.3g}, index {made.index:.3g}) over a diffuse base"
+            ),
+        )
+    )
+    index: float = field(metadata=entry())
+    lab: Array = field(
+        metadata=entry(
+            row="colour", json=lambda made: {"asked": made.sample.lab, "written": made.lab},
+            words=lambda made: f"L,a,b {', '.join(f'{v:.1f}' for v in made.lab)} ({DAYLIGHT}, 45/0), "
+            f"CIEDE2000 {made.ciede2000:.1f} from the requested one",
+        )
+    )  # fmt: skip
+    gloss: Mapping[float, float] = field(
+        metadata=entry(
+            row="gloss",
+            words=lambda made: [
+                f"{made.gloss[angle]:.3g} at {angle:g} degrees, {units:g} requested"
+                for angle, units in made.sample.gloss.items()
+            ],
+            json=lambda made: {
+                f"{angle:g}": {"asked": made.sample.gloss.get(angle), "written": units}
+                for angle, units in made.gloss.items()
+            },
+        )
+    )
+    expected: Errors[float] = field(
+        metadata=entry(
+            row="expected error", words=lambda made: made.expected.words, columns={EXPECTED_BALL: ("ball",)}
+        )
+    )  # fmt: skip
+    plausibility: Plausibility = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))
+    diagnostics: tuple[str, ...] = field(metadata=entry())
+    seconds: float = field(metadata=entry())
 
     @property
-    def difference(self) -> float:
+    @derived()
+    def ciede2000(self) -> float:
         """CIEDE2000 between the colours asked for and written."""
         return float(delta_e_2000_lab(np.array(self.sample.lab), self.lab))
-
-    @property
-    def rows(self) -> dict[str, object]:
-        """Return the rows of its table, by label: words, and lists of words."""
-        return {
-            "made": f"a dielectric coat (alpha {self.alpha:.3g}, index {self.index:.3g}) over a diffuse base",
-            "colour": f"L,a,b {', '.join(f'{v:.1f}' for v in self.lab)} ({DAYLIGHT}, 45/0), "
-            f"CIEDE2000 {self.difference:.1f} from the requested one",
-            "gloss": [
-                f"{self.gloss[a]:.3g} at {a:g} degrees, {u:g} requested" for a, u in self.sample.gloss.items()
-            ],
-            "expected error": self.expected.words,
-            "albedo": f"at most {self.plausibility.max_albedo:.2f}",
-        }
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        known = {
-            "path": self.path,
-            "sample": self.sample.name,
-            "lab": {"asked": self.sample.lab, "written": self.lab},
-            "ciede2000": self.difference,
-            "gloss": {
-                f"{angle:g}": {"asked": self.sample.gloss.get(angle), "written": units}
-                for angle, units in self.gloss.items()
-            },
-            "alpha": self.alpha,
-            "index": self.index,
-            "expected": self.expected,
-            "plausibility": self.plausibility,
-            "diagnostics": self.diagnostics,
-            "seconds": self.seconds,
-        }
-        return plain(known)
 
 
 def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Plastic, float]:

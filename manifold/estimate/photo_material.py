@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -37,7 +36,7 @@ from manifold.metrics import Errors
 from manifold.model.estimator import LEAST, Observation, explain
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import cosine_weight
-from manifold.records import Array, Bands, Indices, Mask, evenly_spaced, plain
+from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 
 CONTRADICTION = 0.2
 """Relative error of cube roots of readings, predicted from pictures alone, above which the two contradict."""
@@ -181,18 +180,6 @@ class PhotoMaterial:
         light = self.weights.mean(axis=0) * self.atoms.on_ball.sum(axis=1)
         totals = np.bincount(self.atoms.material_of, light, len(names))
         return shown_shares(names, totals / max(totals.sum(), np.finfo(float).tiny))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        known = {
-            "exposure": self.exposure,
-            "exposures": self.exposures,
-            "residual": self.residual,
-            "expected": self.expected,
-            "made_of": dict(self.made_of),
-            "notes": self.notes,
-        }
-        return plain(known)
 
 
 Seen = Sighting | Readings | Mapping[float, float]

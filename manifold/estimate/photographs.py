@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,6 +33,7 @@ from manifold.formats.readings import Readings
 from manifold.formats.spectra import read_spectrum
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
+from manifold.metrics import Errors
 from manifold.model import diagnostics, location
 from manifold.model.comparison import brdf_errors
 from manifold.model.location import Located
@@ -41,9 +42,10 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_b
 from manifold.model.prediction import ClippedBRDF
 from manifold.plots import figures
 from manifold.progress import Stages
-from manifold.records import Array, Bands, plain
+from manifold.records import Array, Bands
 from manifold.render import images
 from manifold.render.render import render_floating_ball
+from manifold.results import Result, derived, entry
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,8 +59,8 @@ _VIEWS_DEG = ((45.0, 0.0), (30.0, -50.0), (60.0, 10.0))  # incidence and viewing
 _LARGEST_ERROR = 10.0  # CIEDE2000 of the brightest colour
 
 
-@dataclass(frozen=True, eq=False)
-class FromPhotographs:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FromPhotographs(Result):
     """A material that was found in photographs.
 
     Attributes:
@@ -71,42 +73,93 @@ class FromPhotographs:
 
     balls: tuple[SeenBall, ...]
     material: PhotoMaterial
-    located: Located | None
-    output: Path | None
-    plausibility: Plausibility | None
-    picture: Path | None
-    diagnostics: tuple[str, ...]
-    seconds: float
-    plan: LampPlan | None = None
 
     @property
-    def rows(self) -> dict[str, object]:
-        """Return the rows of its table, by label: words, and lists of words."""
-        material, place = self.material, self.located
-        rows: dict[str, object] = {
-            "photographs": [
-                f"{ball.photograph.path.name}, ball at {ball.circle}"
-                + "".join(f", lamp {lamp}" for lamp in ball.lamps)
-                + f", residual {100 * residual:.1f} %"
-                for ball, residual in zip(self.balls, material.solution.residuals.tolist(), strict=True)
-            ]
-        }
-        if place is not None:
-            rows["latent"] = ",".join(place.coordinates)
-            rows["nearest"] = [f"{name} ({apart:.2f})" for name, apart in place.nearest]
-            rows["reconstruction error"] = place.rows["reconstruction error"]
-        rows |= {
-            "expected error": material.expected.words,
-            "residual of pixels": f"{100 * material.residual:.1f} % in cube roots",
-            "exposure": ", ".join(dict.fromkeys(f"{at:.3g}" for at in material.exposures)),
-            "made of": [f"{name} {share:.2f}" for name, share in material.made_of],
-        }
-        if self.plausibility is not None:
-            rows["albedo"] = f"at most {self.plausibility.max_albedo:.2f}"
-        files = {"written to": self.output, "picture": self.picture}
-        return rows | {label: path for label, path in files.items() if path is not None}
+    @derived(
+        row="photographs",
+        words=lambda made: [
+            f"{ball.photograph.path.name}, ball at {ball.circle}"
+            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
+            + f", residual {100 * residual:.1f} %"
+            for ball, residual in made.balls_with_residuals
+        ],
+    )
+    def photographs(self) -> list[dict[str, Any]]:
+        """Files with their balls, lamps and residuals."""
+        return [
+            {
+                "path": ball.photograph.path,
+                "circle": list(vars(ball.circle).values()),
+                "lamps": [lamp.direction for lamp in ball.lamps],
+                "residual": residual,
+            }
+            for ball, residual in self.balls_with_residuals
+        ]
 
     @property
+    @derived(row="latent", words=lambda made: made.located and ",".join(made.located.coordinates), json=False)
+    def latent(self) -> Array | None:
+        """Its latent on a map, if it was asked for."""
+        return None if self.located is None else self.located.latent
+
+    @property
+    @derived(
+        row="nearest", words=lambda made: [f"{name} ({apart:.2f})" for name, apart in made.nearest], json=False
+    )  # fmt: skip
+    def nearest(self) -> list[tuple[str, float]]:
+        """The nearest materials on the map, with their distances."""
+        return [] if self.located is None else self.located.nearest
+
+    located: Located | None = field(
+        metadata=entry(row="reconstruction error", words=lambda made: made.located.errors.words)
+    )
+
+    @property
+    @derived(row="expected error", words=lambda made: made.expected.words)
+    def expected(self) -> Errors[float]:
+        """Expected errors."""
+        return self.material.expected
+
+    @property
+    @derived(row="residual of pixels", words=lambda made: f"{100 * made.residual:.1f} % in cube roots")
+    def residual(self) -> float:
+        """Residual of all pixels, in cube roots."""
+        return self.material.residual
+
+    @property
+    @derived()
+    def exposure(self) -> float:
+        """Geometric mean of the exposures."""
+        return self.material.exposure
+
+    @property
+    @derived(
+        row="exposure", words=lambda made: ", ".join(dict.fromkeys(f"{exposure:.3g}" for exposure in made.exposures))
+    )  # fmt: skip
+    def exposures(self) -> Array:
+        """Exposures of the pictures."""
+        return self.material.exposures
+
+    @property
+    @derived(
+        row="made of", words=lambda made: [f"{name} {share:.2f}" for name, share in made.made_of.items()]
+    )
+    def made_of(self) -> dict[str, float]:
+        """Shares of materials in the light that the ball sends, by name."""
+        return dict(self.material.made_of)
+
+    @property
+    @derived()
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the material."""
+        return self.material.notes
+
+    plausibility: Plausibility | None = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))
+    output: Path | None = field(metadata=entry(row="written to"))
+    picture: Path | None = field(metadata=entry(row="picture"))
+
+    @property
+    @derived()
     def gloss(self) -> dict[str, float]:
         """Gloss units of the written file by angle in degrees; none without a file."""
         if self.output is None:
@@ -115,21 +168,14 @@ class FromPhotographs:
             f"{angle:g}": units for angle, units in gloss_units(MeasuredBRDF(read_bsdf(self.output))).items()
         }
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        photographs = [
-            {
-                "path": ball.photograph.path,
-                "circle": list(vars(ball.circle).values()),
-                "lamps": [lamp.direction for lamp in ball.lamps],
-                "residual": residual,
-            }
-            for ball, residual in zip(self.balls, self.material.solution.residuals.tolist(), strict=True)
-        ]
-        names = ("located", "output", "picture", "plausibility", "diagnostics", "seconds", "plan")
-        known = {"photographs": photographs, "gloss": self.gloss}
-        known |= {name: getattr(self, name) for name in names}
-        return self.material.to_json() | plain(known)
+    diagnostics: tuple[str, ...] = field(metadata=entry())
+    seconds: float = field(metadata=entry())
+    plan: LampPlan | None = field(default=None, metadata=entry())
+
+    @property
+    def balls_with_residuals(self) -> list[tuple[SeenBall, float]]:
+        """The balls, each with the residual of its pixels."""
+        return list(zip(self.balls, self.material.solution.residuals.tolist(), strict=True))
 
 
 def complete(
@@ -176,8 +222,9 @@ def complete(
         stages.begin("suggesting")
         plan = plan_lamps(material.atoms, count, [rows.pixels for rows in material.channels])
     return FromPhotographs(
-        balls, material, None, output, written.plausibility, picture, notes, time.perf_counter() - start, plan
-    )
+        balls=balls, material=material, located=None, output=output, plausibility=written.plausibility, picture=picture,
+        diagnostics=notes, seconds=time.perf_counter() - start, plan=plan,
+    )  # fmt: skip
 
 
 def locate(
@@ -225,8 +272,9 @@ def locate(
             stages.begin("rendering")
             draw_residuals(balls, shown, material, request.exposure, picture)
     return FromPhotographs(
-        balls, material, place, output, plausibility, picture, notes, time.perf_counter() - start
-    )
+        balls=balls, material=material, located=place, output=output, plausibility=plausibility, picture=picture,
+        diagnostics=notes, seconds=time.perf_counter() - start,
+    )  # fmt: skip
 
 
 def _stages(picture: Path | None, request: PhotoRequest) -> Stages:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +11,11 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
 from manifold.judged_lights import BALL
-from manifold.metrics import Errors
+from manifold.metrics import EXPECTED_BALL, Errors
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.expected_error import COARSE_BELOW, NOT_CALIBRATED
-from manifold.records import Array, plain
+from manifold.records import Array
+from manifold.results import Result, derived, entry
 
 if TYPE_CHECKING:
     from manifold.model.manifold import Manifold
@@ -31,7 +32,7 @@ MOST_EMBEDDING_BALL = 5.0  # CIEDE2000: an observer sees two different colours (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DiagnosedPrediction:
+class DiagnosedPrediction(Result):
     """A predicted material, with its expected error and diagnostics.
 
     Attributes:
@@ -55,61 +56,68 @@ class DiagnosedPrediction:
         path: of the file that was written; None where none was.
         is_physical: whether that was projected to be non-negative, reciprocal and energy-conserving.
         clipped_share: share of the predicted values that were negative, and are zero in the file.
-        mirror_difference: of the file from the prediction near mirror directions, see `plausibility.mirror_difference`.
+        mirror_difference: of the file from the prediction near mirror directions, see `plausibility.mirror_difference`;
+            None without a file.
         seconds: evaluating, checking and writing, without loading the library.
     """
 
     brdf: BRDF
-    latent: Array | None
-    coordinates: tuple[str, ...]
-    walk: str | None
-    colour: str | None
-    reflectance_residual: float
-    weights: list[tuple[str, float]]
-    nearest: list[tuple[str, float]]
-    materials: int
-    expected: Errors[Array] | None
-    expected_in_chosen_colour: Errors[Array] | None
-    is_extrapolation: bool
-    plausibility: Plausibility
-    diagnostics: tuple[str, ...]
-    attributes: dict[str, Any] | None = None
-    path: Path | None = None
-    is_physical: bool = False
-    clipped_share: float = 0.0
-    mirror_difference: float = 0.0
-    seconds: float = 0.0
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values; a file that was written has the program's version."""
-        dropped = {"brdf"} | ({"attributes"} if self.attributes is None else set())
-        if self.path is None:
-            dropped |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
-        program = {} if self.path is None else {"program": f"manifold {__version__}"}
-        return program | {key: plain(value) for key, value in vars(self).items() if key not in dropped}
+    latent: Array | None = field(metadata=entry())
+    coordinates: tuple[str, ...] = field(metadata=entry())
+    walk: str | None = field(metadata=entry())
+    colour: str | None = field(metadata=entry(columns={"colour": ()}))
+    reflectance_residual: float = field(metadata=entry())
+    weights: list[tuple[str, float]] = field(metadata=entry())
 
     @property
-    def rows(self) -> dict[str, object]:
-        """Labels and values for a terminal."""
-        rows: dict[str, object] = {"expected error": self._expected_in_words}
-        if self.nearest:
-            rows["nearest"] = [f"{name} ({distance:.2f})" for name, distance in self.nearest]
-        rows |= {
-            "reciprocity error": f"{self.plausibility.reciprocity_error:.2%}",
-            "largest albedo": f"{self.plausibility.max_albedo:.3f}",
-        }
-        if self.path is not None:
-            off = f"at most {self.mirror_difference:.1%} from the prediction"
-            rows["file"] = f"{off} within 5 degrees of mirror directions"
-        return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
-
-    @property
-    def _expected_in_words(self) -> list[str]:
+    @derived(row="expected error", json=False)
+    def expected_in_words(self) -> list[str]:
+        """Expected errors, or why there are none."""
         if self.walk is not None:
             return ["none: a step of a walk has no place on the map"]
         if self.is_extrapolation:
             return ["none: not supported by the data"]
         return in_words(self.expected, self.materials, self.expected_in_chosen_colour)
+
+    nearest: list[tuple[str, float]] = field(
+        metadata=entry(
+            row="nearest",
+            words=lambda made: [f"{name} ({distance:.2f})" for name, distance in made.nearest],
+        )
+    )
+    materials: int = field(metadata=entry())
+    expected: Errors[Array] | None = field(metadata=entry(columns={EXPECTED_BALL: ("ball",)}))
+    expected_in_chosen_colour: Errors[Array] | None = field(metadata=entry())
+    is_extrapolation: bool = field(metadata=entry())
+
+    @property
+    @derived(row="reciprocity error", words="{:.2%}", json=False)
+    def reciprocity_error(self) -> float:
+        """See `Plausibility`."""
+        return self.plausibility.reciprocity_error
+
+    plausibility: Plausibility = field(metadata=entry(row="largest albedo", words="{.max_albedo:.3f}"))
+    attributes: dict[str, Any] | None = field(default=None, metadata=entry())
+    path: Path | None = field(default=None, metadata=entry())
+    is_physical: bool = field(default=False, metadata=entry())
+    clipped_share: float = field(default=0.0, metadata=entry())
+    mirror_difference: float | None = field(
+        default=None,
+        metadata=entry(
+            row="file",
+            words="at most {:.1%} from the prediction within 5 degrees of mirror directions",
+        ),
+    )
+    diagnostics: tuple[str, ...] = field(metadata=entry(row="diagnostics"))
+    seconds: float = field(default=0.0, metadata=entry())
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values; only a file that was written has the program's version, and values of the file."""
+        absent = set() if self.attributes is not None else {"attributes"}
+        if self.path is None:
+            absent |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
+        program = {} if self.path is None else {"program": f"manifold {__version__}"}
+        return program | {name: value for name, value in super().to_json().items() if name not in absent}
 
 
 def predict_and_diagnose(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.metrics import ERROR_COLUMNS, Errors
 from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
@@ -23,13 +22,14 @@ from manifold.model.materials import MaterialCache, names_without
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.settings import Settings
-from manifold.records import Array, BsdfFile, evenly_spaced, plain
+from manifold.records import Array, BsdfFile, evenly_spaced
+from manifold.results import Result, derived, entry
 
 _SHOWN_PARTS = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reconstruction:
+class Reconstruction(Result):
     """A measured material as others describe it.
 
     Attributes:
@@ -43,36 +43,37 @@ class Reconstruction:
     """
 
     brdf: PredictedBRDF
-    materials: int
-    errors: Errors[float]
-    plausibility: Plausibility | None = None
-    diagnostics: tuple[str, ...]
-    refusal: str | None = None
-    rotation_rad: float = 0.0
+    materials: int = field(metadata=entry())
 
     @property
-    def rows(self) -> dict[str, object]:
-        """Labels and values for a terminal."""
-        rows: dict[str, object] = {"reconstruction error": self.errors.words}
-        if self.rotation_rad:
-            rows["rotation of the sample"] = f"{np.rad2deg(self.rotation_rad):.1f} degrees, undone to find it"
-        if self.plausibility is not None:
-            rows["largest albedo"] = f"{self.plausibility.max_albedo:.3f}"
-        return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
-
-    @property
-    def largest_parts(self) -> list[tuple[str, float]]:
+    @derived()
+    def parts(self) -> list[tuple[str, float]]:
         """Materials and analytic lobes with the largest shares of the weights."""
         return self.brdf.parts[:_SHOWN_PARTS]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        known = {
-            "materials": self.materials, "parts": self.largest_parts, "errors": self.errors,
-            "plausibility": self.plausibility, "diagnostics": self.diagnostics, "refusal": self.refusal,
-            "rotation_deg": np.rad2deg(self.rotation_rad),
-        }  # fmt: skip
-        return plain(known)
+    errors: Errors[float] = field(
+        metadata=entry(
+            row="reconstruction error", words=lambda made: made.errors.words, columns=ERROR_COLUMNS
+        )
+    )
+
+    @property
+    @derived(
+        row="rotation of the sample",
+        words=lambda made: (
+            f"{made.rotation_deg:.1f} degrees, undone to find it" if made.rotation_rad else None
+        ),
+    )
+    def rotation_deg(self) -> float:
+        """Azimuth by which the sample lay turned, in degrees."""
+        return float(np.rad2deg(self.rotation_rad))
+
+    plausibility: Plausibility | None = field(
+        default=None, metadata=entry(row="largest albedo", words="{.max_albedo:.3f}")
+    )
+    diagnostics: tuple[str, ...] = field(metadata=entry(row="diagnostics"))
+    refusal: str | None = field(default=None, metadata=entry())
+    rotation_rad: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,16 +88,11 @@ class Located(Reconstruction):
         nearest: the three nearest materials with their distances.
     """
 
-    latent: Array
-    coordinates: tuple[str, ...]
-    colours: Array | None
-    expected: Errors[Array] | None
-    nearest: list[tuple[str, float]]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        names = ("latent", "coordinates", "colours", "expected", "nearest")
-        return super().to_json() | plain({name: getattr(self, name) for name in names})
+    latent: Array = field(metadata=entry())
+    coordinates: tuple[str, ...] = field(metadata=entry())
+    colours: Array | None = field(metadata=entry())
+    expected: Errors[Array] | None = field(metadata=entry())
+    nearest: list[tuple[str, float]] = field(metadata=entry(columns={"nearest": (0, 0)}))
 
 
 def locate(model: Manifold, file: BsdfFile) -> Located:

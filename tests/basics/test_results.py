@@ -20,16 +20,19 @@ class Measured(Result):
         return 0.25
 
     gloss: dict[str, float] = field(metadata=entry(columns={"gloss 60": ("60",), "gloss 20": ("20",)}))
+    width: float = field(default=2.0, metadata=entry(json=lambda made: f"{made.width:g} mm"))
 
     @cached_property
-    @derived(row="sum", words=lambda made: f"{made.hidden:g} beside {made.share:g}", in_json=False)
+    @derived(row="sum", words=lambda made: f"{made.hidden:g} beside {made.share:g}", json=False)
     def total(self) -> float:
         return self.hidden + self.share
 
     height: float | None = field(
         default=None, metadata=entry(row="height", unit="mm", columns={"height": ()})
     )
-    notes: tuple[str, ...] = field(default=(), metadata=entry(row="notes"))
+    notes: tuple[str, ...] = field(
+        default=(), metadata=entry(row="notes", columns={"count": lambda content: len(content["notes"])})
+    )
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Placed(Measured):
     nearest: str = field(default="", metadata=entry(row="nearest"))
 
 
-MADE = Measured(2.0, {"60": 40.0}, 1.23456)
+MADE = Measured(2.0, {"60": 40.0}, height=1.23456)
 
 
 def test_rows_keep_the_order_of_the_class_body_and_omit_missing_values() -> None:
@@ -49,10 +52,18 @@ def test_rows_keep_the_order_of_the_class_body_and_omit_missing_values() -> None
 
 
 def test_json_holds_what_has_an_entry() -> None:
-    assert MADE.to_json() == {"share": 0.25, "gloss": {"60": 40.0}, "height": 1.23456, "notes": []}
+    assert MADE.to_json() == {
+        "share": 0.25,
+        "gloss": {"60": 40.0},
+        "width": "2 mm",
+        "height": 1.23456,
+        "notes": [],
+    }
 
 
-@pytest.mark.parametrize(("title", "cell"), [("gloss 60", 40.0), ("gloss 20", None), ("height", 1.23456)])
+@pytest.mark.parametrize(
+    ("title", "cell"), [("gloss 60", 40.0), ("gloss 20", None), ("height", 1.23456), ("count", 0)]
+)
 def test_columns_take_cells_from_the_json(title: str, cell: float | None) -> None:
     assert Measured.columns()[title](MADE.to_json()) == cell
 
@@ -68,4 +79,4 @@ def test_entries_of_a_subclass_precede_those_of_its_base() -> None:
 
 def test_columns_are_placed_before_a_title() -> None:
     columns = placed(Measured.columns(), {"L": lambda content: content["lab"][0]}, before="gloss 20")
-    assert list(columns) == ["gloss 60", "L", "gloss 20", "height"]
+    assert list(columns) == ["gloss 60", "L", "gloss 20", "height", "count"]

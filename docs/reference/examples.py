@@ -139,6 +139,12 @@ from manifold.brdf import BRDF
 
 isinstance(white_paper, BRDF)  # a class of your own needs bands, is_isotropic, eval and eval_cos
 
+# manifold.brdf.to_xarray
+from manifold.brdf import to_xarray
+
+profile = to_xarray(white_paper, theta_i_deg=45.0, theta_o_deg=range(0, 81, 10))
+profile.sel(theta_i=45.0, phi=180.0)  # f in 1/sr by theta_o and band
+
 # manifold.formats.geometry_ma_t12
 from manifold.formats import geometry_ma_t12
 
@@ -240,6 +246,7 @@ from manifold.evaluate import make_report
 
 report = make_report(model)
 report.methods[0].title, report.methods[0].median.ball
+report.to_pandas().groupby("method")["ball"].median()
 
 # manifold.evaluate.make_chart
 from manifold.evaluate import make_chart

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares, block_pa
 from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.seen_fits import seen_principled
+from manifold.extras import require
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
 from manifold.metrics import Errors
@@ -48,6 +49,9 @@ from manifold.model.materials import MaterialTable
 from manifold.names import counted
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices, evenly_spaced, plain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
 _BYTES_PER_NUMBER = 8
@@ -127,6 +131,22 @@ class Report:
     def to_json(self) -> dict[str, Any]:
         """Return the report as plain values, with the program's version; numbers that are not finite become None."""
         return {"program": f"manifold {__version__}", **plain(vars(self))}
+
+    def to_pandas(self) -> DataFrame:
+        """Return the errors as a data frame of pandas: a row per method and material.
+
+        Columns are `method`, `title`, `is_held_out`, `material`, and errors by kind, see `manifold.metrics.Errors`.
+
+        Raises:
+            MissingPackageError: pandas is not installed.
+        """
+        pandas = require("pandas")
+        frames = []
+        for method in self.methods:
+            errors = {kind: values for kind, values in method.errors.known.items() if np.ndim(values) == 1}
+            columns = {"method": method.key, "title": method.title, "is_held_out": method.is_held_out}
+            frames.append(pandas.DataFrame(columns | {"material": self.names} | errors))
+        return pandas.concat(frames, ignore_index=True)
 
 
 def make_report(

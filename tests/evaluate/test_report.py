@@ -97,6 +97,14 @@ def test_the_smooth_reconstruction_is_off_by_little(reports, kind):
     assert 0.0 < smooth < 0.5 * kept
 
 
+def test_a_data_frame_has_the_errors_of_every_method_and_material(made):
+    frame = made.to_pandas()
+    assert len(frame) == len(made.methods) * len(made.names)
+    for m in made.methods:
+        rows = frame[frame["method"] == m.key].set_index("material")
+        np.testing.assert_array_equal(rows.loc[list(made.names), "ball"], m.errors.ball)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_held_out_methods_never_use_the_material_itself(models, data, kind):
     for m in model_methods(models[kind]):

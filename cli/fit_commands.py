@@ -156,25 +156,11 @@ def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSour
 
 
 def _fit_rows(content: dict[str, Any]) -> dict[str, object]:
-    from manifold.fit.identifiability import ParameterIdentifiability
-    from manifold.metrics import Errors
+    from manifold.fit.principled import FitResult
 
-    rows: dict[str, object] = {}
-    for statement in content["statements"]:
-        rows[statement["name"]] = str(ParameterIdentifiability(**statement))
-    if content["errors"] is not None:
-        rows["CIEDE2000 of the ball"] = Errors(**content["errors"])
-    rows["relative residual"] = [f"{name} {value:.3f}" for name, value in content["residuals"].items()]
-    rows["best diffuse"] = f"{content['metric']} {content['diffuse_residual']:.3f}"
-    if content["spectral_residual"] is not None:
-        rows["all bands"] = f"{content['metric']} {content['spectral_residual']:.3f}"
-    others = [
-        f"{minimum['residual']:.3f}" + " (as good)" * minimum["as_good"] for minimum in content["minima"][1:]
-    ]
-    rows["other minima"] = others or "none found"
-    rows |= terminal.numbered("note", content["notes"])
-    rows["time"] = f"{content['seconds']:.2f} s, {content['n_pairs']} direction pairs"
-    return rows
+    fit = FitResult.of_document(content)
+    time = f"{fit.seconds:.2f} s, {fit.n_pairs} direction pairs"
+    return fit.rows | terminal.numbered("note", fit.notes) | {"time": time}
 
 
 @app.command(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -45,6 +45,7 @@ from manifold.render.bsdf_evaluation import bsdf_dict
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fit_json import Source
 from manifold.render.fitted_brdf import FittedBRDF
+from manifold.results import placed
 
 Measured = FileSource | LibrarySource
 """A file, or a material of a library."""
@@ -150,14 +151,7 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
 
     With pictures, the fit of a whole BRDF is drawn beside its material, into NAME.fit.png.
     """
-    columns: dict[str, Callable[[Content], Any]] = {
-        "BSDF": lambda content: content["bsdf"]["type"],
-        **PREDICTED,
-        BALL_COLUMN: lambda content: content["errors"] and content["errors"]["ball"],
-        "residual": lambda content: content["residuals"][content["metric"]],
-        "diffuse": lambda content: content["diffuse_residual"],
-        "minima": lambda content: len(content["minima"]),
-    }
+    columns = placed(FitResult.columns(), PREDICTED, before=BALL_COLUMN)
     return Command(
         "fits", partial(_fit_input, settings=settings, with_pictures=with_pictures),
         settings.to_json() | {"pictures": with_pictures}, FIT_SUFFIX, columns=columns, under=BALL_COLUMN,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from manifold.fit.fit_metrics import Criterion, ball_errors
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
-from manifold.judged_lights import BALL
+from manifold.judged_lights import BALL, BALL_COLUMN
 from manifold.metrics import Errors
 from manifold.records import Array, Bands, BsdfFile
 from manifold.registries import FITTERS
@@ -30,6 +30,7 @@ from manifold.render import backend
 from manifold.render.bsdf_evaluation import require_independent_bands, variant
 from manifold.render.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.render.fitted_brdf import FittedBRDF
+from manifold.results import Result, entry
 
 _POOR_FIT = (
     0.12  # relative residual: beyond it balls of measured materials look wrong, docs/explanation/fits.md
@@ -55,9 +56,9 @@ class FittedMinimum:
     converged: bool
 
 
-@dataclass(frozen=True)
-class FitResult:
-    """A fitted BSDF, with residuals, minima and identifiability.
+@dataclass(frozen=True, kw_only=True)
+class FitResult(Result):
+    """A fitted BSDF, with residuals, minima and identifiability; `fits.document` is its JSON.
 
     Attributes:
         family: what was fitted.
@@ -79,24 +80,65 @@ class FitResult:
         rotation_deg: azimuth by which the material's highlights lie turned from those of the BSDF, wide along x.
     """
 
-    family: BsdfFamily
+    family: BsdfFamily = field(metadata=entry(columns={"BSDF": lambda content: content["bsdf"]["type"]}))
     values: dict[str, float | list[float]]
     bands: Bands
     spectra: dict[str, list[float]]
     method: str
     metric: str
     hyperparameters: dict[str, Any]
-    residuals: dict[str, float]
-    diffuse_residual: float
-    spectral_residual: float | None
-    minima: tuple[FittedMinimum, ...]
+    errors: Errors[float] | None = field(
+        default=None, metadata=entry(row="CIEDE2000 of the ball", columns={BALL_COLUMN: ("ball",)})
+    )
+    residuals: dict[str, float] = field(
+        metadata=entry(
+            row="relative residual", words=lambda fit: [f"{name} {value:.3f}" for name, value in fit.residuals.items()],
+            columns={"residual": lambda content: content["residuals"][content["metric"]]},
+        )
+    )  # fmt: skip
+    diffuse_residual: float = field(
+        metadata=entry(
+            row="best diffuse", words=lambda fit: f"{fit.metric} {fit.diffuse_residual:.3f}", columns={"diffuse": ()}
+        )
+    )  # fmt: skip
+    spectral_residual: float | None = field(
+        metadata=entry(row="all bands", words=lambda fit: f"{fit.metric} {fit.spectral_residual:.3f}")
+    )
+    minima: tuple[FittedMinimum, ...] = field(
+        metadata=entry(
+            row="other minima", columns={"minima": lambda content: len(content["minima"])},
+            words=lambda fit: [f"{minimum.residual:.3f}" + " (as good)" * minimum.as_good for minimum in fit.minima[1:]]
+            or "none found",
+        )
+    )  # fmt: skip
     statements: tuple[ParameterIdentifiability, ...]
-    notes: tuple[str, ...] = field(default=())
-    errors: Errors[float] | None = None
+    notes: tuple[str, ...] = ()
     n_pairs: int = 0
     variant: str = ""
     seconds: float = 0.0
     rotation_deg: float = 0.0
+
+    @classmethod
+    def of_document(cls, content: Mapping[str, Any]) -> FitResult:
+        """Return the fit that a document holds, see `fits.document`; without its own spectra its bands are RGB."""
+        known = {shown.name: content[shown.name] for shown in fields(cls) if shown.name in content}
+        spectra = content["spectra"] or {"values": {}, "wavelengths_nm": None}
+        return cls(
+            **known
+            | {
+                "family": BsdfFamily.from_json(content["bsdf"]),
+                "bands": Bands(spectra["wavelengths_nm"]),
+                "spectra": spectra["values"],
+                "errors": content["errors"] and Errors(**content["errors"]),
+                "minima": tuple(FittedMinimum(**minimum) for minimum in content["minima"]),
+                "statements": tuple(ParameterIdentifiability(**each) for each in content["statements"]),
+            }
+        )
+
+    @property
+    def rows(self) -> dict[str, object]:
+        """Return the rows of the table, by label: first how well every value is determined."""
+        return {each.name: str(each) for each in self.statements} | super().rows
 
     @property
     def brdf(self) -> FittedBRDF:

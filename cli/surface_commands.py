@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -97,40 +97,12 @@ def surface(
         if len(sources) > 1:
             raise UsageError(f"found --sample {sample} of {len(sources)} files, expected one workbook")
         pictures, readings = read_workbook(sources[0], sample)
-    from manifold.judged_lights import BALL_COLUMN
 
     folder = or_default(output, f"{sources[0].stem}_surface")
     with progress.shown("Making the surface"):
         made = make_surface(
             library, pictures, readings, folder, size=size, targets=targets, mm_per_pixel=mm_per_pixel
         )
-    sparkle, flakes = made.sparkle, made.sparkle.flakes
-    height_mm = "" if mm_per_pixel is None else f", {mm_per_pixel * made.height_std:.2g} mm"
-    results.rows(
-        f"Surface {made.folder}",
-        {
-            "pictures": list(made.surface.pictures.labels),
-            "colour, relative spread": ", ".join(f"{100 * spread:.1f} %" for spread in made.albedo_std),
-            "slopes": "across {:.3f}, along {:.3f} (standard deviations)".format(*made.slope_std),
-            "heights": f"{made.height_std:.2f} pixels{height_mm} (standard deviation)",
-            "sparkle": f"{sparkle.density:.1f} glints per 10,000 pixels and lamp",
-            **(
-                {}
-                if flakes is None
-                else {
-                    "flakes": f"{flakes.density:.0f} per 10,000 pixels, slopes {flakes.slope_std:.2f}, reflectance "
-                    f"{flakes.reflectance:.3f}, roughness {flakes.roughness:.2f} (GGX alpha)"
-                }
-            ),
-            **({"by the instrument": list(map(_entry, made.instrument))} if made.instrument else {}),
-            "files": [path.name for path in made.paths.values()],
-            **{f"{target}, {BALL_COLUMN}": f"{ball:.2f}" for target, ball in made.exports.items()},
-            "time": f"{made.seconds:.1f} s",
-            **terminal.numbered("note", made.notes),
-        },
-    )
+    time = {"time": f"{made.seconds:.1f} s", **terminal.numbered("note", made.notes)}
+    results.rows(f"Surface {made.folder}", made.rows | time)
     results.document(made)
-
-
-def _entry(values: dict[str, Any]) -> str:
-    return ", ".join(f"{key} {value}" for key, value in values.items())

@@ -47,7 +47,7 @@ from manifold.registries import CONVERTED
 from manifold.render import images
 from manifold.render.render import RenderSettings, require_d65
 from manifold.results import Columns, placed
-from manifold.surface.files import require_textured, write_surface
+from manifold.surface.files import SurfaceFiles, require_textured, write_surface
 from manifold.surface.lamp_pictures import read_workbook
 
 
@@ -133,11 +133,7 @@ def surfaces(
     library: Path, *, size: int, targets: Sequence[str], mm_per_pixel: float | None = None
 ) -> Command[Sample]:
     """Make surfaces of the samples that `inputs.find_samples` finds, of workbooks with pictures; see `make_surface`."""
-    columns: Columns = {
-        **PREDICTED,
-        "slope": lambda content: content["slope_std"][1],
-        "glints": lambda content: content["sparkle"]["density"],
-    }
+    columns = PREDICTED | SurfaceFiles.columns()
     require_textured(targets)
     settings: dict[str, Any] = {"size": size, "targets": list(targets), "mm_per_pixel": mm_per_pixel}
     how = {"library": Library(library).content_hash, **settings}

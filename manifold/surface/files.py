@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -28,15 +28,17 @@ from manifold.fit.exports.principled_values import ior_to_f0
 from manifold.fit.exports.targets import Target
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
+from manifold.judged_lights import BALL_COLUMN
 from manifold.library.store import Library
 from manifold.progress import Stages
 from manifold.records import Array
 from manifold.registries import TARGETS as EXPORTS
 from manifold.render.images import write_display, write_image
+from manifold.results import Result, derived, entry
 from manifold.surface import preview
 from manifold.surface.estimate import Surface, brightest, estimate_surface
 from manifold.surface.lamp_pictures import SurfacePictures
-from manifold.surface.sparkle import DrawnFlakes, Sparkle, sparkle_of
+from manifold.surface.sparkle import DrawnFlakes, Flakes, Sparkle, sparkle_of
 from manifold.surface.tiling import Textures, tile
 
 TARGETS = ("gltf", "openpbr", "usd", "blender")
@@ -47,8 +49,8 @@ _FEW_CUT = 0.005  # share of points that nobody misses
 _VISIBLE_SPARKLE = 1.0  # glints per 10,000 pixels and lamp that a note mentions
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceFiles:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceFiles(Result):
     """A surface, as written.
 
     Attributes:
@@ -64,63 +66,135 @@ class SurfaceFiles:
         seconds: in all.
     """
 
-    folder: Path
     surface: Surface
-    sparkle: Sparkle
-    textures: Textures
-    mm_per_pixel: float | None
-    completed: Completed | None
-    exports: Mapping[str, float]
-    paths: Mapping[str, Path]
-    notes: tuple[str, ...]
-    seconds: float
 
     @property
+    @derived()
+    def sample(self) -> str:
+        """Name of the sample."""
+        return self.surface.name
+
+    folder: Path = field(metadata=entry())
+    textures: Textures
+
+    @property
+    @derived(row="pictures", words=lambda made: list(made.pictures))
+    def pictures(self) -> tuple[str, ...]:
+        """Labels of the pictures."""
+        return tuple(self.surface.pictures.labels)
+
+    @property
+    @derived()
+    def pixels(self) -> tuple[int, ...]:
+        """Shape of the pictures."""
+        return self.surface.third.shape
+
+    @property
+    @derived()
+    def mean_srgb_linear(self) -> Array:
+        """Mean colour, linear sRGB, shape (3,)."""
+        return self.surface.mean
+
+    @property
+    @derived(
+        row="colour, relative spread", words=lambda made: ", ".join(f"{100 * std:.1f} %" for std in made.albedo_std)
+    )  # fmt: skip
     def albedo_std(self) -> Array:
         """Standard deviation of the albedo texture over its mean, as it is written, shape (3,)."""
         mean = self.surface.mean
         return np.asarray(np.minimum(mean * self.textures.albedo, 1.0).std(axis=(0, 1)) / mean)
 
     @property
+    @derived(
+        row="slopes", columns={"slope": (1,)},
+        words=lambda made: "across {:.3f}, along {:.3f} (standard deviations)".format(*made.slope_std),
+    )  # fmt: skip
     def slope_std(self) -> Array:
         """Standard deviation of the slopes of the normal texture, along x and y, shape (2,)."""
         return np.asarray(self.textures.slope.std(axis=(0, 1)))
 
     @property
-    def height_std(self) -> float:
+    @derived()
+    def gain(self) -> float:
+        """See `Surface`."""
+        return self.surface.gain
+
+    @property
+    @derived()
+    def slope_uncertainty(self) -> Array:
+        """Standard deviations of slopes, see `Surface`."""
+        return self.surface.slope_std
+
+    @property
+    @derived(
+        row="heights",
+        words=lambda made: (
+            f"{made.height_std_px:.2f} pixels"
+            + ("" if made.mm_per_pixel is None else f", {made.mm_per_pixel * made.height_std_px:.2g} mm")
+            + " (standard deviation)"
+        ),
+    )
+    def height_std_px(self) -> float:
         """Standard deviation of the height texture, in pixels."""
         return float(self.textures.height.std())
 
+    mm_per_pixel: float | None = field(metadata=entry())
+    sparkle: Sparkle = field(
+        metadata=entry(
+            row="sparkle", words="{.density:.1f} glints per 10,000 pixels and lamp", columns={"glints": ("density",)}
+        )
+    )  # fmt: skip
+
     @property
+    @derived(
+        row="flakes", json=False,
+        words="{0.density:.0f} per 10,000 pixels, slopes {0.slope_std:.2f}, reflectance {0.reflectance:.3f}, roughness "
+        "{0.roughness:.2f} (GGX alpha)",
+    )  # fmt: skip
+    def flakes(self) -> Flakes | None:
+        """See `Sparkle`."""
+        return self.sparkle.flakes
+
+    @property
+    @derived(
+        row="by the instrument",
+        words=lambda made: [
+            ", ".join(f"{key} {value}" for key, value in each.items()) for each in made.instrument
+        ],
+    )
     def instrument(self) -> list[dict[str, Any]]:
         """Graininess and sparkle by the instrument, an entry a geometry, as the workbook names them."""
         if self.completed is None:
             return []
-        return [dict(entry) for entry in self.completed.completion.readings.texture.get("values", ())]
+        return [dict(values) for values in self.completed.completion.readings.texture.get("values", ())]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        surface = self.surface
-        return {
-            "sample": surface.name,
-            "folder": str(self.folder),
-            "files": {kind: path.name for kind, path in self.paths.items()},
-            "pictures": list(surface.pictures.labels),
-            "pixels": list(surface.third.shape),
-            "mean_srgb_linear": surface.mean.tolist(),
-            "albedo_std": self.albedo_std.tolist(),
-            "slope_std": self.slope_std.tolist(),
-            "gain": surface.gain,
-            "slope_uncertainty": surface.slope_std.tolist(),
-            "height_std_px": self.height_std,
-            "mm_per_pixel": self.mm_per_pixel,
-            "sparkle": self.sparkle.to_json(),
-            "instrument": self.instrument,
-            "exports": {target: {"ball": ball} for target, ball in self.exports.items()},
-            "completion": None if self.completed is None else self.completed.to_json(),
-            "notes": list(self.notes),
-            "seconds": self.seconds,
-        }
+    paths: Mapping[str, Path]
+
+    @property
+    @derived(row="files", words=lambda made: list(made.files.values()))
+    def files(self) -> dict[str, str]:
+        """Names of the files in the folder, by what they are."""
+        return {kind: path.name for kind, path in self.paths.items()}
+
+    exports: Mapping[str, float] = field(
+        metadata=entry(json=lambda made: {target: {"ball": ball} for target, ball in made.exports.items()})
+    )
+    completed: Completed | None
+
+    @property
+    @derived()
+    def completion(self) -> Completed | None:
+        """The BRDF of the mean; None where there were no readings."""
+        return self.completed
+
+    notes: tuple[str, ...] = field(metadata=entry())
+    seconds: float = field(metadata=entry())
+
+    @property
+    def rows(self) -> dict[str, object]:
+        """Return the rows of the table, by label; last the errors of exports."""
+        errors = {f"{target}, {BALL_COLUMN}": f"{ball:.2f}" for target, ball in self.exports.items()}
+        return super().rows | errors
 
 
 def make_surface(
@@ -207,9 +281,10 @@ def write_surface(
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(
-        folder, surface, sparkle, textures, mm_per_pixel, completed, MappingProxyType(exports),
-        MappingProxyType({kind: path for kind, path in paths.items() if kind in {*written, "numbers"}}), notes,
-        time.perf_counter() - start,
+        folder=folder, surface=surface, sparkle=sparkle, textures=textures, mm_per_pixel=mm_per_pixel,
+        completed=completed, exports=MappingProxyType(exports),
+        paths=MappingProxyType({kind: path for kind, path in paths.items() if kind in {*written, "numbers"}}),
+        notes=notes, seconds=time.perf_counter() - start,
     )  # fmt: skip
     document = {"program": f"manifold {__version__}", **made.to_json()}
     disk.write_text(paths["numbers"], json.dumps(document, indent=2, allow_nan=False) + "\n")

@@ -117,10 +117,6 @@ class Sparkle:
     seen_once: float
     flakes: Flakes | None
 
-    def to_json(self) -> dict[str, object]:
-        """Return plain values."""
-        return vars(self) | {"flakes": None if self.flakes is None else vars(self.flakes)}
-
 
 def sparkle_of(surface: Surface) -> Sparkle:
     """Count the glints of a surface, lamp by lamp."""

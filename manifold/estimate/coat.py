@@ -47,7 +47,6 @@ from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
 from manifold.formats.text import CORRECT_CELL, data_lines, decode, list_rows, number, with_whole_name
 from manifold.library.store import Library
 from manifold.metrics import EXPECTED_BALL, Errors
-from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.progress import Stages
 from manifold.records import Array, Bands
@@ -228,7 +227,7 @@ def complete(
     lab, gloss = lab_of(brdf), gloss_units(brdf)
     return Coated(
         output, sample, alpha, index, lab, gloss, expected, written.plausibility,
-        (*_missed(sample, lab, gloss), *diagnostics.of_prediction(False, written.plausibility), *written.projection),
+        (*_missed(sample, lab, gloss), *written.notes),
         time.perf_counter() - start,
     )  # fmt: skip
 

@@ -271,17 +271,14 @@ def complete(
     plausibility = written.plausibility
     if written.file is not None:
         made = made.as_written(MeasuredBRDF(written.file))
-    if written.change is not None:
-        expected = expected.beside(written.change)
     notes = (
         *made.notes,
         *calibration.notes(made),
-        *diagnostics.of_prediction(False, plausibility),
+        *written.notes,
         *_of_unit(made.readings, plausibility),
-        *written.projection,
     )
     return Completed(
-        output, picture, made, correction, expected, plausibility, suggested, notes,
+        output, picture, made, correction, written.expected(expected), plausibility, suggested, notes,
         time.perf_counter() - start,
     )  # fmt: skip
 

@@ -34,7 +34,7 @@ from manifold.formats.spectra import read_spectrum
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.model import diagnostics, location
+from manifold.model import location
 from manifold.model.comparison import brdf_errors
 from manifold.model.location import Located
 from manifold.model.manifold import Manifold, load_model
@@ -211,7 +211,7 @@ def complete(
         remedy="make it physical, check the exposure",
         keeps_hue=True,
     )
-    notes += (*diagnostics.of_prediction(False, written.plausibility), *written.projection)
+    notes += written.notes
     if written.projection:
         notes += ("the residual and expected error are those of the material before it was made physical",)
     if picture is not None:
@@ -267,7 +267,7 @@ def locate(
             plausibility = written.plausibility
             if written.change is not None and written.file is not None:
                 place = replace(place, errors=brdf_errors(seen, MeasuredBRDF(written.file)))
-            notes += (*diagnostics.of_prediction(False, plausibility), *written.projection)
+            notes += written.notes
         if picture is not None:
             stages.begin("rendering")
             draw_residuals(balls, shown, material, request.exposure, picture)

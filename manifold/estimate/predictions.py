@@ -107,8 +107,8 @@ def predict(
     difference = mirror_difference(brdf, MeasuredBRDF(written.file))
     seconds = time.perf_counter() - start
     made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
-    if made.expected is not None and written.change is not None:
-        made = replace(made, expected=made.expected.beside(written.change))
+    if made.expected is not None:
+        made = replace(made, expected=written.expected(made.expected))
     turned = f"turned by {np.rad2deg(place.rotation_rad):.1f} degrees, as the sample lay"
     made = replace(
         made, diagnostics=made.diagnostics + written.projection + (turned,) * bool(place.rotation_rad)

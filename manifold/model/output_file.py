@@ -18,7 +18,7 @@ from manifold.brdf.physical import physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, write_bsdf
-from manifold.metrics import Errors
+from manifold.metrics import Errors, Number
 from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
 from manifold.records import BsdfFile
@@ -147,6 +147,15 @@ class WrittenFile:
     projection: tuple[str, ...] = ()
     change: Errors[float] | None = None
     refusal: str | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Defects of the file, and what making it physical has changed, in sentences."""
+        return (*diagnostics.of_prediction(False, self.plausibility), *self.projection)
+
+    def expected(self, errors: Errors[Number]) -> Errors[Number]:
+        """Return the expected errors of the file for those of the BRDF before it was made physical."""
+        return errors if self.change is None else errors.beside(self.change)
 
 
 def write_output(

@@ -173,7 +173,7 @@ class SurfaceFiles(Result):
     @property
     @derived(row="files", words=lambda made: list(made.files.values()))
     def files(self) -> dict[str, str]:
-        """Names of the files in the folder, by what they are."""
+        """Names of the files in the folder, by kind."""
         return {kind: path.name for kind, path in self.paths.items()}
 
     exports: Mapping[str, float] = field(
@@ -184,7 +184,7 @@ class SurfaceFiles(Result):
     @property
     @derived()
     def completion(self) -> Completed | None:
-        """The BRDF of the mean; None where there were no readings."""
+        """The BRDF of the mean; None without readings."""
         return self.completed
 
     notes: tuple[str, ...] = field(metadata=entry())

@@ -85,6 +85,7 @@ RESULTS = {
         (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py", "evaluate/readings.py", "fit/principled.py",
          "../benchmarks/completion_baselines.py"),
     ),
+    "sequence": Result("bench_sequence.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py"), 1),
     "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS), 2),
     "met": Result("bench_met.py LIBRARY WORKBOOKS", (*_COMPLETE, *_LIGHTS)),
     "published": Result("bench_published.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS)),

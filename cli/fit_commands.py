@@ -145,7 +145,7 @@ def fit(
 
 def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSource) -> None:
     """Draw a picture beside the JSON of a fit."""
-    from manifold.estimate.sources import source_file
+    from manifold.estimate.source_files import source_file
     from manifold.fit.comparison import picture_of_fit
 
     target = outcome.path.with_suffix(".png")

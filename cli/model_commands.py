@@ -410,7 +410,7 @@ def locate(
     The JSON has its colours. The predictions of several materials are written into a folder, with a table and a sheet
     of balls.
     """
-    from manifold.estimate import predictions
+    from manifold.estimate import descriptions
     from manifold.model.diagnostics import in_words
     from manifold.model.output_file import OutputOptions
 
@@ -443,7 +443,7 @@ def locate(
         return
     source = sources[0]
     with progress.shown("Reading materials"):
-        found = predictions.locate(model, source, output, library=library, options=written)
+        found = descriptions.locate(model, source, output, library=library, options=written)
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
@@ -485,7 +485,7 @@ def reconstruct(
     are never negative. It needs no model, and the result has no latent. Several are written into a
     folder, with a table and a sheet of balls.
     """
-    from manifold.estimate import predictions
+    from manifold.estimate import descriptions
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
@@ -501,7 +501,7 @@ def reconstruct(
         return
     source, target = sources[0], or_default(output, "reconstructed.bsdf")
     with progress.shown("Reading materials"):
-        made = predictions.reconstruct(
+        made = descriptions.reconstruct(
             library, source, target, without=without or (), numbers=numbers,
             options=written,
         )  # fmt: skip

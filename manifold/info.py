@@ -14,7 +14,8 @@ import numpy as np
 
 from manifold.errors import FileFormatError, LibraryError, UsageError
 from manifold.estimate.picture_colours import colour_of, reading_at
-from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, source_file
+from manifold.estimate.source_files import source_file
+from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.formats import registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings

@@ -28,11 +28,12 @@ from manifold.convert import conversion
 from manifold.convert.source import open_source
 from manifold.convert.targets import Options
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate import coat, completions, instruments, predictions, reports
+from manifold.estimate import coat, completions, descriptions, instruments, predictions, reports
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.coat import ColourSample
 from manifold.estimate.inputs import Input, Sample
-from manifold.estimate.sources import PlaceSource, read_source
+from manifold.estimate.source_files import read_source
+from manifold.estimate.sources import PlaceSource
 from manifold.judged_lights import BALL, BALL_COLUMN
 from manifold.library.identity import file_sha256
 from manifold.library.importing import import_files
@@ -201,7 +202,7 @@ def _predict(source: Input, path: Path, *, options: OutputOptions) -> Content:
 
 
 def locations(model: Path, *, library: Path | None, options: OutputOptions) -> Command[Input]:
-    """Find the latents of measured files, and write the predictions there; see `predictions.locate`."""
+    """Find the latents of measured files, and write the predictions there; see `descriptions.locate`."""
     loaded = load_model(model, library)
     columns = _latent_columns(loaded.settings.latent_dim)
     columns |= placed(Located.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
@@ -226,13 +227,13 @@ def _locate(
     source: Input, path: Path, *, model: Path, library: Path | None, options: OutputOptions
 ) -> Content:
     loaded = load_model(model, library)
-    return _shown(predictions.locate(loaded, source.source, path, options=options), source, path)
+    return _shown(descriptions.locate(loaded, source.source, path, options=options), source, path)
 
 
 def reconstructions_of(
     library: Path, *, without: tuple[str, ...], numbers: int | None, options: OutputOptions
 ) -> Command[Input]:
-    """Reconstruct measured files from a library; see `predictions.reconstruct`."""
+    """Reconstruct measured files from a library; see `descriptions.reconstruct`."""
     columns = placed(Reconstruction.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
     used = {"library": Library(library).content_hash, "without": sorted(without), "numbers": numbers}
     make = partial(_reconstruct, library=library, without=without, numbers=numbers, options=options)
@@ -243,7 +244,7 @@ def reconstructions_of(
 
 
 def _reconstruct(source: Input, path: Path, *, library: Path, **how: Any) -> Content:
-    return _shown(predictions.reconstruct(library, source.source, path, **how), source, path)
+    return _shown(descriptions.reconstruct(library, source.source, path, **how), source, path)
 
 
 def _shown(made: Reconstruction, source: Input, path: Path) -> Content:

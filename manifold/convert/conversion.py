@@ -27,7 +27,8 @@ from manifold.convert.targets import Options, target_of
 from manifold.errors import UsageError
 from manifold.estimate import reports
 from manifold.estimate.predictions import predict
-from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource, source_file
+from manifold.estimate.source_files import source_file
+from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource
 from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import Errors

@@ -1,8 +1,9 @@
 from .atoms import LibraryAtoms
 from .completion import Completion
 from .completions import complete
+from .descriptions import locate, reconstruct
 from .expected import calibrate
-from .predictions import locate, predict, reconstruct
+from .predictions import predict
 from .suggestions import suggest
 
 __all__ = [

@@ -1,12 +1,11 @@
-"""Predictions at places, and descriptions of measured files by a map or a library: RGL files with diagnostics."""
+"""Predictions at places: RGL files with diagnostics."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,25 +13,18 @@ from manifold import __version__
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
-from manifold.brdf.unmeasured_cells import fill_unmeasured
-from manifold.estimate.sources import FileSource, MaterialSource, place_of, read_source
-from manifold.library.store import Library
-from manifold.model import diagnostics, location
+from manifold.estimate.sources import MaterialSource, place_of
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice
-from manifold.model.comparison import brdf_errors
 from manifold.model.diagnostics import DiagnosedPrediction, diagnose
-from manifold.model.location import Located, Reconstruction
 from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import (
     DEFAULT_OPTIONS,
     OutputOptions,
     require_bsdf_output,
     write_checked,
-    write_output,
 )
 from manifold.model.places import Place, PlaceLike
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import BsdfFile
 
 if TYPE_CHECKING:
     from manifold.estimate.attributes import Attributes
@@ -40,7 +32,6 @@ if TYPE_CHECKING:
 _RECOATED = (
     "its coat was changed to have the gloss; the expected error is that of the material with its own coat"
 )
-_R = TypeVar("_R", bound=Reconstruction)
 
 
 def predict(
@@ -139,101 +130,3 @@ def _describe(model: Manifold, place: Place, chosen: ChosenColour, physical: boo
         at = f"at a step {place.walk_in_words}"
     how = (f", colour {chosen.words}" if chosen.words else "") + ", projected to be physical" * physical
     return f"Predicted {at}{how}{',' * bool(how)} from {origin} by manifold {__version__}"
-
-
-def locate(
-    model: Manifold | Path | str,
-    path: Path | str | MaterialSource,
-    output: Path | str | None = None,
-    *,
-    library: Path | str | None = None,
-    options: OutputOptions = DEFAULT_OPTIONS,
-) -> Located:
-    """Embed a measured file in a fitted manifold, see `manifold.model.location.locate`.
-
-    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
-    output that was projected are those of the file.
-
-    Args:
-        model: a fitted manifold, or the path of one.
-        path: the measured file, or another material.
-        output: a `.bsdf` file for the prediction at the latent, in the colours found; None writes none.
-        library: where the model's library is now, if not where the model remembers it.
-        options: of the output.
-
-    Raises:
-        FileFormatError: the file is no RGL file.
-        BandMismatchError: its bands are not the library's.
-        UsageError: the output cannot be written.
-    """
-    if output is not None:
-        require_bsdf_output(Path(output))
-    file = _read(path)
-    loaded = load_model(model, library)
-    loaded.prepare()
-    found = location.locate(loaded, file)
-    if output is None:
-        return found
-    how = f"at latent ({', '.join(found.coordinates)})"
-    return _written(found, file, Path(output), how, options)
-
-
-def reconstruct(
-    library: Path | str,
-    path: Path | str | MaterialSource,
-    output: Path | str,
-    *,
-    without: Collection[str] = (),
-    numbers: int | None = None,
-    options: OutputOptions = DEFAULT_OPTIONS,
-) -> Reconstruction:
-    """Reconstruct a measured file from a library, see `manifold.model.location.reconstruct_file`, and write it.
-
-    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
-    output that was projected are those of the file.
-
-    Args:
-        library: of measured materials in the same bands.
-        path: the measured file, or another material.
-        output: the `.bsdf` file to write.
-        without: names of materials that take no part.
-        numbers: that may describe the file; by default as many as it takes.
-        options: of the output.
-
-    Raises:
-        FileFormatError: the file is no RGL file.
-        BandMismatchError: its bands are not the library's.
-        UsageError: the file is black, no material is left, there is none of a name in `without`, or the output
-            cannot be written.
-    """
-    output = Path(output)
-    require_bsdf_output(output)
-    file = _read(path)
-    found = location.reconstruct_file(Library(library), file, without, numbers=numbers)
-    how = f"from {found.materials} materials and analytic lobes"
-    return _written(found, file, output, how, options)
-
-
-def _read(material: Path | str | MaterialSource) -> BsdfFile:
-    return read_source(FileSource(Path(material)) if isinstance(material, str | Path) else material)
-
-
-def _written(found: _R, source: BsdfFile, output: Path, how: str, options: OutputOptions) -> _R:
-    """Write a reconstruction, or refuse it; return it with the plausibility of its file."""
-    clipped = ClippedBRDF(found.brdf)
-    written = write_output(
-        output,
-        clipped,
-        options,
-        description=f"Reconstruction of {source.name} {how} by manifold {__version__}",
-    )
-    measured = MeasuredBRDF(fill_unmeasured(source))
-    if written.change is not None and written.file is not None:
-        found = replace(found, errors=brdf_errors(measured, MeasuredBRDF(written.file)))
-    before = replace(written.plausibility, negative_share=clipped.clipped_share)
-    sentences = (
-        *found.diagnostics,
-        *diagnostics.of_prediction(False, before, measured=measured),
-        *written.projection,
-    )
-    return replace(found, plausibility=written.plausibility, diagnostics=sentences, refusal=written.refusal)

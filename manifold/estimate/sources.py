@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
-from manifold.formats.tensor_file import is_compressed
-from manifold.io_rgl import material_name, read_bsdf, write_bsdf
+from manifold.io_rgl import material_name, read_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.places import Place, PlaceLike, is_place
 from manifold.names import names_like
@@ -113,19 +109,13 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     raise UnknownNameError(f"{text}: no file, {unknown}")
 
 
-def read_source(source: MaterialSource) -> BsdfFile:
-    """Return the RGL file of a source, turned as it was measured.
-
-    Predictions are measured by the virtual goniometer.
-    """
+def read_measured(source: FileSource | LibrarySource) -> BsdfFile:
+    """Return the RGL file of a measured material, turned as it was measured."""
     if isinstance(source, FileSource):
         return read_bsdf(source.path)
-    if isinstance(source, LibrarySource):
-        from manifold.library.store import Library
+    from manifold.library.store import Library
 
-        return replace(Library(source.library).read(source.name), rotation_rad=0.0)
-    with source_file(source) as path:
-        return read_bsdf(path)
+    return replace(Library(source.library).read(source.name), rotation_rad=0.0)
 
 
 def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
@@ -135,29 +125,9 @@ def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
     if isinstance(source, FileSource | LibrarySource):
         from manifold.model.location import locate
 
-        found = locate(model, read_source(source))
-        return Place(found.latent, rotation_rad=found.rotation_rad)
+        located = locate(model, read_measured(source))
+        return Place(located.latent, rotation_rad=located.rotation_rad)
     return model.place(source.place if isinstance(source, PlaceSource) else source)
-
-
-@contextmanager
-def source_file(source: MaterialSource) -> Iterator[Path]:
-    """Yield the path of a file that holds a source and that Mitsuba opens; it is temporary unless the source is one."""
-    if isinstance(source, FileSource) and not is_compressed(source.path):
-        yield source.path
-        return
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{source.name}.bsdf"
-        if not isinstance(source, PlaceSource):
-            write_bsdf(path, read_source(source))
-        else:
-            from manifold.estimate.predictions import predict
-            from manifold.model.output_file import FINE_OPTIONS
-
-            predict(
-                source.model, source.place, path, library=source.library, colour=source.colour, options=FINE_OPTIONS,
-            )  # fmt: skip
-        yield path
 
 
 def _names(model: Path, library: Path | None) -> tuple[Path, tuple[str, ...]]:

@@ -16,14 +16,8 @@ from manifold.brdf.interface import BRDF
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate.inputs import Input
-from manifold.estimate.sources import (
-    FileSource,
-    LibrarySource,
-    MaterialSource,
-    PlaceSource,
-    read_source,
-    source_file,
-)
+from manifold.estimate.source_files import read_source, source_file
+from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource
 from manifold.fit import fit_samples
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import FitResult, fit_bsdf

@@ -244,7 +244,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
         ".bsdf", has_picture=True, takes_file=True,  # spectra keep their bands, whatever the library's
     ),
     "locate": Command(
-        "manifold.estimate.predictions:locate",
+        "manifold.estimate.descriptions:locate",
         lambda request, context, output, file: {
             "model": context.model, "path": FileSource(file), "library": context.library
         },

@@ -14,14 +14,8 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import blank_unmeasured, fill_unmeasured
 from manifold.errors import UsageError
-from manifold.estimate.sources import (
-    FileSource,
-    LibrarySource,
-    MaterialSource,
-    PlaceSource,
-    place_of,
-    read_source,
-)
+from manifold.estimate.source_files import read_source
+from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource, place_of
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.diagnostics import DiagnosedPrediction

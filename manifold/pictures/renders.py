@@ -16,7 +16,8 @@ from manifold import __version__
 from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
-from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource, source_file
+from manifold.estimate.source_files import source_file
+from manifold.estimate.sources import FileSource, MaterialSource, PlaceSource
 from manifold.library.identity import hash_arrays
 from manifold.model.colours import ColourChoice
 from manifold.model.places import PlaceLike

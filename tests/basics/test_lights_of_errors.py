@@ -17,6 +17,7 @@ NAMED_BESIDE = {
     ("manifold/evaluate/report_text.py", "CIEDE2000"),  # the note below the table names them
     ("cli/picture_commands.py", "CIEDE2000"),  # the row that begins so
     ("cli/fit_commands.py", "CIEDE2000 of the ball"),  # the value of the row, `Errors` in words
+    ("manifold/fit/principled.py", "CIEDE2000 of the ball"),  # likewise
 }
 """Texts whose lights stand beside them."""
 

@@ -18,17 +18,11 @@ from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.encoding import encoding_pairs
 from manifold.errors import MissingFileError, UnknownNameError
-from manifold.estimate import completions, predictions
+from manifold.estimate import completions, descriptions, predictions
 from manifold.estimate.attributes import readings_of_colour
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.sources import (
-    FileSource,
-    LibrarySource,
-    PlaceSource,
-    parse_source,
-    read_source,
-    source_file,
-)
+from manifold.estimate.source_files import read_source, source_file
+from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource, parse_source
 from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -255,7 +249,7 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     monkeypatch.setattr(physical, "RECIPROCITY_ERROR", 0.001)  # so that the projection changes something
     options, library = OutputOptions(physical=True, resolution=16, incidences=4), folder / "library.zarr"
     path = folder / "projected.bsdf"
-    made = predictions.reconstruct(library, folder / FILE, path, without=[NAME], options=options)
+    made = descriptions.reconstruct(library, folder / FILE, path, without=[NAME], options=options)
     measured = MeasuredBRDF(fill_unmeasured(read_bsdf(folder / FILE)))
     assert made.errors == brdf_errors(measured, MeasuredBRDF(read_bsdf(path)))
     assert made.errors != brdf_errors(measured, made.brdf)

@@ -11,7 +11,8 @@ from matplotlib.image import imread
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.estimate.sources import FileSource, PlaceSource, source_file
+from manifold.estimate.source_files import source_file
+from manifold.estimate.sources import FileSource, PlaceSource
 from manifold.fit import fits
 from manifold.fit.comparison import picture_of_fit
 from manifold.fit.fits import FitSettings

@@ -10,7 +10,8 @@ from helpers.small_library import NAMES, small_library
 
 from manifold.colour import ball_colours
 from manifold.errors import LatentError, UsageError
-from manifold.estimate.predictions import locate, predict
+from manifold.estimate.descriptions import locate
+from manifold.estimate.predictions import predict
 from manifold.info import inspect
 from manifold.library.importing import import_files
 from manifold.library.store import Library

@@ -25,9 +25,9 @@ def u_to_phi(v: Array) -> Array:
 
 def from_spherical(theta_rad: Array | float, phi_rad: Array | float) -> Array:
     """Return unit vectors (..., 3) from elevations from the normal and azimuths in radians, which broadcast."""
-    theta, phi = np.broadcast_arrays(np.asarray(theta_rad, float), np.asarray(phi_rad, float))
+    theta, phi = np.asarray(theta_rad, float), np.asarray(phi_rad, float)
     sin_theta = np.sin(theta)
-    return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
+    return _stack(sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta))
 
 
 def to_spherical(w: Array) -> tuple[Array, Array]:
@@ -96,12 +96,16 @@ def from_rusinkiewicz(
 
     Source: Rusinkiewicz 1998, section 2.
     """
-    theta_h, theta_d, phi_d, phi_h = np.broadcast_arrays(
-        *(np.asarray(a, dtype=np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
-    )
-    d = np.stack([np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)], axis=-1)
-    mirrored = d * np.array([-1.0, -1.0, 1.0])
-    return tuple(normalize(rotate_z(_rotate_y(w, theta_h), phi_h)) for w in (d, mirrored))  # type: ignore[return-value]
+    theta_h, theta_d, phi_d = (np.asarray(a, dtype=np.float64) for a in (theta_h, theta_d, phi_d))
+    sine, cosine = np.sin(theta_d), np.cos(theta_d)
+    x, y = sine * np.cos(phi_d), sine * np.sin(phi_d)
+    c, s = np.cos(theta_h), np.sin(theta_h)
+    cx, sx, cz, sz = c * x, s * x, c * cosine, s * cosine
+    # The mirrored vector has -x and -y: all products are shared, as grids have millions of pairs.
+    pair = _stack(sz + cx, y, cz - sx), _stack(sz - cx, -y, cz + sx)
+    if np.ndim(phi_h) or phi_h:
+        pair = rotate_z(pair[0], phi_h), rotate_z(pair[1], phi_h)
+    return normalize(pair[0]), normalize(pair[1])
 
 
 def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
@@ -127,10 +131,17 @@ def angles_from_mirror(wi: Array, wo: Array) -> Array:
 
 def _rotate_y(w: Array, angle: Array) -> Array:
     c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0]], axis=-1)
+    return _stack(c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0])
 
 
 def rotate_z(w: Array, angle: Array | float) -> Array:
     """Rotate vectors (..., 3) about the normal by an angle in rad."""
     c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)
+    return _stack(c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2])
+
+
+def _stack(x: Array, y: Array, z: Array) -> Array:
+    """Return vectors (..., 3) of components, which broadcast."""
+    w = np.empty((*np.broadcast_shapes(x.shape, y.shape, z.shape), 3))
+    w[..., 0], w[..., 1], w[..., 2] = x, y, z
+    return w

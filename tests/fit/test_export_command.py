@@ -15,7 +15,7 @@ from manifold import progress
 from manifold.batch import batch
 from manifold.cli.main import app
 from manifold.errors import ManifoldError, UsageError
-from manifold.fit import exporting, fits
+from manifold.fit import comparison, exporting, fits
 from manifold.fit.exports import direct
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
@@ -28,9 +28,10 @@ COPPER = "syn_metal_copper"
 
 
 @pytest.fixture(autouse=True)
-def few_pairs(monkeypatch):
-    """A quarter of the samples of direct fits."""
+def short_fits(monkeypatch):
+    """Direct fits of a quarter of the samples, which stop early."""
     monkeypatch.setattr(direct, "_PAIRS", 128)
+    monkeypatch.setattr(direct, "_EVALUATIONS", 10)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,8 @@ def test_an_export_that_differs_visibly_says_so(folder, tmp_path, monkeypatch):
     assert [one.content["errors"]["ball"] > 2.0 for one in found] == said == [False, True]
 
 
-def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
+def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path, monkeypatch, quick_pictures):
+    monkeypatch.setattr(comparison, "_PIXELS", 32)
     words = ["-o", tmp_path / "x.json", "--target", "unreal", "--picture"]
     result = run("export", folder / "copper_rgb.bsdf", *words)
     assert result.exit_code == 0, result.output

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from manifold import gpr
-from manifold.evaluate.stability import fit_failures
+from manifold.brdf import goniometer
+from manifold.evaluate.stability import fit_failures, testbed
 from manifold.evaluate.stability.catalogue import MODES
 from manifold.evaluate.stability.data_failures import lost_cells
 from manifold.evaluate.stability.testbed import MIDDLE, TestBed
@@ -46,6 +48,15 @@ QUICK = [
     for key, method in ROWS
     if (method == "blend" if key in LIBRARIES else method != "Principled fit" or key == "exact_zeros")
 ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse_files() -> Iterator[None]:
+    """Files of the family at fewer directions: what is found by the package's own is found by these."""
+    with pytest.MonkeyPatch.context() as patch:
+        coarse = partial(goniometer.measure, resolution=20, n_theta_i=8)
+        patch.setattr(testbed, "goniometer", SimpleNamespace(measure=coarse))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -29,6 +29,7 @@ from manifold.render import backend, fit_json, thumbnails
 from manifold.render.fitted_brdf import FittedBRDF
 
 
+@backend.variant_kept()
 def latent_map(
     model: Path,
     output: Path,
@@ -61,6 +62,7 @@ def latent_map(
     return predicted, ()
 
 
+@backend.variant_kept()
 def walk(
     model: Path,
     start: MaterialSource,

@@ -171,6 +171,7 @@ def search_folders() -> list[Path]:
 
 _process: int | None = None
 _is_advised = False
+_is_kept = False  # by a block of `variant_kept`
 
 
 def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
@@ -216,12 +217,21 @@ def _require_same_process() -> None:
 
 @contextmanager
 def variant_kept() -> Iterator[None]:
-    """Set the variant again that the user had set before the block; also a decorator."""
+    """Set the variant again that the user had set before the block; also a decorator.
+
+    A block within another leaves that to the other: to set a variant takes Mitsuba 50 ms.
+    """
+    global _is_kept
+    if _is_kept:
+        yield
+        return
     mi = sys.modules.get("mitsuba")
     before = None if mi is None else mi.variant()
+    _is_kept = True
     try:
         yield
     finally:
+        _is_kept = False
         if mi is not None and before is not None and mi.variant() != before:
             mi.set_variant(before)
 

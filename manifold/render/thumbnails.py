@@ -12,7 +12,7 @@ from manifold import progress
 from manifold.brdf.interface import BRDF
 from manifold.model.manifold import Manifold
 from manifold.records import Array, BsdfFile
-from manifold.render import images, scenes
+from manifold.render import backend, images, scenes
 from manifold.render.ball import read_material, render_material
 from manifold.render.render import RenderSettings
 
@@ -21,6 +21,7 @@ _OUTLINE = 4  # samples per pixel and axis of the ball's edge
 _VERSION = "thumbnail-2"  # raise where scene, size or tone mapping change
 
 
+@backend.variant_kept()
 def of_materials(model: Manifold) -> list[Array]:
     """Return the materials of `model.pictured` as balls, RGBA in [0, 1], (H, W, 4); cached in the library."""
     names = tuple(model.names[k] for k in model.pictured)

@@ -127,3 +127,12 @@ def test_open_exr_is_written_by_a_process_of_one_thread(tmp_path):
         "assert backend.drjit().thread_count() < 2\n"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "x.exr")], check=True, timeout=60)
+
+
+def test_the_variant_is_set_again_once_where_blocks_that_keep_it_are_nested():
+    mi = backend.mitsuba("rgb", backend.Backend("scalar"))
+    with backend.variant_kept():
+        with backend.variant_kept():
+            backend.mitsuba("spectral", backend.Backend("scalar"))
+        assert mi.variant() == "scalar_spectral"
+    assert mi.variant() == "scalar_rgb"

@@ -12,7 +12,7 @@ from manifold import progress
 from manifold.errors import ManifoldError, UsageError
 
 from . import options, photograph_commands, terminal
-from .application import COLOUR, app
+from .application import app
 from .batch_options import (
     ONE,
     PER_CORE,
@@ -279,33 +279,7 @@ def predict(
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
-    gloss: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Gloss units that the material should have at 20, 60 or 85 degrees; may be repeated.",
-            metavar="60=UNITS",
-            rich_help_panel=COLOUR,
-        ),
-    ] = None,
-    lightness: Annotated[
-        str | None,
-        typer.Option(
-            help="CIELAB lightness (45/0, D65) that the material should have, or a change of it.",
-            metavar="L|+L|-L",
-            rich_help_panel=COLOUR,
-        ),
-    ] = None,
-    chroma: Annotated[
-        str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C", rich_help_panel=COLOUR)
-    ] = None,
-    hue: Annotated[
-        str | None,
-        typer.Option(
-            help="Hue in degrees that it should have, or a change of it.",
-            metavar="H|+H|-H",
-            rich_help_panel=COLOUR,
-        ),
-    ] = None,
+    asked: options.AttributeOptions = options.NO_ATTRIBUTES,
     physical: options.PhysicalOption = False,
     output: Annotated[
         Path | None,
@@ -329,7 +303,7 @@ def predict(
     from manifold.model.output_file import OutputOptions
 
     results = terminal.Results(json)
-    attributes = Attributes.parse(gloss or (), lightness, chroma, hue)
+    attributes = Attributes.parse(vars(asked))
     written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
     if None not in (place, latent):
         raise UsageError(

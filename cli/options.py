@@ -78,7 +78,40 @@ class ColourOptions:
         return ColourChoice(self.like, self.reflectance, self.srgb)
 
 
-OWN_COLOUR = ColourOptions()
+@dataclass(frozen=True)
+class AttributeOptions:
+    """Attributes that a prediction should have, by key of `attributes.ATTRIBUTES`: by default its own."""
+
+    gloss: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Gloss units that the material should have at 20, 60 or 85 degrees; may be repeated.",
+            metavar="60=UNITS",
+            rich_help_panel=COLOUR,
+        ),
+    ] = None
+    lightness: Annotated[
+        str | None,
+        typer.Option(
+            help="CIELAB lightness (45/0, D65) that the material should have, or a change of it.",
+            metavar="L|+L|-L",
+            rich_help_panel=COLOUR,
+        ),
+    ] = None
+    chroma: Annotated[
+        str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C", rich_help_panel=COLOUR)
+    ] = None
+    hue: Annotated[
+        str | None,
+        typer.Option(
+            help="Hue in degrees that it should have, or a change of it.",
+            metavar="H|+H|-H",
+            rich_help_panel=COLOUR,
+        ),
+    ] = None
+
+
+OWN_COLOUR, NO_ATTRIBUTES = ColourOptions(), AttributeOptions()
 """None of these options."""
 OldPlaceOption = Annotated[str | None, typer.Option("--latent", hidden=True)]
 """A place, as versions up to 0.3 named it; it is an argument now."""

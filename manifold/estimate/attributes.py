@@ -34,7 +34,7 @@ from manifold.directions import from_spherical, rotate_z
 from manifold.encoding import Decoder
 from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter, gloss_units
-from manifold.formats.readings import DAYLIGHT, Readings, gloss_fault
+from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Readings, gloss_fault
 from manifold.judged_lights import LIGHTS
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends
@@ -45,7 +45,9 @@ from manifold.model.places import Place, PlaceLike
 from manifold.pairs import Pairs
 from manifold.records import Array, Bands, plain
 
-_GLOSS_WEIGHT = 1e3  # weight of squared errors of log gloss, against squared distance in length scales
+_METER_WEIGHT = (
+    1e3  # weight of squared errors of logarithms of attributes, against squared distance in length scales
+)
 _COLOUR_WEIGHT = 1.0  # weight of squared differences in CIELAB, likewise
 _ALONG = np.linspace(0.0, 1.0, 11)[:, None]  # places tried, on the way from the given one to every material
 _REFINED, _EVALUATIONS = 6, 100
@@ -80,64 +82,134 @@ class Wanted:
         return present + self.value if self.is_relative else self.value
 
 
-@dataclass(frozen=True)
-class Attributes:
-    """The attributes that a material should have; None or no entry keeps the present one.
+@dataclass(frozen=True, eq=False)
+class Attribute:
+    """An attribute that a material may be asked to have: how it is measured, when it is possible, and when reached.
 
     Attributes:
-        gloss: gloss units at 20, 60 or 85 degrees.
-        lightness, chroma: of CIELAB.
-        hue: in degrees.
+        key: the name in Python; see `Attributes`.
+        label: in sentences.
+        shown: format of the value in words.
+        json: keys that lead to the value in JSON.
+        measure: its value of a BRDF.
+        fault: what is wrong with a requested value; None if it is possible.
+        meter: the measurement as a sum of luminances, if a place on the map is searched for by it; None of coordinates
+            of the colour, which is tinted.
+        tolerance: relative difference beyond which it was not reached; colours have `COLOUR_TOLERANCE` together.
+        angle_deg: of gloss, which another coat reaches at any place; None of others.
+        period: values that differ by it are the same.
     """
 
-    gloss: Mapping[float, Wanted] = field(default_factory=dict)
-    lightness: Wanted | None = None
-    chroma: Wanted | None = None
-    hue: Wanted | None = None
+    key: str
+    label: str
+    shown: str
+    json: tuple[str, ...]
+    measure: Callable[[EvaluableBRDF], float]
+    fault: Callable[[float], str | None]
+    meter: Callable[[], Picture] | None = None
+    tolerance: float = GLOSS_TOLERANCE
+    angle_deg: float | None = None
+    period: float | None = None
 
-    def lch(self, present: Array) -> Array:
-        """Return the requested lightness, chroma and hue in degrees for a material's present ones (3,)."""
-        wanted = (self.lightness, self.chroma, self.hue)
-        lightness, chroma, hue = (
-            now if w is None else w.of(now) for w, now in zip(wanted, present, strict=True)
-        )
-        if not 0.0 <= lightness <= 100.0 or chroma < 0.0:
-            raise UsageError(
-                f"lightness {lightness:.4g} and chroma {chroma:.4g}, expected 0 to 100, and 0 or more"
-            )
-        return np.array([lightness, chroma, hue % 360.0])
+    def value(self, wanted: Wanted, present: float) -> float:
+        """Return the requested value for a material's present one; an impossible one raises UsageError."""
+        value = wanted.of(present)
+        if (fault := self.fault(value)) is not None:
+            raise UsageError(fault)
+        return value if self.period is None else value % self.period
 
-    def units(self, present: Mapping[float, float]) -> dict[float, float]:
-        """Return the requested gloss units by angle in degrees for a material's present ones."""
-        units = {angle: self.gloss[angle].of(now) for angle, now in present.items()}
-        for angle, asked in units.items():
-            if (fault := gloss_fault(angle, asked)) is not None:
-                raise UsageError(fault)
-            if asked < LEAST_GLOSS:
-                raise UsageError(
-                    f"gloss of {asked:.4g} units at {angle:g} degrees, expected at least {LEAST_GLOSS}"
-                )
-        return units
+
+def _gloss(angle: float) -> Attribute:
+    def fault(units: float) -> str | None:
+        if units < LEAST_GLOSS and gloss_fault(angle, units) is None:
+            return f"gloss of {units:.4g} units at {angle:g} degrees, expected at least {LEAST_GLOSS}"
+        return gloss_fault(angle, units)
+
+    return Attribute(
+        f"gloss_{angle:g}", f"gloss at {angle:g} degrees", "gloss {:.3g} at " + f"{angle:g} degrees",
+        ("gloss", f"{angle:g}"), lambda brdf: gloss_units(brdf, [angle])[angle], fault,
+        meter=lambda: gloss_meter(angle), angle_deg=angle,
+    )  # fmt: skip
+
+
+def _coordinate(
+    key: str, letter: str, least: float, most: float, *, json: str | None = None, period: float | None = None
+) -> Attribute:
+    """Return the attribute of the next coordinate of the colour."""
+    k, digits = "LCh".index(letter), 0 if period else 1
+
+    def fault(value: float) -> str | None:
+        if least <= value <= most:
+            return None
+        expected = f"{least:g} or more" if np.isinf(most) else f"{least:g} to {most:g}"
+        return f"{key} {value:.4g}, expected {expected}"
+
+    return Attribute(
+        key, key, f"{letter} {{:.{digits}f}}", (json or key,), lambda brdf: float(_to_lch(lab_of(brdf))[k]), fault,
+        period=period,
+    )  # fmt: skip
+
+
+COLOUR = (
+    _coordinate("lightness", "L", 0.0, 100.0),
+    _coordinate("chroma", "C", 0.0, np.inf),
+    _coordinate("hue", "h", -np.inf, np.inf, json="hue_deg", period=360.0),
+)
+"""CIELAB's lightness, chroma and hue in degrees, in which order they are coordinates of a colour."""
+ATTRIBUTES = {each.key: each for each in (*map(_gloss, GLOSS_ANGLES_DEG), *COLOUR)}
+"""All attributes by key. Another one needs an entry here, an option in `cli.options.AttributeOptions`, and a slider."""
+
+
+@dataclass(frozen=True)
+class Attributes:
+    """The attributes that a material should have, by key of `ATTRIBUTES`; all others keep the present value."""
+
+    wanted: Mapping[str, Wanted] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for key in self.wanted:
+            if key not in ATTRIBUTES:
+                raise UsageError(f"attribute '{key}', expected one of {', '.join(ATTRIBUTES)}")
+
+    def __bool__(self) -> bool:
+        """Return whether anything is wanted."""
+        return bool(self.wanted)
+
+    @property
+    def is_tinted(self) -> bool:
+        """Return whether another colour is wanted."""
+        return any(each.key in self.wanted for each in COLOUR)
+
+    def split(self) -> tuple[Attributes, Attributes]:
+        """Return those that are reached on the map and by colours, and gloss, which another coat reaches."""
+        gloss = {key: wanted for key, wanted in self.wanted.items() if ATTRIBUTES[key].angle_deg is not None}
+        return Attributes(
+            {key: wanted for key, wanted in self.wanted.items() if key not in gloss}
+        ), Attributes(gloss)
+
+    def values(self, present: EvaluableBRDF) -> dict[str, float]:
+        """Return the requested values by key for a present material."""
+        return {
+            key: ATTRIBUTES[key].value(wanted, ATTRIBUTES[key].measure(present))
+            for key, wanted in self.wanted.items()
+        }
 
     @classmethod
-    def parse(
-        cls,
-        gloss: Iterable[str] = (),
-        lightness: str | None = None,
-        chroma: str | None = None,
-        hue: str | None = None,
-    ) -> Attributes | None:
-        """Parse texts such as `60=40` for gloss and `+10` for the others; return None if all are missing."""
-        given = {}
-        for text in gloss:
-            angle, _, units = text.rpartition("=")
-            if angle not in ("20", "60", "85"):
-                raise UsageError(
-                    f"gloss '{text}', expected ANGLE=UNITS at 20, 60 or 85 degrees, such as 60=40"
-                )
-            given[float(angle)] = Wanted.parse(units)
-        colour = [None if text is None else Wanted.parse(text) for text in (lightness, chroma, hue)]
-        return cls(given, *colour) if given or any(colour) else None
+    def parse(cls, options: Mapping[str, str | Iterable[str] | None]) -> Attributes | None:
+        """Parse texts such as `+10` by key, or several such as `60=40` for a key at angles; None if all are missing."""
+        wanted: dict[str, Wanted] = {}
+        for name, given in options.items():
+            if given is None or isinstance(given, str):
+                wanted |= {} if given is None else {name: Wanted.parse(given)}
+                continue
+            for text in given:
+                angle, _, value = text.rpartition("=")
+                if f"{name}_{angle}" not in ATTRIBUTES:
+                    raise UsageError(
+                        f"{name} '{text}', expected ANGLE=UNITS at 20, 60 or 85 degrees, such as 60=40"
+                    )
+                wanted[f"{name}_{angle}"] = Wanted.parse(value)
+        return cls(wanted) if wanted else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,42 +219,50 @@ class Adjusted:
     Attributes:
         place: where it is on the map, turned as the given one.
         colours: its colours there, as `Manifold.predict` takes them.
-        gloss: gloss units by angle in degrees, as asked and as reached.
-        lch: lightness, chroma and hue in degrees, as asked and as reached, each (3,).
-        difference: CIEDE2000 between these colours.
+        asked, reached: values by key of `ATTRIBUTES`, those of its colour among them.
     """
 
     place: Place
     colours: Array | None
-    gloss: Mapping[float, tuple[float, float]]
-    lch: tuple[Array, Array]
-    difference: float
+    asked: Mapping[str, float]
+    reached: Mapping[str, float]
+
+    @property
+    def difference(self) -> float:
+        """CIEDE2000 between the colours asked for and reached."""
+        asked, reached = (
+            _from_lch(np.array([values[each.key] for each in COLOUR]))
+            for values in (self.asked, self.reached)
+        )
+        return float(delta_e_2000_lab(asked, reached))
+
+    @property
+    def meters(self) -> list[Attribute]:
+        """The attributes that were asked for, except those of the colour."""
+        return [ATTRIBUTES[key] for key in self.asked if ATTRIBUTES[key] not in COLOUR]
 
     def __str__(self) -> str:
-        lightness, chroma, hue = self.lch[1]
-        words = [f"L {lightness:.1f}, C {chroma:.1f}, h {hue:.0f}"]
-        return ", ".join(
-            words + [f"gloss {found:.3g} at {angle:g} degrees" for angle, (_, found) in self.gloss.items()]
-        )
+        return ", ".join(each.shown.format(self.reached[each.key]) for each in (*COLOUR, *self.meters))
 
-    def reached_by(self, brdf: EvaluableBRDF, units: Mapping[float, float]) -> Adjusted:
-        """Return the result with a BRDF's attributes, for which gloss units by angle in degrees were requested."""
-        wanted, found = self.lch[0], lab_of(brdf)
-        gloss = {angle: (units[angle], reached) for angle, reached in gloss_units(brdf, units).items()}
-        difference = float(delta_e_2000_lab(_from_lch(wanted), found))
-        return replace(self, gloss=gloss, lch=(wanted, _to_lch(found)), difference=difference)
+    def reached_by(self, brdf: EvaluableBRDF, asked: Mapping[str, float]) -> Adjusted:
+        """Return the result with a BRDF's attributes, and with others that were requested."""
+        asked = {**self.asked, **asked}
+        return replace(self, asked=asked, reached=measured(brdf, asked))
 
     @property
     def shortfalls(self) -> tuple[str, ...]:
         """Return sentences on the attributes that could not be reached."""
         shortfalls = [
-            f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} requested; no material near it "
-            "in this colour has that gloss"
-            for angle, (asked, reached) in self.gloss.items()
-            if abs(reached - asked) > GLOSS_TOLERANCE * asked
+            f"{each.label}: {self.reached[each.key]:.3g} reached, {self.asked[each.key]:.3g} requested; no material "
+            f"near it in this colour has that {each.key.partition('_')[0]}"
+            for each in self.meters
+            if abs(self.reached[each.key] - self.asked[each.key]) > each.tolerance * self.asked[each.key]
         ]
         if self.difference > COLOUR_TOLERANCE:
-            asked, reached = ("L {:.1f}, C {:.1f}, h {:.0f}".format(*lch) for lch in self.lch)
+            asked, reached = (
+                ", ".join(each.shown.format(values[each.key]) for each in COLOUR)
+                for values in (self.asked, self.reached)
+            )
             difference = f"CIEDE2000 {self.difference:.1f} ({DAYLIGHT}, 45/0)"
             shortfalls.append(f"colour: {reached} reached, {asked} requested, {difference}")
         return tuple(shortfalls)
@@ -194,36 +274,57 @@ class Adjusted:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values."""
-        lch = [dict(zip(("lightness", "chroma", "hue_deg"), one, strict=True)) for one in self.lch]
         known = {
             "latent": None if self.place.is_step(self.colours) else self.place.latent,
-            "asked": lch[0] | {"gloss": {f"{angle:g}": asked for angle, (asked, _) in self.gloss.items()}},
-            "reached": lch[1] | {"gloss": {f"{angle:g}": found for angle, (_, found) in self.gloss.items()}},
+            "asked": self._nested(self.asked),
+            "reached": self._nested(self.reached),
             "ciede2000": self.difference,
             "shortfalls": self.shortfalls,
         }
         return plain(known)
 
+    def _nested(self, values: Mapping[str, float]) -> dict[str, Any]:
+        nested: dict[str, Any] = {"gloss": {}}
+        for each in (*COLOUR, *self.meters):
+            *outer, last = each.json
+            inner = nested
+            for key in outer:
+                inner = inner.setdefault(key, {})
+            inner[last] = values[each.key]
+        return nested
+
+
+def by_angle(values: Mapping[str, float]) -> dict[float, float]:
+    """Return gloss units by angle in degrees, of values by key."""
+    return {angle: value for key, value in values.items() if (angle := ATTRIBUTES[key].angle_deg) is not None}
+
+
+def measured(brdf: EvaluableBRDF, keys: Iterable[str]) -> dict[str, float]:
+    """Return attributes of a BRDF by key, those of its colour among them."""
+    values = {key: ATTRIBUTES[key].measure(brdf) for key in keys if ATTRIBUTES[key] not in COLOUR}
+    return values | {
+        each.key: value for each, value in zip(COLOUR, _to_lch(lab_of(brdf)).tolist(), strict=True)
+    }
+
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
     """Find the place on a map of blends and the colours nearest to a material at x that have some attributes.
 
-    >>> adjust(model, "syn_card_brown", Attributes({60.0: Wanted(40.0)}, hue=Wanted(30.0)))  # doctest: +SKIP
+    >>> adjust(model, "syn_card_brown", Attributes({"gloss_60": Wanted(40.0), "hue": Wanted(30.0)}))  # doctest: +SKIP
     """
     place = model.place(x)
     chosen = model.choose_colour(place, colour)
     present = model.predict(place, chosen.colours).turned(place.rotation_rad)
-    search = _Search(model, tuple(attributes.gloss), place.rotation_rad)
-    wanted = attributes.lch(_to_lch(lab_of(present)))
-    factor, is_tinted = factor_of(present), bool(attributes.lightness or attributes.chroma or attributes.hue)
-    if is_tinted:
-        factor = tinted(factor, _from_lch(wanted), model.bands)
-    units = attributes.units(gloss_units(present, attributes.gloss))
-    latent = search.nearest(place.latent, factor, units)
-    colours = search.colours(latent, factor) if units or is_tinted else chosen.colours
-    moved = replace(place, latent=latent, walk=None) if units else place
+    asked, factor = measured(present, ()) | attributes.values(present), factor_of(present)
+    if attributes.is_tinted:
+        factor = tinted(factor, _from_lch(np.array([asked[each.key] for each in COLOUR])), model.bands)
+    sought = {ATTRIBUTES[key]: value for key, value in asked.items() if ATTRIBUTES[key] not in COLOUR}
+    search = _Search(model, tuple(sought), place.rotation_rad)
+    latent = search.nearest(place.latent, factor, sought)
+    colours = search.colours(latent, factor) if sought or attributes.is_tinted else chosen.colours
+    moved = replace(place, latent=latent, walk=None) if sought else place
     reached = model.predict(moved, colours).turned(place.rotation_rad)
-    return Adjusted(moved, colours, {}, (wanted, wanted), 0.0).reached_by(reached, units)
+    return Adjusted(moved, colours, asked, measured(reached, asked))
 
 
 def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -> Readings:
@@ -243,11 +344,11 @@ def lab_of(brdf: EvaluableBRDF) -> Array:
 
 
 class _Search:
-    """Looks for places of a map by gloss, in a given colour, of a sample that lies turned."""
+    """Looks for places of a map by attributes with a meter, in a given colour, of a sample that lies turned."""
 
-    def __init__(self, model: Manifold, angles: tuple[float, ...], rotation_rad: float) -> None:
+    def __init__(self, model: Manifold, sought: tuple[Attribute, ...], rotation_rad: float) -> None:
         self._model, self._space = model, require_blends(model.space)
-        self._angles = angles
+        self._sought = sought
         self._rotation_rad = rotation_rad
 
     @cached_property
@@ -255,9 +356,9 @@ class _Search:
         return self._decoder(_LIGHT[None], _NORMAL[None])
 
     @cached_property
-    def _meters(self) -> dict[float, tuple[Picture, Decoder]]:
-        meters = {angle: gloss_meter(angle) for angle in self._angles}
-        return {a: (m, self._decoder(m.wi, m.wo)) for a, m in meters.items()}
+    def _meters(self) -> dict[Attribute, tuple[Picture, Decoder]]:
+        meters = {each: each.meter() for each in self._sought if each.meter is not None}
+        return {each: (meter, self._decoder(meter.wi, meter.wo)) for each, meter in meters.items()}
 
     def _decoder(self, wi: Array, wo: Array) -> Decoder:
         model, back = self._model, -self._rotation_rad
@@ -268,26 +369,23 @@ class _Search:
         """Return colours (B,) at which a place x (Q,) has a reflectance factor (B,) in the geometry 45/0."""
         return self._space.colours_of(x, factor, self._reflectometer, np.array([np.pi]))[0]
 
-    def nearest(self, start: Array, factor: Array, units: Mapping[float, float]) -> Array:
-        """Return the place nearest to a start (Q,) with gloss units by angle in degrees.
-
-        Its colour is that of a reflectance factor (B,).
-        """
-        if not units:
+    def nearest(self, start: Array, factor: Array, asked: Mapping[Attribute, float]) -> Array:
+        """Return the place nearest to a start (Q,) with attributes, in the colour of a reflectance factor (B,)."""
+        if not asked:
             return start
 
         bands, spot = self._model.bands, np.array([np.pi])
         lab = lab_of_factor(factor, bands)
 
         def cost(x: Array) -> float:
-            colours, reached = self._space.colours_of(x, factor, self._reflectometer, spot)
-            off = lab_of_factor(reached, bands) - lab
+            colours, spot_factor = self._space.colours_of(x, factor, self._reflectometer, spot)
+            off = lab_of_factor(spot_factor, bands) - lab
             penalty = _COLOUR_WEIGHT * float(off @ off)
-            for angle, asked in units.items():
-                meter, decoder = self._meters[angle]
+            for attribute, value in asked.items():
+                meter, decoder = self._meters[attribute]
                 in_bands = self._space.reflectance_of(x, colours, decoder, meter.light)
-                gloss = float(luminance(in_bands, self._model.bands))
-                penalty += _GLOSS_WEIGHT * np.log(max(gloss, LEAST_GLOSS) / asked) ** 2
+                reached = float(luminance(in_bands, self._model.bands))
+                penalty += _METER_WEIGHT * np.log(max(reached, LEAST_GLOSS) / value) ** 2
             return float(np.sum((x - start) ** 2)) + penalty
 
         ways = [min(start + _ALONG * (end - start), key=cost) for end in self._model.X]

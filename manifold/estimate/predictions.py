@@ -69,18 +69,17 @@ def predict(
     if attributes is None:
         adjusted, chosen = None, model.choose_colour(place, colour)
     else:
-        from manifold.estimate.attributes import adjust  # which loads optimisers
+        from manifold.estimate.attributes import adjust, by_angle  # which load optimisers
 
-        adjusted = adjust(model, place, replace(attributes, gloss={}), colour)
-        chosen = ChosenColour(adjusted.colours, str(adjusted), 0.0)
+        on_map, of_coat = attributes.split()
+        adjusted = adjust(model, place, on_map, colour)
+        place, chosen = adjusted.place, ChosenColour(adjusted.colours, str(adjusted), 0.0)
     brdf: BRDF = model.predict(place, chosen.colours).turned(place.rotation_rad)
-    if attributes is not None and attributes.gloss:
+    if adjusted is not None and of_coat:
         from manifold.estimate.coat import with_gloss
-        from manifold.estimate.gloss import gloss_units
 
-        assert adjusted is not None
-        units = attributes.units(gloss_units(brdf, attributes.gloss))
-        brdf = with_gloss(brdf, units)
+        units = of_coat.values(brdf)
+        brdf = with_gloss(brdf, by_angle(units))
         adjusted = adjusted.reached_by(brdf, units)
         chosen = replace(chosen, words=str(adjusted))
     if adjusted is not None:
@@ -107,7 +106,7 @@ def predict(
     if adjusted is not None:
         made = replace(
             made,
-            diagnostics=made.diagnostics + adjusted.shortfalls + (_RECOATED,) * bool(adjusted.gloss),
+            diagnostics=made.diagnostics + adjusted.shortfalls + (_RECOATED,) * bool(of_coat),
             attributes=adjusted.to_json(),
         )
     return replace(

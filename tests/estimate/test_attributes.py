@@ -61,10 +61,13 @@ def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model, 
     for _ in range(2):
         name = str(rng.choice(model.names))
         asked = float(np.exp(rng.uniform(np.log(min(gloss)), np.log(max(gloss)))))
-        found = adjust(model, name, Attributes({60.0: Wanted(asked)}, hue=Wanted(40.0, is_relative=True)))
+        found = adjust(
+            model, name, Attributes({"gloss_60": Wanted(asked), "hue": Wanted(40.0, is_relative=True)})
+        )
         brdf = model.predict(found.place.latent, found.colours)
         reached = gloss_units(brdf, [60.0])[60.0]
-        assert found.gloss[60.0] == pytest.approx((asked, reached))
+        assert found.asked["gloss_60"] == pytest.approx(asked)
+        assert found.reached["gloss_60"] == pytest.approx(reached)
         is_off = abs(reached - asked) > GLOSS_TOLERANCE * asked or found.difference > COLOUR_TOLERANCE
         assert bool(found.shortfalls) == is_off
         missed += is_off
@@ -73,8 +76,8 @@ def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model, 
 
 def test_gloss_alone_keeps_the_colour(model):
     name = min(model.names, key=lambda n: gloss_units(model.material(n), [60.0])[60.0])
-    found = adjust(model, name, Attributes({60.0: Wanted(20.0)}))
-    assert found.gloss[60.0][1] == pytest.approx(20.0, rel=GLOSS_TOLERANCE)
+    found = adjust(model, name, Attributes({"gloss_60": Wanted(20.0)}))
+    assert found.reached["gloss_60"] == pytest.approx(20.0, rel=GLOSS_TOLERANCE)
     np.testing.assert_allclose(
         factor(model.predict(found.place.latent, found.colours)), factor(model.material(name)), atol=0.01
     )
@@ -90,13 +93,12 @@ def test_values_are_absolute_or_relative():
 @pytest.mark.parametrize(
     ("attributes", "message"),
     [
-        (Attributes(lightness=Wanted(120.0)), "lightness 120"),
-        (Attributes(chroma=Wanted(-500.0, is_relative=True)), "chroma -"),
-        (Attributes({60.0: Wanted(-3.0)}), "gloss of -3 units"),
-        (Attributes({60.0: Wanted(0.0)}), "at least 0.01"),
-        (Attributes({85.0: Wanted(2000.0)}), "2000 units at 85 degrees, expected 0 to 16"),
-        (Attributes({20.0: Wanted(2100.0)}), "2100 units at 20 degrees"),
-        (Attributes({45.0: Wanted(3.0)}), "gloss at 45 degrees, expected 20, 60 or 85"),
+        (Attributes({"lightness": Wanted(120.0)}), "lightness 120"),
+        (Attributes({"chroma": Wanted(-500.0, is_relative=True)}), "chroma -"),
+        (Attributes({"gloss_60": Wanted(-3.0)}), "gloss of -3 units"),
+        (Attributes({"gloss_60": Wanted(0.0)}), "at least 0.01"),
+        (Attributes({"gloss_85": Wanted(2000.0)}), "2000 units at 85 degrees, expected 0 to 16"),
+        (Attributes({"gloss_20": Wanted(2100.0)}), "2100 units at 20 degrees"),
     ],
 )
 def test_impossible_attributes_are_refused(model, attributes, message):
@@ -104,9 +106,26 @@ def test_impossible_attributes_are_refused(model, attributes, message):
         adjust(model, model.names[0], attributes)
 
 
+def test_an_unknown_attribute_is_refused():
+    with pytest.raises(
+        UsageError, match="attribute 'gloss_45', expected one of gloss_20, gloss_60, gloss_85"
+    ):
+        Attributes({"gloss_45": Wanted(3.0)})
+
+
+def test_texts_of_options_are_attributes():
+    parsed = Attributes.parse({"gloss": ["60=40", "85=+3"], "lightness": None, "hue": "-20"})
+    assert parsed is not None
+    assert parsed.wanted == {
+        "gloss_60": Wanted(40.0), "gloss_85": Wanted(3.0, is_relative=True), "hue": Wanted(-20.0, is_relative=True),
+    }  # fmt: skip
+    assert Attributes.parse({"gloss": None, "lightness": None}) is None
+
+
 def test_what_was_not_reached_is_said():
-    lch = np.array([50.0, 20.0, 30.0])
-    found = Adjusted(Place(np.zeros(2)), None, {60.0: (90.0, 40.0)}, (lch, lch + 5.0), 4.2)
+    asked = {"gloss_60": 90.0, "lightness": 50.0, "chroma": 20.0, "hue": 30.0}
+    reached = {"gloss_60": 40.0, "lightness": 55.0, "chroma": 25.0, "hue": 35.0}
+    found = Adjusted(Place(np.zeros(2)), None, asked, reached)
     assert [text.split(":")[0] for text in found.shortfalls] == ["gloss at 60 degrees", "colour"]
     assert found.to_json()["reached"]["gloss"] == {"60": 40.0}
 
@@ -186,7 +205,7 @@ def test_another_gloss_keeps_a_colour_darker_than_the_coat(alpha):
 
 def test_a_colour_and_a_gloss_asked_for_together_are_both_reached(model, tmp_path):
     name = "syn_felt_orange"
-    asked = Attributes({60.0: Wanted(30.0)}, chroma=Wanted(35.0))
+    asked = Attributes({"gloss_60": Wanted(30.0), "chroma": Wanted(35.0)})
     made = predict(model, name, tmp_path / "a_rgb.bsdf", attributes=asked).attributes
     assert made["shortfalls"] == []
     assert made["reached"]["chroma"] == pytest.approx(35.0, abs=1.0)
@@ -195,7 +214,7 @@ def test_a_colour_and_a_gloss_asked_for_together_are_both_reached(model, tmp_pat
 
 def test_what_cannot_be_reached_is_said_before_anything_is_written(model, tmp_path):
     """The light of a matt coat alone is brighter."""
-    asked, path = Attributes({60.0: Wanted(3.0)}, lightness=Wanted(1.0)), tmp_path / "a_rgb.bsdf"
+    asked, path = Attributes({"gloss_60": Wanted(3.0), "lightness": Wanted(1.0)}), tmp_path / "a_rgb.bsdf"
     with pytest.warns(NotReachedWarning, match="colour: .* reached, L 1.0, .* requested"):
         made = predict(model, "syn_gloss_red", path, attributes=asked)
     assert made.attributes["shortfalls"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import pytest
 
 # Software rendering takes seconds for the balls of the map and for a picture at rest: tests that need one ask for it.
@@ -17,6 +19,9 @@ COARSE = """new MutationObserver(() => {
   clearTimeout(explorer.refining);
   Object.assign(explorer, { rest: 1e6, pendingThumbnails: [] });
 }).observe(document, { subtree: true, attributeFilter: ["data-ready"] });"""
+PACKED = """window.packed = ({ buffer, byteOffset, byteLength }) =>
+  btoa([...new Uint8Array(buffer, byteOffset, byteLength)].map((byte) => String.fromCharCode(byte)).join(""));"""
+"""What returns a typed array as text, for `unpacked`: Playwright checks lists number by number."""
 
 
 @dataclass
@@ -65,6 +70,7 @@ def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, *
     """Open a page of the map in a window of its own and wait for its first picture."""
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
     page.add_init_script(COARSE)
+    page.add_init_script(PACKED)
     made = Visit(page)
     page.on("console", lambda m: made.errors.append(m.text) if _is_error(m) else None)
     page.on("pageerror", lambda error: made.errors.append(str(error)))
@@ -86,6 +92,11 @@ def shown(page: Any, script: str, *arguments: Any) -> Any:
     """The value of a script once what was asked for is shown."""
     settle(page)
     return page.evaluate(script, *arguments)
+
+
+def unpacked(text: str, kind: type = np.uint8) -> np.ndarray:
+    """The numbers of `packed` on a page, (n,)."""
+    return np.frombuffer(base64.b64decode(text), kind)
 
 
 def follow(page: Any, fragment: str) -> None:

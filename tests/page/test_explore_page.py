@@ -8,7 +8,7 @@ from urllib.parse import quote
 import bench_page
 import numpy as np
 import pytest
-from helpers.browser import control, follow, settle, shown, state, visit
+from helpers.browser import control, follow, settle, shown, state, unpacked, visit
 from helpers.small_library import NAMES, small_library
 
 from manifold.colour import ball_colours
@@ -68,9 +68,9 @@ def table_of_page(page, x, *, refine=True):
       const { target, width, height } = balls.surfaces[0].table, values = new Float32Array(4 * width * height);
       gl.bindFramebuffer(gl.FRAMEBUFFER, target);
       gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, values);
-      return [...values];
+      return packed(values);
     }"""
-    return np.array(page.evaluate(script, [list(x), refine])).reshape(-1, 4)[:, :3]
+    return unpacked(page.evaluate(script, [list(x), refine]), np.float32).reshape(-1, 4)[:, :3]
 
 
 def test_the_shader_sums_the_prediction_of_python(visited, model, document, rng):

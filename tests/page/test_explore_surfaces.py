@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.browser import control, follow, settle, shown, state, visit
+from helpers.browser import control, follow, settle, shown, state, unpacked, visit
 from helpers.small_library import measured, spectral_files
 from scipy.ndimage import gaussian_filter
 
@@ -71,9 +71,9 @@ def ball(page, fragment, lamp=None):
       balls._show = (k, normals, corner, side, light) => own.call(balls, k, normals, corner, side, { ...light, lamp });
       const { data } = balls.image(0, size);
       delete balls._show;
-      return [...data];
+      return packed(data);
     }"""
-    picture = np.array(shown(page, script, [SIZE, lamp])).reshape(SIZE, SIZE, 4) / 255.0
+    picture = unpacked(shown(page, script, [SIZE, lamp])).reshape(SIZE, SIZE, 4) / 255.0
     return decode_srgb(picture[..., :3]), picture[..., 3] == 1.0
 
 
@@ -138,12 +138,12 @@ def test_textures_cover_every_shape(opened, shape):
       const { balls, light } = explorer, size = 96, values = new Float32Array(4 * size * size), { gl } = balls;
       balls._compared([0], light, size);
       gl.readPixels(0, 0, size, size, gl.RGBA, gl.FLOAT, values);
-      return [...values];
+      return packed(values);
     }"""
     pictures = []
     for surface in (0, 1):
         follow(opened.page, f"#surface={surface}&light=overcast&shape={shape},20")
-        pictures.append(np.array(shown(opened.page, script)).reshape(96, 96, 4))
+        pictures.append(unpacked(shown(opened.page, script), np.float32).reshape(96, 96, 4))
     is_whole = pictures[0][..., 3] > 0.9  # of a box the distance at which the march ends takes a little
     textured, flat = (decode_srgb(each[is_whole][:, :3] / each[is_whole][:, 3:]) for each in pictures)
     assert np.isfinite(textured).all()

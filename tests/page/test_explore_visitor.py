@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import control, follow, settle, shown, state, visit
+from helpers.browser import control, follow, settle, shown, state, unpacked, visit
 from helpers.small_library import NAMES
 from PIL import Image
 
@@ -575,8 +575,8 @@ def columns_of_ball(page):
       window.explorer.drawBalls();
       const width = gl.drawingBufferWidth, row = new Uint8Array(4 * width);
       gl.readPixels(0, gl.drawingBufferHeight >> 1, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
-      return [...row]; }"""
-    return np.array(page.evaluate(script)).reshape(-1, 4)
+      return packed(row); }"""
+    return unpacked(page.evaluate(script)).reshape(-1, 4)
 
 
 def test_a_wipe_shows_before_on_the_left_and_after_on_the_right(page):
@@ -618,8 +618,8 @@ def test_two_materials_are_compared_pixel_by_pixel(page, model):
         in page.locator("#difference-text").inner_text()
     )
     balls = page.evaluate("""() => { const { balls, light } = window.explorer;
-      return [1, 0].map((k) => [...balls.image(k, 96).data]); }""")
-    pixels = np.array(balls, dtype=float).reshape(2, -1, 4)
+      return [1, 0].map((k) => packed(balls.image(k, 96).data)); }""")
+    pixels = np.array([unpacked(one) for one in balls], dtype=float).reshape(2, -1, 4)
     first, second = (srgb_to_xyz(decode_srgb(one[pixels[0, :, 3] == 255, :3] / 255.0)) for one in pixels)
     expected = delta_e_2000(first, second, srgb_to_xyz(np.ones(3)))
     assert found["mean"] == pytest.approx(expected.mean(), rel=0.02)  # edges are counted a little otherwise

@@ -8,18 +8,17 @@ import hashlib
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zarr
+from helpers.fork_server import ForkServer, fork_server
 from helpers.sample_files import WAVELENGTHS_NM, assert_same, assert_same_array, sample_file, write_samples
 from helpers.small_library import measured
 
@@ -397,7 +396,7 @@ def test_other_content_under_a_name_needs_replace(library: Library, folder: Path
 
 @pytest.mark.parametrize("renames", [1, 2])
 def test_a_replacement_cut_short_is_finished_by_importing_again(
-    library: Library, folder: Path, monkeypatch: pytest.MonkeyPatch, renames: int
+    library: Library, folder: Path, forks: ForkServer, renames: int
 ) -> None:
     (folder / "m00_spec.bsdf").unlink()
     write_bsdf(folder / "m00_spec.bsdf", sample_file("m00", 99))
@@ -414,8 +413,8 @@ def killed(*paths):
 os.rename = killed
 import_files({str(library.path)!r}, [{str(folder)!r}], replace=True)
 """
-    child = subprocess.run([sys.executable, "-c", prelude() + script], check=False)
-    assert child.returncode == -signal.SIGKILL
+    forks.start(script)
+    assert forks.wait() == [-signal.SIGKILL]
     opened = Library.open(library.path)
     seeds = {1: 0, 2: 99}  # moved away, the old one is there still
     for _ in range(2):  # now, and after another writer
@@ -439,13 +438,12 @@ def test_a_second_writer_is_refused(library: Library, folder: Path) -> None:
     assert import_files(library.path, [folder]).imported == ("new",)
 
 
-def test_two_imports_at_once_leave_a_sound_library(tmp_path: Path) -> None:
+def test_two_imports_at_once_leave_a_sound_library(tmp_path: Path, forks: ForkServer) -> None:
     write_samples(tmp_path / "files", 30)
-    arguments = [sys.executable, "-c", prelude() + import_script(tmp_path)]
-    children = [subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) for _ in range(3)]
-    errors = [child.communicate()[1] for child in children]
-    assert any(child.returncode == 0 for child in children)
-    assert all("is writing to it" in e for e, child in zip(errors, children, strict=True) if child.returncode)
+    forks.start(import_script(tmp_path), 3)
+    ends = forks.wait()
+    assert 0 in ends
+    assert all("is writing to it" in forks.error(k) for k, end in enumerate(ends) if end)
     library = Library.open(tmp_path / "library.zarr")
     assert len(library) == 30
     assert library.verify() == []
@@ -510,46 +508,38 @@ def test_the_library_may_be_a_link(tmp_path: Path, folder: Path) -> None:
 # Killed at any moment
 
 
-def prelude() -> str:
-    """Makes a child process see the same modules as this one."""
-    return f"import sys; sys.path[:] = {sys.path!r}\n"
+@pytest.fixture(scope="module")
+def forks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForkServer]:
+    """Processes that import."""
+    with fork_server(tmp_path_factory.mktemp("forks")) as server:
+        yield server
 
 
 def import_script(home: Path) -> str:
     return f"""
 from manifold.library.importing import import_files
-print("ready", flush=True)
 import_files({str(home / "library.zarr")!r}, [{str(home / "files")!r}])
 """
 
 
-def start_import(home: Path) -> subprocess.Popen[str]:
-    """A child process that imports; returns when it is about to begin."""
-    child = subprocess.Popen(
-        [sys.executable, "-c", prelude() + import_script(home)], stdout=subprocess.PIPE, text=True
-    )
-    assert child.stdout is not None
-    assert child.stdout.readline() == "ready\n"
-    return child
-
-
 def test_an_import_killed_at_any_moment_leaves_exactly_the_finished_materials(
-    tmp_path: Path, rng: np.random.Generator
+    tmp_path: Path, rng: np.random.Generator, forks: ForkServer
 ) -> None:
     paths = write_samples(tmp_path / "files", 16)
     expected = {file.name: file for file in map(read_bsdf, paths)}
     library = tmp_path / "library.zarr"
-    child = start_import(tmp_path)
     start = time.monotonic()
-    assert child.wait() == 0
+    forks.start(import_script(tmp_path))
+    assert forks.wait() == [0]
     duration_s = time.monotonic() - start
     counts = []
     for moment in (np.arange(3) + rng.random(3)) / 3:  # One in each third of an uninterrupted run.
         shutil.rmtree(library)
-        child = start_import(tmp_path)
+        (child,) = forks.start(import_script(tmp_path))
         time.sleep(moment * duration_s)
-        child.send_signal(signal.SIGKILL)
-        child.wait()
+        with suppress(ProcessLookupError):  # it has ended before
+            os.kill(child, signal.SIGKILL)
+        forks.wait()
         finished = names_of_whole_materials(library, expected)
         counts.append(len(finished))
         result = import_files(library, [tmp_path / "files"])

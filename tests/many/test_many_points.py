@@ -274,7 +274,7 @@ def test_the_table_of_located_files_is_a_table_of_points(model, tmp_path):
     folder.mkdir()
     for name in NAMES[:2]:
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
-    located = run("locate", folder, "-M", model, "-o", tmp_path / "located")
+    located = run("locate", folder, "-M", model, "-o", tmp_path / "located", "-j", "1")
     assert located.exit_code == 0, located.output
     rows = list(csv.DictReader((tmp_path / "located" / "locations.csv").open(encoding="utf-8-sig")))
     lab = {kind: [float(rows[0][f"{axis} {kind}"]) for axis in "Lab"] for kind in ("measured", "predicted")}
@@ -283,7 +283,7 @@ def test_the_table_of_located_files_is_a_table_of_points(model, tmp_path):
     assert lab["predicted"] == pytest.approx(lab_of(written), abs=0.01)
     assert rows[0]["Lab under"] == "D65/2, 45/0"
     words = ["predict", "--from", tmp_path / "located" / "locations.csv", "-M", model, "-o", tmp_path / "out"]
-    predicted_again = run(*words)
+    predicted_again = run(*words, "-j", "1")
     assert predicted_again.exit_code == 0, predicted_again.output
     again = list(csv.DictReader((tmp_path / "out" / "predictions.csv").open(encoding="utf-8-sig")))
     assert [[row["name"], row["x1"], row["x2"]] for row in again] == [

@@ -17,10 +17,11 @@ import argparse
 import json
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -50,12 +51,15 @@ from manifold.render.fitted_brdf import FittedBRDF
 from manifold.render.images import ciede2000_map
 
 FAMILIES = ("lambertian", "principled")
-COUNTS = (1, 3, 5)
+COUNTS = {"sun": (1, 2, 3, 5, 8), "torch": (1, 3), "flash": (1,)}
+FITTED = (1, 3)  # numbers of pictures to which `principled` is fitted
+SET_COUNTS = (1, 3, 5)
 DISTANCE = 10.0  # radii: a torch 40 cm from a ball of 8 cm
 SIZE, RADIUS = 240, 80.0  # pixels
 DIRECTIONS = np.array(
-    [[0.5, 0.5, 0.7], [-0.7, 0.5, 0.3], [0.3, -0.8, 0.4], [0.9, -0.1, 0.15], [-0.2, 0.1, 0.95]]
-)
+    [[0.5, 0.5, 0.7], [-0.7, 0.5, 0.3], [0.3, -0.8, 0.4], [0.9, -0.1, 0.15], [-0.2, 0.1, 0.95],
+     [-0.5, -0.3, 0.8], [0.1, 0.7, 0.7], [0.6, -0.4, 0.6]]
+)  # fmt: skip
 CARD = (6, 6, 30, 30)  # of the picture; reflectance 0.18
 
 
@@ -125,7 +129,7 @@ def real(folder: Path, library: Path) -> None:
         f"all {len(pictures)}: circle {every.circle}; lamps off by {np.median(off):.1f}, at most {max(off):.1f} degrees"
     )
     rng = np.random.default_rng(7)
-    for count in COUNTS:
+    for count in SET_COUNTS:
         errors: dict[str, list[float]] = {name: [] for name in ("found", *FAMILIES)}
         lamps_off: list[float] = []
         for _ in range(6):
@@ -203,66 +207,125 @@ def _analytic(name: str, seen: Sequence[Sighting], scales: Sequence[float]) -> F
 
 
 def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) -> None:
-    """Tables of files that are left out."""
+    """Measure files that are left out."""
     opened = Library(library)
     atoms = LibraryAtoms.of_library(opened)
-    rows: dict[str, dict[int, list[float]]] = {}
-    fits: dict[str, dict[int, list[float]]] = {}
-    expected: list[tuple[str, float, float]] = []
-    with TemporaryDirectory() as folder:
-        for path in files:
-            name = path.stem.removesuffix("_rgb")
+    measured = []
+    for path in files:
+        name = path.stem.removesuffix("_rgb")
+        kept = None if asked.keep is None else asked.keep / f"{name}.json"
+        if kept is None or not kept.exists():
+            start = time.process_time()
             m = atoms.names.index(name)
             one = Material(atoms.without(m).in_values, opened, MeasuredBRDF(read_bsdf(path)))
-            taken = {light: _photographed(path, light, Path(folder)) for light in ("sun", "torch", "flash")}
-            for shot in SHOTS:
-                for count in COUNTS[: 1 if shot.light == "flash" else None]:
-                    balls, exposure = _seen(taken[shot.light][:count], shot)
-                    if balls is None:
-                        continue
-                    free = exposure is None
-                    material = one.found(balls, exposure, free or shot.knows in ("nothing", "geometry"))
-                    error = one.ball(material)
-                    rows.setdefault(shot.name, {}).setdefault(count, []).append(error)
-                    if asked.expected and count == 3 and shot.knows == "nothing":
-                        expected.append((shot.name, error, material.expected.ball))
-                    if shot.knows == "geometry and card":
-                        made = _analytic("principled", balls, np.ones(len(balls)))
-                        fits.setdefault(shot.light, {}).setdefault(count, []).append(
-                            brdf_errors(one.truth, made).ball
-                        )
-            print(f"{name}: " + ", ".join(f"{s} {of[max(of)][-1]:.1f}" for s, of in rows.items()), flush=True)
-            if asked.together:
-                _together(one, taken["sun"][0], rows)
-            if asked.wrong:
-                _wrong(one, taken["sun"], rows)
-        print("\nball in the judged lights, median / 90th percentile, of 1, 3, 5 pictures (materials)")
-        for title, table in (("", rows), ("principled, geometry and card, ", fits)):
-            for name, by_count in table.items():
-                cells = [
-                    f"{np.median(of):.2f} / {np.percentile(of, 90):.2f} ({len(of)})"
-                    for of in by_count.values()
-                ]
-                print(f"{title}{name}: " + ", ".join(cells))
-        for name in dict.fromkeys(name for name, _, _ in expected):
-            true, said = np.array([(e, x) for n, e, x in expected if n == name]).T
-            print(
-                f"expected, {name}: {np.mean(true < 2.0 * said):.0%} below twice, rank correlation "
-                f"{spearmanr(true, said).statistic:.2f}"
-            )
-        if asked.json:
-            tables = {name: of for name, of in rows.items() if set(of) <= set(COUNTS) and ":" not in name}
-            tables |= {f"principled {light}": of for light, of in fits.items()}
-            asked.json.write_text(
-                json.dumps({_key(k): _summary(of) for k, of in tables.items()}, indent=1) + "\n"
-            )
+            with TemporaryDirectory() as folder:
+                of_file = _measured(one, path, Path(folder), asked) | {"seconds": time.process_time() - start}
+            measured.append(of_file)
+            if kept is not None:
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                kept.write_text(json.dumps(of_file, indent=1) + "\n", encoding="utf-8")
+        else:
+            measured.append(json.loads(kept.read_text(encoding="utf-8")))
+        last = {shot: list(of.values())[-1] for shot, of in measured[-1]["errors"].items()}
+        print(f"{name}: " + ", ".join(f"{shot} {error:.1f}" for shot, error in last.items()), flush=True)
+    _tables(measured, asked.json)
+
+
+def _measured(one: Material, path: Path, folder: Path, asked: argparse.Namespace) -> dict[str, Any]:
+    """Errors of one file by kind of photographs and their number, of analytic fits, and of lamps that are found."""
+    taken = {light: _photographed(path, light, folder) for light in COUNTS}
+    errors: dict[str, dict[str, float]] = {}
+    fits: dict[str, dict[str, float]] = {}
+    off: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    expected: dict[str, tuple[float, float]] = {}
+    for shot in SHOTS:
+        for count in COUNTS[shot.light]:
+            balls, exposure = _seen(taken[shot.light][:count], shot)
+            if balls is None:
+                continue
+            free = exposure is None
+            material = one.found(balls, exposure, free or shot.knows in ("nothing", "geometry"))
+            error = one.ball(material)
+            errors.setdefault(shot.name, {})[str(count)] = error
+            if shot.knows == "nothing":
+                off.setdefault(shot.light, {})[str(count)] = _lamp_errors(balls, taken[shot.light])
+            if asked.expected and count == 3 and shot.knows == "nothing":
+                expected[shot.name] = error, material.expected.ball
+            if shot.knows == "geometry and card" and count in FITTED:
+                made = _analytic("principled", balls, np.ones(len(balls)))
+                fits.setdefault(shot.light, {})[str(count)] = brdf_errors(one.truth, made).ball
+    if asked.together:
+        errors |= _together(one, taken["sun"][0])
+    if asked.wrong:
+        errors |= _wrong(one, taken["sun"])
+    return {"errors": errors, "fits": fits, "off": off, "expected": expected}
+
+
+def _tables(measured: Sequence[Mapping[str, Any]], path: Path | None) -> None:
+    """Print and write medians and 90th percentiles over files."""
+    tables: dict[str, dict[str, list[float]]] = {}
+    for title, kind in (("", "errors"), ("principled ", "fits")):
+        for of_file in measured:
+            for name, by_count in of_file[kind].items():
+                for count, error in by_count.items():
+                    tables.setdefault(title + name, {}).setdefault(count, []).append(error)
+    print("\nball in the judged lights, median / 90th percentile, by number of pictures (materials)")
+    for name, by_count in tables.items():
+        cells = [
+            f"{count}: {np.median(of):.2f} / {np.percentile(of, 90):.2f} ({len(of)})"
+            for count, of in by_count.items()
+        ]
+        print(f"{name}: " + ", ".join(cells))
+    counts = [str(count) for count in COUNTS["sun"]]
+    suns = [shot.name for shot in SHOTS if shot.light == "sun"]
+    whole = [
+        one["errors"] for one in measured if all(set(counts) <= set(one["errors"].get(s, ())) for s in suns)
+    ]
+    print(f"\n{len(whole)} materials that every row has, of {', '.join(counts)} pictures")
+    same = {name: {count: [of[name][count] for of in whole] for count in counts} for name in suns if whole}
+    for name, by_count in same.items():
+        cells = [f"{np.median(of):.2f} / {np.percentile(of, 90):.2f}" for of in by_count.values()]
+        print(f"{name}: " + ", ".join(cells))
+    print("\nlamps found: degrees off, mean, median; by how many nearer to the camera, mean")
+    lamps: dict[str, dict[str, dict[str, float]]] = {}
+    for light in COUNTS:
+        for count in map(str, COUNTS[light]):
+            pairs = [pair for one in measured for pair in one["off"].get(light, {}).get(count, ())]
+            if pairs:
+                apart, towards = np.array(pairs).T
+                means = float(apart.mean()), float(np.median(apart)), float(towards.mean())
+                lamps.setdefault(light, {})[f"of_{count}"] = dict(
+                    zip(("mean", "median", "towards"), means, strict=True)
+                )
+                print(f"{light}, {count}: {means[0]:.2f}, {means[1]:.2f}, {means[2]:+.2f}")
+    for name in dict.fromkeys(name for one in measured for name in one["expected"]):
+        true, said = np.array([one["expected"][name] for one in measured if name in one["expected"]]).T
+        print(
+            f"expected, {name}: {np.mean(true < 2.0 * said):.0%} below twice, rank correlation "
+            f"{spearmanr(true, said).statistic:.2f}"
+        )
+    if path is not None:
+        made: dict[str, object] = {_key(k): _summary(of) for k, of in tables.items() if ":" not in k}
+        made["same_materials"] = {_key(name): _summary(of) for name, of in same.items()}
+        made["lamps_off"] = lamps
+        path.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
 
 
 def _key(name: str) -> str:
     return "_".join(name.replace(",", "").replace(" and ", " ").split())
 
 
-def _summary(of: dict[int, list[float]]) -> dict[str, object]:
+def _lamp_errors(balls: Sequence[Sighting], taken: Sequence[Taken]) -> list[tuple[float, float]]:
+    """Degrees between lamps and true ones, and by how many these are nearer to the camera's axis."""
+    made = []
+    for ball, one in zip(balls, taken, strict=False):
+        (lamp,) = ball.light
+        slants = [float(np.rad2deg(np.arccos(each.direction[2]))) for each in (one.lamp, lamp)]
+        made.append((_apart(lamp, one.lamp), slants[0] - slants[1]))
+    return made
+
+
+def _summary(of: Mapping[str, Sequence[float]]) -> dict[str, object]:
     """Median and 90th percentile, and of how many materials, by the number of pictures."""
     errors = {f"of_{n}": [float(np.median(e)), float(np.percentile(e, 90))] for n, e in of.items()}
     return errors | {f"materials_{n}": len(e) for n, e in of.items()}
@@ -367,7 +430,7 @@ def _seen(taken: Sequence[Taken], shot: Shot) -> tuple[list[Sighting] | None, fl
     return [ball.sighting for ball in balls], 1.0 if card else None
 
 
-def _together(one: Material, taken: Taken, rows: dict[str, dict[int, list[float]]]) -> None:
+def _together(one: Material, taken: Taken) -> dict[str, dict[str, float]]:
     """Twelve readings, one picture with a card, and both."""
     wi, wo = geometry_ma_t12()
     read = Readings("left out", "twelve", wi, wo, None, np.maximum(one.truth.eval(wi, wo), 0.0))
@@ -377,15 +440,16 @@ def _together(one: Material, taken: Taken, rows: dict[str, dict[int, list[float]
 
     of_readings = Completion.of(replace(one.atoms, is_linear=False), read)
     alone = brdf_errors(one.truth, ClippedBRDF(of_readings.brdf)).ball
-    rows.setdefault("twelve readings", {}).setdefault(0, []).append(alone)
+    errors = {"together: twelve readings": {"0": alone}}
     for name, seen in (("picture", balls), ("readings and picture", [*balls, read])):
         material = one.found(seen, exposure, False)
-        rows.setdefault(f"together: {name}", {}).setdefault(1, []).append(one.ball(material))
+        errors[f"together: {name}"] = {"1": one.ball(material)}
+    return errors
 
 
-def _wrong(one: Material, taken: Sequence[Taken], rows: dict[str, dict[int, list[float]]]) -> None:
+def _wrong(one: Material, taken: Sequence[Taken]) -> dict[str, dict[str, float]]:
     """One picture with a card, told wrongly: error of the ball, and how often a note says so."""
-    first = taken[0]
+    first, errors = taken[0], dict[str, dict[str, float]]()
     values = read_photograph(first.path)
     for name, circle, lamp, change in (
         ("right", CIRCLE, first.lamp, lambda v: v),
@@ -411,8 +475,9 @@ def _wrong(one: Material, taken: Sequence[Taken], rows: dict[str, dict[int, list
         said = any(
             word in note for note in notes for word in ("was given", "no material explains", "lie on it")
         )
-        rows.setdefault(f"wrong: {name}", {}).setdefault(1, []).append(one.ball(material))
-        rows.setdefault(f"noted: {name}", {}).setdefault(1, []).append(float(said))
+        errors[f"wrong: {name}"] = {"1": one.ball(material)}
+        errors[f"noted: {name}"] = {"1": float(said)}
+    return errors
 
 
 def _turned(lamp: Lamp, degrees: float) -> Lamp:
@@ -462,6 +527,9 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     for name in ("--wrong", "--expected", "--together", "--cost"):
         parser.add_argument(name, action="store_true")
+    parser.add_argument(
+        "--keep", type=Path, help="folder of the errors of each file; those there are not measured again"
+    )
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     if asked.set:

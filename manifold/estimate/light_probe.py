@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from manifold.colour.conversion import encode_srgb
 from manifold.errors import UsageError
 from manifold.estimate.lamps import Lamp
 from manifold.estimate.outlines import Circle, Outline, Photograph, outlines_in
@@ -33,6 +34,10 @@ _INDEPENDENT = 30.0  # pixels of a picture whose residuals are independent
 _LARGEST_RESIDUAL = 0.12  # relative error of cube roots beyond which no lamp explains a picture
 _TOGETHER = 12  # pictures that are fitted together; of more, some evenly spaced
 _DOUBTED_DEG = 10.0  # least doubtful angle; lamps are found within 7 degrees in pictures of a matte ball
+_LINEAR_RESIDUAL = 0.035  # largest residual of linear codes that explains pictures well
+_CLEARLY = 1.6  # least ratio of residuals of two encodings: at most 1.33 in triples of pictures that are sRGB
+_CLEARLY_OF_FEW = 2.5  # the same of one or two pictures: at most 2.1 in single ones that are sRGB
+_OF_ENCODING = 3  # pictures in which encodings are compared; of more, some evenly spaced
 _BRIGHT = 0.995  # quantile of pixels that are taken for a highlight
 
 _NODES = np.sqrt([0.0, 1.0, 2.5, 4.5, 7.0, 10.0, 13.0, 17.0, 22.0, 28.0, 35.0, 45.0, 58.0, 72.0, 90.0])
@@ -140,6 +145,30 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     return (
         f"{photograph.path.name}: the lamp was given at {lamp}, but the ball looks lit from {seen.lamps[0]}, "
         f"{apart:.0f} degrees away: is it the lamp of this picture, and x to the right, y up, z to the camera?",
+    )
+
+
+def encoding_notes(photographs: Sequence[Photograph], probe: Probe) -> tuple[str, ...]:
+    """Return a doubt about photographs that were decoded as sRGB if one lamp explains their codes as linear values.
+
+    These have to be explained well, and clearly better than those of the probe.
+    """
+    if not all(one.is_encoded for one in photographs):
+        return ()
+    chosen = evenly_spaced(len(photographs), _OF_ENCODING).tolist()
+    codes = [replace(one, values=encode_srgb(one.values)) for one in (photographs[k] for k in chosen)]
+    try:
+        of_codes = find_light(codes, probe.circle, probe.lamps[0].distance)
+    except UsageError:
+        return ()
+    linear = float(np.mean(of_codes.residual))
+    residual = float(np.mean([probe.residual[k] for k in chosen]))
+    least = _CLEARLY if len(chosen) >= _OF_ENCODING else _CLEARLY_OF_FEW
+    if linear > _LINEAR_RESIDUAL or residual < least * linear:
+        return ()
+    return (
+        f"the pictures were read as sRGB, and one lamp explains the ball to {residual:.1%}; read as linear, to "
+        f"{linear:.1%}: if their values are linear, add --linear, else the lamps are wrong",
     )
 
 

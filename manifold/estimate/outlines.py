@@ -39,12 +39,14 @@ class Photograph:
         values: shape (H, W, 3), float32; NaN where the picture is transparent or not finite.
         is_clipped: pixels that were at least as bright as their values, shape (H, W).
         notes: assumptions about the file, in sentences.
+        is_encoded: whether the codes of the file were decoded as sRGB.
     """
 
     path: Path
     values: Array
     is_clipped: Mask
     notes: tuple[str, ...] = ()
+    is_encoded: bool = False
 
     @property
     def factor(self) -> int:
@@ -76,7 +78,9 @@ def read_photograph(path: Path, is_linear: bool = False) -> Photograph:
             (f"{path.name}: its values are taken as linear",),
         )
     grey = (f"{path.name}: grey; the colour is not in it",) * picture.is_grey
-    return Photograph(path, values, picture.is_clipped & seen, notes + grey)
+    return Photograph(
+        path, values, picture.is_clipped & seen, notes + grey, picture.is_encoded and not is_linear
+    )
 
 
 def reduced(values: Array, factor: int) -> Array:

@@ -24,7 +24,7 @@ from manifold.estimate.lamps import (
     parse_lamp,
     unwrapped,
 )
-from manifold.estimate.light_probe import find_light, given_lamp_notes
+from manifold.estimate.light_probe import encoding_notes, find_light, given_lamp_notes
 from manifold.estimate.outlines import (
     Circle,
     Cylinder,
@@ -215,7 +215,7 @@ def _under_lamps(
             raise UsageError("different circles, expected one for all photographs to find their lamps")
         given_circle = _outline_of(photographs, circles[0])[0] if circles[0] else None
         probe = find_light(photographs, given_circle, apart)
-        lamps, notes = list(probe.lamps), probe.notes
+        lamps, notes = list(probe.lamps), probe.notes + encoding_notes(photographs, probe)
         outlines = [(probe.circle, tuple[str, ...]())] * len(photographs)
     else:
         names = [path.name for path in request.photographs]

@@ -11,6 +11,7 @@ from manifold.analytic.diffuse import RoughDiffuse
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
@@ -25,7 +26,7 @@ from manifold.estimate.lamps import (
     read_lamps,
     unwrapped,
 )
-from manifold.estimate.light_probe import find_light, given_lamp_notes
+from manifold.estimate.light_probe import encoding_notes, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.photo_material import CONTRADICTION, find_material, strength_of_spots
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
@@ -96,9 +97,30 @@ def test_lamps_are_found_whatever_the_material(brdf, number, limit_deg):
         pictures.append(
             Photograph(Path("ball"), np.minimum(values, 1.0).astype(np.float32), (values > 1.0).any(axis=2))
         )
-    for lamp, direction in zip(find_light(pictures).lamps, directions, strict=True):
+    found = find_light(pictures)
+    for lamp, direction, deviation in zip(found.lamps, directions, found.lamp_deg, strict=True):
         cosine = lamp.direction @ direction / np.linalg.norm(direction)
-        assert np.rad2deg(np.arccos(min(cosine, 1.0))) < limit_deg
+        off = np.rad2deg(np.arccos(min(cosine, 1.0)))
+        assert off < limit_deg
+        assert off < 2.0 * deviation
+
+
+def stored(brdf, direction, codes_of):
+    """A picture whose 8-bit codes are a function of the values, read as sRGB."""
+    values = lamp_picture(brdf, Camera(), [Lamp.towards(direction)], SIZE, MARGIN)
+    values = np.minimum(values / np.quantile(values, 0.995), 1.0)
+    read = decode_srgb(np.round(255.0 * codes_of(values)) / 255.0).astype(np.float32)
+    return Photograph(Path("ball.png"), read, (values >= 1.0).any(axis=2), is_encoded=True)
+
+
+@pytest.mark.parametrize("brdf", [GLOSSY, MATTE])
+def test_linear_pictures_that_are_read_as_srgb_are_noted(brdf):
+    for codes_of, is_noted in ((lambda values: values, True), (encode_srgb, False)):
+        pictures = [stored(brdf, direction, codes_of) for direction in DIRECTIONS]
+        notes = encoding_notes(pictures, find_light(pictures))
+        assert any("add --linear" in note for note in notes) == is_noted
+        linear = [replace(one, is_encoded=False) for one in pictures]
+        assert encoding_notes(linear, find_light(linear)) == ()
 
 
 def test_of_many_pictures_some_say_all_but_the_lamps_of_the_others(monkeypatch):

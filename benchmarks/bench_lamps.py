@@ -233,12 +233,12 @@ def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) ->
 
 def _measured(one: Material, path: Path, folder: Path, asked: argparse.Namespace) -> dict[str, Any]:
     """Errors of one file by kind of photographs and their number, of analytic fits, and of lamps that are found."""
-    taken = {light: _photographed(path, light, folder) for light in COUNTS}
+    taken = {light: _photographed(path, light, folder) for light in asked.lights}
     errors: dict[str, dict[str, float]] = {}
     fits: dict[str, dict[str, float]] = {}
     off: dict[str, dict[str, list[tuple[float, float]]]] = {}
     expected: dict[str, tuple[float, float]] = {}
-    for shot in SHOTS:
+    for shot in (shot for shot in SHOTS if shot.light in asked.lights):
         for count in COUNTS[shot.light]:
             balls, exposure = _seen(taken[shot.light][:count], shot)
             if balls is None:
@@ -527,6 +527,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     for name in ("--wrong", "--expected", "--together", "--cost"):
         parser.add_argument(name, action="store_true")
+    parser.add_argument("--lights", nargs="+", default=list(COUNTS), choices=COUNTS)
     parser.add_argument(
         "--keep", type=Path, help="folder of the errors of each file; those there are not measured again"
     )

@@ -117,10 +117,10 @@ def stored(brdf, direction, codes_of):
 def test_linear_pictures_that_are_read_as_srgb_are_noted(brdf):
     for codes_of, is_noted in ((lambda values: values, True), (encode_srgb, False)):
         pictures = [stored(brdf, direction, codes_of) for direction in DIRECTIONS]
-        notes = encoding_notes(pictures, find_light(pictures))
+        probe = find_light(pictures)
+        notes = encoding_notes(pictures, probe)
         assert any("add --linear" in note for note in notes) == is_noted
-        linear = [replace(one, is_encoded=False) for one in pictures]
-        assert encoding_notes(linear, find_light(linear)) == ()
+        assert encoding_notes([replace(one, is_encoded=False) for one in pictures], probe) == ()
 
 
 def test_of_many_pictures_some_say_all_but_the_lamps_of_the_others(monkeypatch):

@@ -10,7 +10,6 @@ import pytest
 from helpers.instrument_files import RGB, dense, smooth, write_every_format, write_pab_opto
 from helpers.small_library import measured
 
-from manifold import disk
 from manifold.analytic import corpus
 from manifold.analytic.virtual_instruments import MINI_DIFF_BANDS, write_mini_diff
 from manifold.brdf.measured import MeasuredBRDF
@@ -37,15 +36,7 @@ GONIOMETERS = ("mini-diff", "lighttools", "zemax", "merl", "utia")
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A file of each format, that of the goniometer at every second elevation and azimuth."""
-    paths = write_every_format(tmp_path_factory.mktemp("formats"))
-    lines = paths["mini-diff"].read_text().split("\n")
-    first = next(k for k, line in enumerate(lines) if line.startswith("VARS")) + 1
-    angles = np.rad2deg([[float(v) for v in line.split(",")[2:4]] for line in lines[first:] if line])
-    even = np.flatnonzero((np.round(angles) % [2, 20] == 0).all(axis=1))
-    head = [line if "NUM_POINTS" not in line else f"NUM_POINTS {even.size}" for line in lines[:first]]
-    disk.write_text(paths["mini-diff"], "\n".join([*head, *(lines[first + k] for k in even), ""]))
-    return paths
+    return write_every_format(tmp_path_factory.mktemp("formats"), is_coarse=True)
 
 
 @pytest.mark.parametrize("name", GONIOMETERS)

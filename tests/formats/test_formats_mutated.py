@@ -18,7 +18,7 @@ from manifold.formats import registry
 
 @pytest.fixture(scope="module")
 def contents(tmp_path_factory):
-    paths = write_every_format(tmp_path_factory.mktemp("formats"))
+    paths = write_every_format(tmp_path_factory.mktemp("formats"), is_coarse=True)
     return {name: path.read_bytes() for name, path in paths.items()}
 
 

@@ -29,7 +29,7 @@ SCAN = np.array([(20.0, 180.0, o, phi) for o in (10.0, 40.0, 80.0) for phi in (0
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    return write_every_format(tmp_path_factory.mktemp("formats"))
+    return write_every_format(tmp_path_factory.mktemp("formats"), is_coarse=True)
 
 
 LINE_ENDS = {

@@ -156,15 +156,29 @@ def write_rt300s(
         book.save(str(partial))
 
 
-def write_every_format(folder: Path) -> dict[str, Path]:
-    """A file of each format, by its name."""
+def write_coarse_mini_diff(path: Path) -> None:
+    """A Mini-Diff's file of `smooth` at every second elevation and azimuth."""
+    write_mini_diff(path, smooth(MINI_DIFF_BANDS), "smooth")
+    lines = path.read_text().split("\n")
+    first = next(k for k, line in enumerate(lines) if line.startswith("VARS")) + 1
+    angles = np.rad2deg([[float(v) for v in line.split(",")[2:4]] for line in lines[first:] if line])
+    even = np.flatnonzero((np.round(angles) % [2, 20] == 0).all(axis=1))
+    head = [f"NUM_POINTS {even.size}" if "NUM_POINTS" in line else line for line in lines[:first]]
+    disk.write_text(path, "\r\n".join([*head, *(lines[first + k] for k in even), ""]))
+
+
+def write_every_format(folder: Path, *, is_coarse: bool = False) -> dict[str, Path]:
+    """A file of each format, by its name; that of a goniometer is long unless it `is_coarse`."""
     spectro = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
     paths = {name: folder / f"smooth{suffix}" for name, suffix in SUFFIXES.items()}
     ma_t12.write(paths["ma-t12"], spectro)
     csv_table.write(paths["csv"], spectro)
     write_cxf(paths["cxf"], spectro)
     astm.write(paths["astm"], spectro)
-    write_mini_diff(paths["mini-diff"], smooth(MINI_DIFF_BANDS), "smooth")
+    if is_coarse:
+        write_coarse_mini_diff(paths["mini-diff"])
+    else:
+        write_mini_diff(paths["mini-diff"], smooth(MINI_DIFF_BANDS), "smooth")
     write_pab_opto(paths["pab-opto"], spectro.select_bands([10]))
     lighttools.write(paths["lighttools"], dense(MINI_DIFF_BANDS, "incident-outgoing", lighttools_axes()))
     zemax_file(paths["zemax"])

@@ -33,7 +33,7 @@ from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_spherical, rotate_z
 from manifold.encoding import Decoder
 from manifold.errors import UsageError
-from manifold.estimate.gloss import gloss_meter, gloss_units
+from manifold.estimate.gloss import gloss_meter, gloss_units, half_gloss_meter
 from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Readings, gloss_fault
 from manifold.judged_lights import LIGHTS
 from manifold.library.store import Library
@@ -82,6 +82,24 @@ class Wanted:
         return present + self.value if self.is_relative else self.value
 
 
+@dataclass(frozen=True)
+class Slider:
+    """A slider of the page for an attribute that a place on the map is searched for by.
+
+    Attributes:
+        name: of the attribute, the identifier of its slider; it is not that of a coordinate of the colour.
+        label, unit: beside the slider.
+        decades: decimal logarithms of the values at its ends.
+        meter: of few pairs, on one side of the plane of incidence: wi and wo (P, 3), and units per 1/sr at each (P,).
+    """
+
+    name: str
+    label: str
+    unit: str
+    decades: tuple[float, float]
+    meter: Callable[[], tuple[Array, Array, Array]]
+
+
 @dataclass(frozen=True, eq=False)
 class Attribute:
     """An attribute that a material may be asked to have: how it is measured, when it is possible, and when reached.
@@ -98,6 +116,7 @@ class Attribute:
         tolerance: relative difference beyond which it was not reached; colours have `COLOUR_TOLERANCE` together.
         angle_deg: of gloss, which another coat reaches at any place; None of others.
         period: values that differ by it are the same.
+        slider: on the page, which has its own for coordinates of the colour; None for none.
     """
 
     key: str
@@ -110,6 +129,7 @@ class Attribute:
     tolerance: float = GLOSS_TOLERANCE
     angle_deg: float | None = None
     period: float | None = None
+    slider: Slider | None = None
 
     def value(self, wanted: Wanted, present: float) -> float:
         """Return the requested value for a material's present one; an impossible one raises UsageError."""
@@ -117,6 +137,9 @@ class Attribute:
         if (fault := self.fault(value)) is not None:
             raise UsageError(fault)
         return value if self.period is None else value % self.period
+
+
+_GLOSS_SLIDER = Slider("gloss", "gloss at 60°", "GU", (-1.0, 3.0), lambda: half_gloss_meter(60))
 
 
 def _gloss(angle: float) -> Attribute:
@@ -129,6 +152,7 @@ def _gloss(angle: float) -> Attribute:
         f"gloss_{angle:g}", f"gloss at {angle:g} degrees", "gloss {:.3g} at " + f"{angle:g} degrees",
         ("gloss", f"{angle:g}"), lambda brdf: gloss_units(brdf, [angle])[angle], fault,
         meter=lambda: gloss_meter(angle), angle_deg=angle,
+        slider=_GLOSS_SLIDER if angle == 60.0 else None,
     )  # fmt: skip
 
 
@@ -157,7 +181,9 @@ COLOUR = (
 )
 """CIELAB's lightness, chroma and hue in degrees, in which order they are coordinates of a colour."""
 ATTRIBUTES = {each.key: each for each in (*map(_gloss, GLOSS_ANGLES_DEG), *COLOUR)}
-"""All attributes by key. Another one needs an entry here, an option in `cli.options.AttributeOptions`, and a slider."""
+"""All attributes by key. Another one needs an entry here, and an option in `cli.options.AttributeOptions`."""
+SLIDERS = tuple(each.slider for each in ATTRIBUTES.values() if each.slider is not None)
+"""Sliders of the page, from the top; materials are searched by words for the first, gloss at 60 degrees."""
 
 
 @dataclass(frozen=True)

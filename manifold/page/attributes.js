@@ -1,10 +1,10 @@
-// Sliders of what people think in: gloss, lightness, chroma and hue; methods of the page.
+// Sliders of what people think in: readings of meters such as gloss, lightness, chroma and hue; methods of the page.
 
 import { lookOf } from "./state.js";
 import { fromLch, hexOf, labOfFactor, toLch, wordsFor } from "./colour.js";
 
 const LCH = ["lightness", "chroma", "hue"];
-const TURNS = 4; // of the search for a gloss: that of blended colours is not that of the chosen ones
+const TURNS = 4; // of the search for a reading: that of blended colours is not that of the chosen ones
 
 export const attributes = {
   listenToAttributes() {
@@ -16,26 +16,40 @@ export const attributes = {
       });
       this.byId(name).addEventListener("change", () => this.commit());
     });
-    this.byId("gloss").addEventListener("input", (event) => this.setGloss(10 ** Number(event.target.value)));
-    this.byId("gloss").addEventListener("change", () => {
-      this.glossFrom = null;
-      this.commit();
-    });
+    for (const meter of this.materials.meters) {
+      const slider = this.addSlider(meter);
+      slider.addEventListener("input", () => this.setReading(meter, 10 ** Number(slider.value)));
+      slider.addEventListener("change", () => {
+        this.searchedFrom = null;
+        this.commit();
+      });
+    }
   },
 
-  /** Go to the place nearest to where the slider was taken that has a gloss, in the colour that was shown there. */
-  setGloss(wanted) {
+  /** A slider of a meter, in decades, above that of the lightness. */
+  addSlider({ id, label, least, most }) {
+    const slider = Object.assign(document.createElement("input"), { id, type: "range", min: least, max: most, step: 0.02 });
+    const value = Object.assign(document.createElement("output"), { id: `${id}-value` });
+    value.setAttribute("aria-live", "off");
+    const row = Object.assign(document.createElement("label"), { className: "slider" });
+    row.append(`${label} `, slider, " ", value);
+    this.byId("lightness").parentElement.before(row);
+    return slider;
+  },
+
+  /** Go to the place nearest to where the slider was taken that has a reading, in the colour that was shown there. */
+  setReading(meter, wanted) {
     const { colour } = this.state, keepsColour = colour === "blend" ? { colour: "lch", lch: this.attributesShown.lch } : {};
-    this.glossFrom ??= { ...lookOf(this.state), ...keepsColour };
-    let { x } = this.glossFrom, aim = wanted;
+    this.searchedFrom ??= { ...lookOf(this.state), ...keepsColour };
+    let { x } = this.searchedFrom, aim = wanted;
     for (let turn = 0; turn < TURNS; turn++) {
-      x = this.map.clamped(this.materials.placeOfGloss(this.glossFrom.x, aim));
-      const reached = this.predicted({ ...this.glossFrom, x }).gloss();
+      x = this.map.clamped(this.materials.placeOf(meter, this.searchedFrom.x, aim));
+      const reached = this.predicted({ ...this.searchedFrom, x }).reading(meter);
       if (Math.abs(Math.log(reached / wanted)) < 0.02) break;
       aim *= wanted / reached;
     }
-    this.glossWanted = wanted;
-    this.change({ ...this.glossFrom, x, at: undefined, path: null }, false);
+    this.wantedReading = { meter, wanted };
+    this.change({ ...this.searchedFrom, x, at: undefined, path: null }, false);
   },
 
   /** Of every material what a search knows: its name, words for its gloss and colour, and a text that says them; made once. */
@@ -49,25 +63,31 @@ export const attributes = {
     return this.searchWords;
   },
 
-  /** Lightness, chroma, hue and gloss of what is shown, while their tab is. */
+  /** Lightness, chroma, hue and readings of what is shown, while their tab is. */
   showAttributes() {
     if (this.tab !== "colour") return;
     const { state, prediction, data } = this;
-    const found = toLch(labOfFactor(prediction.factor(), data.toSrgb.D65)), gloss = prediction.gloss();
+    const found = toLch(labOfFactor(prediction.factor(), data.toSrgb.D65));
     const asked = state.colour === "lch" ? state.lch : found;
-    this.attributesShown = { lch: asked, gloss };
+    this.attributesShown = { lch: asked };
     const show = (name, value, text) => {
       if (this.byId(name) !== this.root.activeElement || Math.abs(this.byId(name).value - value) > 1) this.byId(name).value = value;
       this.byId(`${name}-value`).textContent = text;
       this.byId(name).setAttribute("aria-valuetext", text);
     };
     LCH.forEach((name, k) => show(name, asked[k], `${asked[k].toFixed(0)}${name === "hue" ? "°" : ""}`));
-    show("gloss", Math.log10(Math.max(gloss, 1e-3)), `${Number(gloss.toPrecision(2))} GU`);
+    for (const meter of this.materials.meters) {
+      const reading = prediction.reading(meter);
+      show(meter.id, Math.log10(Math.max(reading, 1e-3)), `${Number(reading.toPrecision(2))} ${meter.unit}`);
+    }
     const missed = [];
     const apart = Math.hypot(...fromLch(asked).map((v, k) => v - fromLch(found)[k]));
     if (apart > 2) missed.push(`colour: L ${found[0].toFixed(0)}, C ${found[1].toFixed(0)}, h ${found[2].toFixed(0)}° reached`);
-    if (this.glossFrom && Math.abs(Math.log(gloss / this.glossWanted)) > 0.05) {
-      missed.push(`gloss: ${gloss.toPrecision(2)} reached, ${this.glossWanted.toPrecision(2)} requested`);
+    if (this.searchedFrom) {
+      const { meter, wanted } = this.wantedReading, reading = prediction.reading(meter);
+      if (Math.abs(Math.log(reading / wanted)) > 0.05) {
+        missed.push(`${meter.id}: ${reading.toPrecision(2)} reached, ${wanted.toPrecision(2)} requested`);
+      }
     }
     this.byId("attributes-missed").textContent = missed.join("; ");
   },

@@ -23,6 +23,7 @@ from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb, xyz_to_
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
+from manifold.estimate.attributes import SLIDERS
 from manifold.judged_lights import BALL, LIGHTS
 from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.expected_error import COARSE_BELOW
@@ -182,7 +183,14 @@ def to_document(model: Manifold, tables: Tables, surfaces: Sequence[WrittenSurfa
         },
         "pairs": {
             "amplitude": _rounded(pairs.amplitude[pairs.n_grid :]), "grid": pairs.n_grid,
-            "count": len(pairs.wi), "glossWeights": _rounded(pairs.gloss_weights),
+            "count": len(pairs.wi),
+            "meters": [
+                {
+                    "id": slider.name, "label": slider.label, "unit": slider.unit, "least": slider.decades[0],
+                    "most": slider.decades[1], "weights": _rounded(weights),
+                }
+                for slider, weights in zip(SLIDERS, pairs.meter_weights, strict=True)
+            ],
             "sphereMeasure": pairs.sphere_measure.tolist(),
             "slices": [
                 {"incidence": i, "angles": a.tolist()}

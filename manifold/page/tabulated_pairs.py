@@ -8,12 +8,11 @@ import numpy as np
 
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_rusinkiewicz, from_spherical
-from manifold.estimate.gloss import half_gloss_meter
+from manifold.estimate.attributes import SLIDERS
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.records import Array
 
 SLICE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
-GLOSS_DEG = 60
 _SPHERE_NODES = 20  # nodes in elevation and in azimuth
 
 
@@ -47,12 +46,12 @@ def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TabulatedPairs:
-    """All pairs of a page: of the grid, then of the slices, of the gloss meter, 45/0, and of the integrating sphere.
+    """All pairs of a page: of the grid, then of the slices, of meters, 45/0, and of the integrating sphere.
 
     Attributes:
         wi, wo: unit vectors, shape (P, 3).
         slice_angles_deg: of wo from the normal, towards the mirror direction, per incidence.
-        gloss_weights: gloss units per 1/sr at the pairs of the gloss meter.
+        meter_weights: units per 1/sr at the pairs of the meter of every slider.
         sphere_measure: what makes a reflectance of values at the last pairs.
         n_grid: pairs of the grid.
     """
@@ -60,7 +59,7 @@ class TabulatedPairs:
     wi: Array
     wo: Array
     slice_angles_deg: tuple[Array, ...]
-    gloss_weights: Array
+    meter_weights: tuple[Array, ...]
     sphere_measure: Array
     n_grid: int
 
@@ -73,9 +72,14 @@ class TabulatedPairs:
 def tabulated_pairs() -> TabulatedPairs:
     """Return the pairs of a page without mirror images: materials are tabulated as the mean of both sides."""
     wi, wo = [], []
-    *gloss, gloss_weights = half_gloss_meter(GLOSS_DEG)
+    meters = [slider.meter() for slider in SLIDERS]
     spot = from_spherical(np.pi / 4, 0.0)[None], from_spherical(0.0, 0.0)[None]
-    for directions in (grid_directions(), *map(_slice, SLICE_INCIDENCES_DEG), gloss, spot):
+    for directions in (
+        grid_directions(),
+        *map(_slice, SLICE_INCIDENCES_DEG),
+        *(meter[:2] for meter in meters),
+        spot,
+    ):
         wi.append(directions[0])
         wo.append(directions[1])
     sphere_wi = from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0)
@@ -86,7 +90,8 @@ def tabulated_pairs() -> TabulatedPairs:
     wo.append(sphere_wo)
     angles = tuple(_slice_angles(incidence) for incidence in SLICE_INCIDENCES_DEG)
     measure = 2.0 * measure[one_side] * sphere_wo[:, 2]
-    return TabulatedPairs(np.vstack(wi), np.vstack(wo), angles, gloss_weights, measure, len(wi[0]))
+    weights = tuple(meter[2] for meter in meters)
+    return TabulatedPairs(np.vstack(wi), np.vstack(wo), angles, weights, measure, len(wi[0]))
 
 
 def _slice_angles(incidence_deg: float) -> Array:

@@ -56,12 +56,14 @@ def test_a_fork_of_a_process_that_rendered_is_refused_instead_of_hanging():
 
 def test_rendering_leaves_the_users_variant(monkeypatch):
     mi = backend.mitsuba_of_any_variant()
+    before = mi.variant()
     for variant in ("scalar_rgb", "scalar_mono"):
         if variant not in mi.variants():
             continue
         mi.set_variant(variant)
         render_material(measured("syn_felt_green"), RenderSettings(size=8, samples=1))
         assert mi.variant() == variant
+    mi.set_variant(before)  # else every render of the tests that follow would set it twice
 
 
 @pytest.mark.parametrize("name", ["$x_1$", r"\$", "100 $ paint_$"])

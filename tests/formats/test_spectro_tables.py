@@ -15,7 +15,7 @@ from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings,
 from manifold.colour.difference import lab_under_d65, lab_values
 from manifold.colour.narrow_bands import with_spectra
 from manifold.errors import FileFormatError
-from manifold.formats import registry
+from manifold.formats import ma_t12, registry
 from manifold.formats.geometries import parse_aspecular, parse_geometry
 from manifold.formats.readings import DAYLIGHT, MA_T12_NAMES, Viewing
 
@@ -367,9 +367,13 @@ def test_sheets_called_spectral_come_before_others_and_decimal_commas_are_number
     np.testing.assert_allclose(found.values, SPECTRO.values, rtol=1e-5)
 
 
-def test_rows_beyond_the_most_are_an_error(tmp_path):
-    workbook(tmp_path / "long.xlsx", {"Spectral Data": [["Geometry", 400], *[["45as15", 0.1]] * 50_001]})
-    with pytest.raises(FileFormatError, match="more than 50000 rows"):
+def test_rows_beyond_the_most_are_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(ma_t12, "_MOST_ROWS", 500)
+    rows = [["Name", "Geometry", 400], *([f"paint {k}", "45as15", 0.1] for k in range(500))]
+    workbook(tmp_path / "long.xlsx", {"Spectral Data": rows[:500]})
+    assert len(registry.read_all(tmp_path / "long.xlsx")) == 499
+    workbook(tmp_path / "long.xlsx", {"Spectral Data": rows})
+    with pytest.raises(FileFormatError, match="more than 500 rows"):
         registry.read_all(tmp_path / "long.xlsx")
 
 

@@ -25,10 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from engines.balls import Light, y_up
 from helpers.browser import chromium
 from helpers.three_js import ThreeJs, node_modules
+from lit_balls import lit_ball
 
 import manifold as mf
 from manifold.colour import ball_colours
-from manifold.colour.conversion import encode_srgb, xyz_to_srgb
+from manifold.colour.conversion import encode_srgb
 from manifold.directions import to_spherical
 from manifold.formats import geometry_ma_t12
 from manifold.model import brdf_errors
@@ -53,16 +54,6 @@ def write_readings(path: Path, brdf: mf.MeasuredBRDF) -> Array:
         table.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", "R", "G", "B"])
         table.writerows(np.column_stack([*angles, f]).round(6).tolist())
     return f
-
-
-def lit_ball(brdf: mf.MeasuredBRDF) -> Array:
-    """The ball in the studio, sRGB and coverage, shape (SIZE, SIZE, 4)."""
-    ball = ball_colours.ball(SIZE, 24, 16)
-    linear = xyz_to_srgb(ball.xyz(brdf.eval(ball.wi, ball.wo), brdf.bands))
-    column, row = (np.rint((0.5 + 0.5 * xy) * SIZE - 0.5).astype(int) for xy in (ball.places * [1, -1]).T)
-    picture = np.zeros((SIZE, SIZE, 4))
-    picture[row, column, :3], picture[row, column, 3] = encode_srgb(np.clip(linear, 0.0, 1.0)), 1.0
-    return picture
 
 
 def main() -> None:
@@ -98,7 +89,7 @@ def main() -> None:
             completed = mf.MeasuredBRDF(mf.read_bsdf(folder / made))
             view, around = y_up(ball_colours.VIEW), LIGHT.radiance("three.js")
             drawn = three.ball(folder / f"{name}.glb", view, around, SIZE, edge=1.0)
-            completed_ball, measured_ball = lit_ball(completed), lit_ball(measured)
+            completed_ball, measured_ball = lit_ball(completed, SIZE), lit_ball(measured, SIZE)
             drawn[..., :3] = encode_srgb(np.clip(drawn[..., :3], 0.0, 1.0))
             drawn[..., 3] = measured_ball[..., 3]
             expected = json.loads((folder / "made.json").read_text(encoding="utf-8"))["expected"]["ball"]

@@ -1,0 +1,80 @@
+"""Balls of all materials of a folder, each left out: measured, on the map of the others, and reconstructed from them.
+
+    python benchmarks/left_out_balls.py FOLDER docs/images/left-out-balls.png
+
+FOLDER holds `.bsdf` files in RGB. The material with the largest error on the map comes first; the number under a ball
+is its ball error. Shown in docs/explanation/accuracy.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from lit_balls import lit_ball, save
+
+import manifold as mf
+from manifold.io_rgl import material_name
+from manifold.model import brdf_errors
+from manifold.records import Array
+
+SIZE = 84  # pixels across a ball
+PER_ROW = 10
+ROWS = ("measured", "map", "reconstruct")
+
+
+def left_out(library: Path, names: set[str], path: Path) -> tuple[list[Array], list[float]]:
+    """Return the balls of ROWS for a file, and the ball errors of the last two."""
+    measured = mf.MeasuredBRDF(mf.read_bsdf(path))
+    model = mf.Manifold.fit(library, names=names - {material_name(path)}, calibrate=False)
+    located = model.embed(measured)
+    described = (model.predict(located.latent, located.colours), model.reconstruct(measured))
+    balls = [lit_ball(brdf, SIZE, 20, 32) for brdf in (measured, *described)]
+    return balls, [brdf_errors(measured, brdf).ball for brdf in described]
+
+
+def main() -> None:
+    """Draw all materials, ten beside each other."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("output", type=Path)
+    given = parser.parse_args()
+    paths = sorted(given.folder.glob("*_rgb.bsdf"))
+    drawn = []
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "library.zarr"
+        mf.import_files(library, paths)
+        names = set(mf.Library.open(library).names)
+        for path in paths:
+            drawn.append((material_name(path), *left_out(library, names, path)))
+            print(drawn[-1][0], *(f"{error:.2f}" for error in drawn[-1][2]), flush=True)
+    drawn.sort(key=lambda each: -each[2][0])
+    for row, errors in zip(ROWS[1:], np.array([errors for _, _, errors in drawn]).T, strict=True):
+        print(row, "median {:.2f}, 90th percentile {:.2f}".format(*np.percentile(errors, (50, 90))))
+    blocks = -(-len(drawn) // PER_ROW)
+    figure, axes = plt.subplots(3 * blocks, PER_ROW, figsize=(10.4, 3.65 * blocks), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.01, h_pad=0.01, wspace=0.0, hspace=0.0)
+    for axis in axes.flat:
+        axis.axis("off")
+    for k, (name, balls, errors) in enumerate(drawn):
+        block, column = divmod(k, PER_ROW)
+        for axis, ball, error in zip(
+            axes[3 * block : 3 * block + 3, column], balls, (None, *errors), strict=True
+        ):
+            axis.imshow(ball)
+            if error is not None:
+                axis.text(0.5, -0.02, f"{error:.1f}", transform=axis.transAxes, ha="center", va="top")
+        axes[3 * block, column].set_title(name.replace("_", " "), fontsize=6)
+        if column == 0:
+            for axis, label in zip(axes[3 * block : 3 * block + 3, 0], ROWS, strict=True):
+                axis.text(-0.08, 0.5, label, transform=axis.transAxes, rotation=90, ha="right", va="center")
+    save(figure, given.output, 80)
+
+
+if __name__ == "__main__":
+    main()

@@ -173,6 +173,28 @@ class PhotoMaterial:
         """Expected errors."""
         return self.calibration.at(np.array([self.residual, self.spread]))
 
+    @cached_property
+    def predicted(self) -> tuple[float, ...]:
+        """Relative errors of the cube roots of every photograph if the other observations predict it.
+
+        Exposures are known then, but for that of the photograph. There are none of a single photograph.
+        """
+        pictures = [
+            [rows.scaled(exposure) for rows in picture]
+            for picture, exposure in zip(self.evidence.pictures, self.exposures.tolist(), strict=True)
+        ]
+        if len(pictures) == 1:
+            return ()
+        errors = []
+        for k, picture in enumerate(pictures):
+            others = replace(
+                self.evidence, pictures=[*pictures[:k], *pictures[k + 1 :]], exposure=1.0, each=False
+            )
+            weights = solve(self.atoms, others).weights
+            gain = np.array([_ratio(picture, weights)])
+            errors.append(float(_residuals(replace(others, pictures=[picture]), weights, gain)[0]))
+        return tuple(errors)
+
     @property
     def made_of(self) -> tuple[tuple[str, float], ...]:
         """Materials, coats and lobes with their shares of the light that the ball sends, largest first."""

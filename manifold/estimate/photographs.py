@@ -50,6 +50,7 @@ from manifold.results import Result, derived, entry
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_ODD = 2.0  # least ratio of the error of a picture that contradicts the others to the median one
 _MARGIN = 0.05  # width around the ball in pictures of residuals, in radii
 _SIZE, _SAMPLES = 256, 32  # pixels a side, and samples per pixel, of predicted pictures
 _NOISE = 0.02  # standard deviation of channels, relative to their mean
@@ -336,6 +337,7 @@ def _found(
     if readings is not None:
         notes += readings.notes
     notes += _agreement(material, readings, gloss)
+    notes += _odd_pictures([ball.photograph.path.name for ball in balls], material.predicted)
     if readings is not None and not readings.bands.is_rgb:
         notes.append(
             "spectra follow the readings; photographs determine how three channels change with direction"
@@ -371,6 +373,22 @@ def _agreement(material: PhotoMaterial, readings: Readings | None, gloss: Mappin
     for angle, units in gloss_units(brdf, given).items():
         notes.append(f"gloss at {angle:g} degrees: {given[angle]:g} given, {units:.3g} found")
     return notes
+
+
+def _odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:
+    """Return a sentence on each photograph that contradicts the others, by its error as these predict it.
+
+    Of two, one says too little of sparkling materials in the light of the other.
+    """
+    if len(predicted) <= 2:
+        return []
+    usual = float(np.median(predicted))
+    return [
+        f"{name}: cube roots differ by {error:.0%} if the other pictures predict them, which contradict it: check that "
+        "it shows the same material, its lamp and its outline"
+        for name, error in zip(names, predicted, strict=False)
+        if error > max(CONTRADICTION, _ODD * usual)
+    ]
 
 
 def draw_residuals(

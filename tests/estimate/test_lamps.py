@@ -29,6 +29,7 @@ from manifold.estimate.lamps import (
 from manifold.estimate.light_probe import encoding_notes, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.photo_material import CONTRADICTION, find_material, strength_of_spots
+from manifold.estimate.photographs import _odd_pictures
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, Sighting, see
 from manifold.formats.readings import Readings, geometry_ma_t12
@@ -284,6 +285,22 @@ def test_pictures_of_differing_exposures_that_are_taken_as_equal_are_noted(photo
         seen = sightings_of(DIRECTIONS, gains)
         notes = find_material(photo_atoms, seen, np.eye(3), exposure=None).notes
         assert any("give --exposure each" in note for note in notes) == is_noted
+
+
+def test_a_picture_of_another_material_contradicts_the_others(photo_atoms):
+    other = Plastic(GGX.isotropic(0.4), np.array(1.5), np.array([0.5, 0.05, 0.02]), Bands(None))
+    names = ["a.png", "b.png", "c.png"]
+    for last, odd in ((PAINT, []), (other, ["c.png"])):
+        seen = sightings_of(DIRECTIONS[:2], [1.0, 0.5])
+        made = lamp_picture(last, Camera(), [Lamp.towards(DIRECTIONS[2])], SIZE, MARGIN).astype(np.float32)
+        picture = Photograph(Path("c.png"), np.minimum(made, 1.0), (made > 1.0).any(axis=2))
+        seen.append(Sighting(blocks_of(picture, CIRCLE), Camera(), (Lamp.towards(DIRECTIONS[2]),)))
+        found = find_material(photo_atoms, seen, np.eye(3), exposure=None, each=True)
+        assert len(found.predicted) == 3
+        assert [note.partition(":")[0] for note in _odd_pictures(names, found.predicted)] == odd
+    one = find_material(photo_atoms, sightings_of(DIRECTIONS[:1], [1.0]), np.eye(3))
+    assert one.predicted == ()
+    assert _odd_pictures(names[:2], (0.3, 0.3)) == []
 
 
 def readings_of(brdf):

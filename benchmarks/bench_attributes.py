@@ -41,9 +41,16 @@ def main() -> None:
         found = adjust(
             model,
             str(start),
-            Attributes({60.0: Wanted(gloss)}, Wanted(float(lightness)), Wanted(chroma), Wanted(hue)),
+            Attributes(
+                {
+                    "gloss_60": Wanted(gloss),
+                    "lightness": Wanted(float(lightness)),
+                    "chroma": Wanted(chroma),
+                    "hue": Wanted(hue),
+                }
+            ),
         )
-        gloss_off.append(abs(found.gloss[60.0][1] / gloss - 1.0))
+        gloss_off.append(abs(found.reached["gloss_60"] / gloss - 1.0))
         colour_off.append(found.difference)
         missed = gloss_off[-1] > GLOSS_TOLERANCE or colour_off[-1] > COLOUR_TOLERANCE
         silent += missed and not found.shortfalls
@@ -64,7 +71,7 @@ def _change_gloss(model: Manifold, rng: np.random.Generator) -> None:
     off: dict[str, list[tuple[float, float]]] = {"another place": [], "another coat": []}
     for name in model.names:
         brdf, units = model.predict(name), float(np.exp(rng.uniform(np.log(2.0), np.log(90.0))))
-        found = adjust(model, name, Attributes({60.0: Wanted(units)}))
+        found = adjust(model, name, Attributes({"gloss_60": Wanted(units)}))
         changed = (model.predict(found.place, found.colours), with_gloss(brdf, {60.0: units}))
         for how, made in zip(off, changed, strict=True):
             f, f_star = (np.maximum(one.eval(wi, wo), 0.0) for one in (brdf, made))

@@ -81,7 +81,7 @@ def test_a_turned_sample_with_other_attributes_stays_turned(model, tmp_path):
     options = OutputOptions(resolution=8, incidences=6)
     made = predict(
         model, FileSource(tmp_path / "new_rgb.bsdf"), tmp_path / "written_rgb.bsdf", options=options,
-        attributes=Attributes({60.0: Wanted(-1.0, is_relative=True)}),
+        attributes=Attributes({"gloss_60": Wanted(-1.0, is_relative=True)}),
     )  # fmt: skip
     written = read_bsdf(tmp_path / "written_rgb.bsdf")
     assert abs(np.rad2deg(rotation_of(written))) == pytest.approx(90.0, abs=1.0)

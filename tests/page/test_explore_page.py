@@ -455,7 +455,7 @@ def test_gloss_and_colour_of_the_page_are_those_of_the_package(visited, model):
 
 def test_a_tinted_place_is_that_of_the_package(visited, model):
     x = 0.5 * (model.X[1] + model.X[3])
-    wanted = Attributes({}, Wanted(55.0), Wanted(30.0), Wanted(250.0))
+    wanted = Attributes({"lightness": Wanted(55.0), "chroma": Wanted(30.0), "hue": Wanted(250.0)})
     adjusted = adjust(model, x, wanted)
     expected = model.predict(adjusted.place.latent, adjusted.colours).albedo(
         from_spherical(np.deg2rad(8.0), 0.0)

@@ -109,7 +109,10 @@ RESULTS = {
     "inspection": Result("bench_inspection.py --files FILES", ("brdf/consistency.py", "info.py")),
     "photo": Result("bench_photo.py FILES", ("estimate/photo_material.py", "estimate/pixels.py")),
     "together": Result("bench_photo.py FILES --together", ("estimate/photo_material.py", *_COMPLETE)),
-    "lamps": Result("bench_lamps.py --files FILES --library LIBRARY", ("estimate/lamps.py", "estimate/lamp_plan.py")),
+    "lamps": Result(
+        "bench_lamps.py --files FILES --library LIBRARY",
+        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", "estimate/photo_material.py"), 20,
+    ),
     "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY", ("surface",)),
     "stability": Result("manifold stability", ("evaluate/stability", *_GPLVM, *_BLEND)),
     "goniometer": Result("bench_goniometer.py", ("brdf/goniometer.py",)),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -122,7 +121,7 @@ def find_light(
     pixels, fit = _refined(some, *min(tried, key=lambda each: each[1].cost))
     if len(some) < len(smaller):
         pixels, fit = _with_others(_Pixels.of(smaller, pixels.circle, distance, _SIDES[1]), fit, chosen)
-    found = pixels.probe(fit, [one.path for one in photographs])
+    found = pixels.probe(fit, photographs)
     return replace(found, circle=found.circle.scaled(factor))
 
 
@@ -136,7 +135,7 @@ def given_lamp_notes(photograph: Photograph, circle: Circle, lamp: Lamp) -> tupl
     factor = photograph.factor
     try:
         pixels, fit = _coarse_fit([photograph.reduced(factor)], circle.scaled(1.0 / factor), np.inf)
-        seen = pixels.probe(fit, [photograph.path])
+        seen = pixels.probe(fit, [photograph])
     except UsageError:
         return ()
     apart = float(np.rad2deg(np.arccos(np.clip(seen.lamps[0].direction @ lamp.direction, -1.0, 1.0))))
@@ -505,14 +504,18 @@ class _Pixels:
             np.sqrt(squares / np.maximum(np.sum((self.roots * self.is_seen) ** 2, axis=1), 1e-12))
         )
 
-    def probe(self, fit: _Fit, paths: Sequence[Path]) -> Probe:
+    def probe(self, fit: _Fit, photographs: Sequence[Photograph]) -> Probe:
         """Return the estimate of a fit."""
         residual = self.residual(fit)
-        lost = [str(path.name) for path, one in zip(paths, residual, strict=True) if one > _LARGEST_RESIDUAL]
+        names = [one.path.name for one in photographs]
+        lost = [name for name, one in zip(names, residual, strict=True) if one > _LARGEST_RESIDUAL]
         if lost:
+            is_encoded = any(one.is_encoded for one in photographs)
             raise UsageError(
                 f"{', '.join(lost)}: no single lamp explains the ball (residual {residual.max():.0%}, expected at most "
                 f"{_LARGEST_RESIDUAL:.0%}); give its --circle, or the lamp by --lamp X,Y,Z or the light by --light"
+                + "; add --linear if its values are linear"
+                * is_encoded
             )
         covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))

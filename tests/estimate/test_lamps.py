@@ -161,6 +161,8 @@ def test_a_picture_that_no_lamp_explains_is_named():
     bad = Photograph(Path("bad.png"), stripes, np.zeros((SIZE, SIZE), bool))
     with pytest.raises(UsageError, match=r"bad\.png: no single lamp explains the ball"):
         find_light([photograph(DIRECTIONS[0]), bad], CIRCLE)
+    with pytest.raises(UsageError, match="; add --linear if its values are linear"):
+        find_light([replace(bad, is_encoded=True)], CIRCLE)
 
 
 def test_lamps_are_read_from_text_and_files(tmp_path):

@@ -1,36 +1,34 @@
 """Balls of materials: measured; completed from an MA-T12, with gloss beside it, and with three suggested readings more.
 
-    python benchmarks/completed_balls.py library.zarr balls.png NAME ...
+    python benchmarks/completed_balls.py library.zarr docs/images/completed-balls.png NAME ...
 
-Each material is completed from the others of the library. Shown in docs/explanation/completion.md.
+Each material is completed from the others of the library; the number under a ball is its ball error. Shown in
+docs/explanation/completion.md.
 """
 
 from __future__ import annotations
 
 import argparse
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
+from lit_balls import lit_ball, save
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.estimate import Completion, LibraryAtoms, suggest
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.sources import FileSource
 from manifold.formats.readings import Readings, geometry_ma_t12
-from manifold.io_rgl import write_bsdf
 from manifold.library.store import Library
-from manifold.model.output_file import write_checked
-from manifold.model.prediction import ClippedBRDF
-from manifold.pictures import renders
+from manifold.model import brdf_errors
 from manifold.records import Array
-from manifold.render import images
-from manifold.render.render import RenderSettings
 
 SUGGESTED = 3
 GLOSS_DEG = (20, 60)
+SIZE = 110  # pixels across a ball
+ROWS = ("measured", "12 readings", "with gloss", "3 more readings")
 
 
 def readings_of(brdf: BRDF, name: str, wi: Array, wo: Array) -> Readings:
@@ -53,7 +51,7 @@ def completions(brdf: BRDF, name: str, others: LibraryAtoms) -> tuple[Completion
 
 
 def main() -> None:
-    """Render the balls."""
+    """Draw a column for each material."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -63,22 +61,24 @@ def main() -> None:
     given = parser.parse_args()
     library = Library.open(given.library)
     atoms = LibraryAtoms.of_library(library)
-    settings = RenderSettings(size=192, samples=72)
-    columns = []
-    with tempfile.TemporaryDirectory() as folder:
-        file, picture = Path(folder) / "ball_spec.bsdf", Path(folder) / "ball.png"
-        for name in given.names:
-            others = atoms.without(library.names.index(name))
-            balls = []
-            for found in (None, *completions(MeasuredBRDF(library.read(name)), name, others)):
-                if found is None:
-                    write_bsdf(file, library.read(name))
-                else:
-                    write_checked(file, ClippedBRDF(found.brdf))
-                renders.render(FileSource(file), picture, settings)
-                balls.append(images.read_image(picture))
-            columns.append(np.vstack(balls))
-    images.write_image(given.output, np.hstack(columns))
+    count = len(given.names)
+    figure, axes = plt.subplots(
+        len(ROWS), count, figsize=(1.4 * count, 6.2), squeeze=False, layout="constrained"
+    )
+    for column, name in zip(axes.T, given.names, strict=True):
+        measured = MeasuredBRDF(library.read(name))
+        made = completions(measured, name, atoms.without(library.names.index(name)))
+        column[0].set_title(name.replace("_", " "), fontsize=9)
+        for axis, brdf in zip(column, (measured, *(each.brdf for each in made)), strict=True):
+            axis.imshow(lit_ball(brdf, SIZE, 16, 32))
+            axis.axis("off")
+            if brdf is not measured:
+                error = brdf_errors(measured, brdf).ball
+                axis.text(0.5, -0.02, f"{error:.1f}", transform=axis.transAxes, ha="center", va="top")
+                print(name, f"{error:.2f}", flush=True)
+    for axis, label in zip(axes[:, 0], ROWS, strict=True):
+        axis.text(-0.06, 0.5, label, transform=axis.transAxes, rotation=90, ha="right", va="center")
+    save(figure, given.output)
 
 
 if __name__ == "__main__":

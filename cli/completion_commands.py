@@ -300,8 +300,8 @@ def calibrate(
 
     results = terminal.Results(json)
     with progress.shown("Calibrating"):
-        made = instruments.calibrate(pairs, output, allow_harm=allow_harm)
-    form, count = made.correction.form, len(made.samples)
+        calibrated = instruments.calibrate(pairs, output, allow_harm=allow_harm)
+    form, count = calibrated.correction.form, len(calibrated.samples)
     results.rows(f"Colour correction {output}", {"samples": count, "form": form})
     left_out = "reading by reading of the one sample" if count == 1 else "sample by sample"
     results.text(f"\nLeave-one-out relative error, {left_out}:\n")
@@ -309,30 +309,33 @@ def calibrate(
         ("form", "error", "chosen"),
         [
             (each, "not measured" if error != error else f"{error:.4f}", "*" * (each == form))
-            for each, error in made.errors.items()
+            for each, error in calibrated.errors.items()
         ],
     )
     results.text("\nCIEDE2000 (D65, 2 degrees) to the reference, left out, mean over readings:\n")
     results.table(
         ("sample", "uncorrected", "corrected"),
-        [(name, *("unknown" if off != off else f"{off:.2f}" for off in row)) for name, row in made.colours],
+        [
+            (name, *("unknown" if off != off else f"{off:.2f}" for off in row))
+            for name, row in calibrated.colours
+        ],
     )
     if report is not None:
-        reports.write_calibration(report, made)
+        reports.write_calibration(report, calibrated)
         results.text(f"Report: {report}\n")
-    for note in made.notes:
+    for note in calibrated.notes:
         results.sentence(f"note: {note}")
-    results.document(made)
+    results.document(calibrated)
 
 
 def _show_completed(
-    results: terminal.Results, made: Completed | Coated, rows: Mapping[str, object], report: Path | None
+    results: terminal.Results, completed: Completed | Coated, rows: Mapping[str, object], report: Path | None
 ) -> None:
     shown = dict(rows) | ({} if report is None else {"report": report})
-    shown["time"] = f"{made.seconds:.1f} s"
+    shown["time"] = f"{completed.seconds:.1f} s"
     results.rows(
-        f"Completed {made.path}",
-        shown | {f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
+        f"Completed {completed.path}",
+        shown | {f"note {k}": note for k, note in enumerate(completed.diagnostics, start=1)},
     )
 
 

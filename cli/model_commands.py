@@ -342,20 +342,22 @@ def predict(
     results.document(made)
 
 
-def show_prediction(results: terminal.Results, made: DiagnosedPrediction) -> None:
+def show_prediction(results: terminal.Results, prediction: DiagnosedPrediction) -> None:
     """Print the results of a prediction."""
-    rows: dict[str, object] = {"latent": ",".join(made.coordinates)}
-    if made.walk is not None:
-        rows = {"walk": made.walk}
-    if made.colour is not None:
-        rows["colour"] = made.colour
-    if made.weights:
-        rows["largest weights"] = [f"{name} ({weight:+.2f})" for name, weight in made.weights]
+    rows: dict[str, object] = {"latent": ",".join(prediction.coordinates)}
+    if prediction.walk is not None:
+        rows = {"walk": prediction.walk}
+    if prediction.colour is not None:
+        rows["colour"] = prediction.colour
+    if prediction.weights:
+        rows["largest weights"] = [f"{name} ({weight:+.2f})" for name, weight in prediction.weights]
     rows |= {
-        "negative values": f"{made.clipped_share:.2%}, zero in the file" if made.clipped_share else "none",
-        "time": f"{made.seconds:.2f} s after loading",
-    } | made.rows
-    results.rows(f"Predicted {made.path}", rows)
+        "negative values": f"{prediction.clipped_share:.2%}, zero in the file"
+        if prediction.clipped_share
+        else "none",
+        "time": f"{prediction.seconds:.2f} s after loading",
+    } | prediction.rows
+    results.rows(f"Predicted {prediction.path}", rows)
 
 
 @app.command(
@@ -490,14 +492,14 @@ def _show_reconstruction(
     results: terminal.Results,
     title: str,
     rows: dict[str, object],
-    made: Reconstruction,
+    reconstruction: Reconstruction,
     source: MaterialSource,
     output: Path | None,
 ) -> None:
     """Print the result, even if its file was refused; then print the reason."""
-    written = {} if output is None or made.refusal is not None else {"written to": output}
-    results.rows(title, rows | written | made.rows)
+    written = {} if output is None or reconstruction.refusal is not None else {"written to": output}
+    results.rows(title, rows | written | reconstruction.rows)
     path = None if not written else str(output)
-    results.document({"path": str(source), "output": path} | made.to_json())
-    if made.refusal is not None:
-        raise ManifoldError(made.refusal)
+    results.document({"path": str(source), "output": path} | reconstruction.to_json())
+    if reconstruction.refusal is not None:
+        raise ManifoldError(reconstruction.refusal)

@@ -337,17 +337,18 @@ def render(
     _show_render(results, made)
 
 
-def _show_render(results: terminal.Results, made: Rendered) -> None:
-    content = made.to_json()
+def _show_render(results: terminal.Results, rendered: Rendered) -> None:
+    content = rendered.to_json()
     rows = {
         "material": f"{content['material']} ({content['route']})",
         "light": content["illuminant"],
         "picture": "{size} x {size}, {samples} samples per pixel, seed {seed}".format(**content),
         "renderer": content["backend"],
-        "time": f"{made.seconds:.1f} s",
+        "time": f"{rendered.seconds:.1f} s",
     }
     results.rows(
-        f"Rendered {made.path}", rows | (made.prediction.rows if made.prediction is not None else {})
+        f"Rendered {rendered.path}",
+        rows | (rendered.prediction.rows if rendered.prediction is not None else {}),
     )
     results.document(content)
 

@@ -94,13 +94,13 @@ def _list_reports(report: Path, made: Batch[Sample]) -> None:
     pages = f"{report.stem}_reports"
     cards = [
         (
-            os.path.relpath(ball_path(one.path), report.parent),
-            f"{pages}/{one.path.stem}.html",
-            one.name,
-            f"expected error {one.content['expected']['ball']:.1f} {BALL}",
+            os.path.relpath(ball_path(outcome.path), report.parent),
+            f"{pages}/{outcome.path.stem}.html",
+            outcome.name,
+            f"expected error {outcome.content['expected']['ball']:.1f} {BALL}",
         )
-        for one in made.outcomes
-        if one.content is not None and (report.parent / pages / f"{one.path.stem}.html").is_file()
+        for outcome in made.outcomes
+        if outcome.content is not None and (report.parent / pages / f"{outcome.path.stem}.html").is_file()
     ]
     reports.write_index(report, cards)
 
@@ -110,13 +110,15 @@ def _complete(
     options: OutputOptions, pages: Path | None,
 ) -> Content:  # fmt: skip
     readings, learned = instruments.read_sample(sample, correction)
-    made = completions.complete(
+    completed = completions.complete(
         library, readings, path, correction=learned, count=count, instrument=instrument, options=options
     )
     if pages is not None:
         pages.mkdir(parents=True, exist_ok=True)
-        reports.write_completion(_report_of(pages, path, {})[0], made, [part for part, _ in sample.parts])
-    return made.to_json() | {"from": ", ".join(part.name for part, _ in sample.parts)} | appearance(path)
+        reports.write_completion(
+            _report_of(pages, path, {})[0], completed, [part for part, _ in sample.parts]
+        )
+    return completed.to_json() | {"from": ", ".join(part.name for part, _ in sample.parts)} | appearance(path)
 
 
 def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> Command[ColourSample]:
@@ -150,27 +152,27 @@ def _textures_of(path: Path, content: Content) -> list[Path]:
 
 def _make_surface(sample: Sample, path: Path, *, library: Path, **settings: Any) -> Content:
     pictures, readings = read_workbook(*sample.parts[0])
-    made = write_surface(library, pictures, readings, path.parent, name=path.stem, **settings)
-    seen = appearance(made.paths["mean"])
-    if "picture" in made.paths:  # in place of the mean's ball: a plane, and the ball
-        strip = images.read_display(made.paths["picture"])
+    surface = write_surface(library, pictures, readings, path.parent, name=path.stem, **settings)
+    seen = appearance(surface.paths["mean"])
+    if "picture" in surface.paths:  # in place of the mean's ball: a plane, and the ball
+        strip = images.read_display(surface.paths["picture"])
         side = len(strip)
         images.write_display(
             ball_path(path), np.concatenate([strip[:, side : 2 * side], strip[:, -side:]], axis=1)
         )
-    return made.to_json() | seen
+    return surface.to_json() | seen
 
 
 def _complete_colour(
     sample: ColourSample, path: Path, *, library: Path, is_mixture: bool, options: OutputOptions
 ) -> Content:
-    made: coat.Coated | completions.Completed
+    completed: coat.Coated | completions.Completed
     if is_mixture or not sample.gloss:
         readings = readings_of_colour(np.array(sample.lab), sample.gloss, Library(library).bands)
-        made = completions.complete(library, readings, path, options=options)
+        completed = completions.complete(library, readings, path, options=options)
     else:
-        made = coat.complete(library, sample, path, options=options)
-    return made.to_json() | appearance(path)
+        completed = coat.complete(library, sample, path, options=options)
+    return completed.to_json() | appearance(path)
 
 
 def import_outputs(made: Batch[Any], library: Path) -> None:
@@ -247,9 +249,9 @@ def _reconstruct(source: Input, path: Path, *, library: Path, **how: Any) -> Con
     return _shown(descriptions.reconstruct(library, source.source, path, **how), source, path)
 
 
-def _shown(made: Reconstruction, source: Input, path: Path) -> Content:
-    written = {} if made.refusal is not None else appearance(path)
-    return made.to_json() | measured_appearance(path, read_source(source.source)) | written
+def _shown(reconstruction: Reconstruction, source: Input, path: Path) -> Content:
+    written = {} if reconstruction.refusal is not None else appearance(path)
+    return reconstruction.to_json() | measured_appearance(path, read_source(source.source)) | written
 
 
 def conversions(to: str, *, correction: Path | None = None, options: Options) -> Command[Input]:

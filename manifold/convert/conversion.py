@@ -56,11 +56,11 @@ class Conversion(Result):
     """
 
     name: str = field(metadata=entry(row="material"))
-    files: tuple[str, ...] = field(metadata=entry(row="file", words=lambda made: list(made.files)))
+    files: tuple[str, ...] = field(metadata=entry(row="file", words=lambda result: list(result.files)))
     source: str = field(metadata=entry(row="from", columns={"from": ()}))
     target: str = field(metadata=entry())
     bands: Bands = field(
-        metadata=entry(row="bands", json=lambda made: str(made.bands), columns={"bands": ()})
+        metadata=entry(row="bands", json=lambda result: str(result.bands), columns={"bands": ()})
     )
     nodes: int = field(metadata=entry(row="nodes compared"))
     errors: Errors[float] = field(
@@ -78,7 +78,9 @@ class Conversion(Result):
     median: float = field(
         metadata=entry(
             row="deviation",
-            words=lambda made: f"median {made.median:.2%}, 95 % of values within {made.percentile_95:.2%}",
+            words=lambda result: (
+                f"median {result.median:.2%}, 95 % of values within {result.percentile_95:.2%}"
+            ),
         )
     )
     percentile_95: float = field(metadata=entry())

@@ -94,39 +94,39 @@ class Coated(Result):
     """
 
     path: Path = field(metadata=entry())
-    sample: ColourSample = field(metadata=entry(json=lambda made: made.sample.name))
+    sample: ColourSample = field(metadata=entry(json=lambda result: result.sample.name))
     alpha: float = field(
         metadata=entry(
             row="made",
-            words=lambda made: (
-                f"a dielectric coat (alpha {made.alpha:.3g}, index {made.index:.3g}) over a diffuse base"
+            words=lambda result: (
+                f"a dielectric coat (alpha {result.alpha:.3g}, index {result.index:.3g}) over a diffuse base"
             ),
         )
     )
     index: float = field(metadata=entry())
     lab: Array = field(
         metadata=entry(
-            row="colour", json=lambda made: {"asked": made.sample.lab, "written": made.lab},
-            words=lambda made: f"L,a,b {', '.join(f'{v:.1f}' for v in made.lab)} ({DAYLIGHT}, 45/0), "
-            f"CIEDE2000 {made.ciede2000:.1f} from the requested one",
+            row="colour", json=lambda result: {"asked": result.sample.lab, "written": result.lab},
+            words=lambda result: f"L,a,b {', '.join(f'{v:.1f}' for v in result.lab)} ({DAYLIGHT}, 45/0), "
+            f"CIEDE2000 {result.ciede2000:.1f} from the requested one",
         )
     )  # fmt: skip
     gloss: Mapping[float, float] = field(
         metadata=entry(
             row="gloss",
-            words=lambda made: [
-                f"{made.gloss[angle]:.3g} at {angle:g} degrees, {units:g} requested"
-                for angle, units in made.sample.gloss.items()
+            words=lambda result: [
+                f"{result.gloss[angle]:.3g} at {angle:g} degrees, {units:g} requested"
+                for angle, units in result.sample.gloss.items()
             ],
-            json=lambda made: {
-                f"{angle:g}": {"asked": made.sample.gloss.get(angle), "written": units}
-                for angle, units in made.gloss.items()
+            json=lambda result: {
+                f"{angle:g}": {"asked": result.sample.gloss.get(angle), "written": units}
+                for angle, units in result.gloss.items()
             },
         )
     )
     expected: Errors[float] = field(
         metadata=entry(
-            row="expected error", words=lambda made: made.expected.words, columns={EXPECTED_BALL: ("ball",)}
+            row="expected error", words=lambda result: result.expected.words, columns={EXPECTED_BALL: ("ball",)}
         )
     )  # fmt: skip
     plausibility: Plausibility = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))
@@ -149,9 +149,9 @@ def coat_of(lab: Array, gloss: Mapping[float, float], bands: Bands) -> tuple[Pla
     """
     target = tinted(np.full(bands.count, 0.2), np.asarray(lab, float), bands)
 
-    def off(made: Plastic) -> Array:
-        reached = np.array(list(gloss_units(made, gloss).values()))
-        return np.append(gloss_misfits(reached, gloss), (lab_of(made) - lab) / COLOUR_ROUNDING)
+    def off(coat: Plastic) -> Array:
+        reached = np.array(list(gloss_units(coat, gloss).values()))
+        return np.append(gloss_misfits(reached, gloss), (lab_of(coat) - lab) / COLOUR_ROUNDING)
 
     return nearest_coat(lambda surface: target - surface, bands, off)
 
@@ -209,13 +209,13 @@ def complete(
     opened = Library(library)
     stages.begin("reading materials")
     atoms = atoms_of(opened)
-    made, alpha = coat_of(np.array(sample.lab), sample.gloss, atoms.bands)
+    coat, alpha = coat_of(np.array(sample.lab), sample.gloss, atoms.bands)
     stages.begin("expected error")
     expected = expected_errors(atoms, tuple(sample.gloss), opened)
     stages.begin("writing")
-    index = float(np.mean(made.eta))
+    index = float(np.mean(coat.eta))
     written = write_checked(
-        output, made, options,
+        output, coat, options,
         description=f"A dielectric coat (alpha {alpha:.3g}, index {index:.3g}) over a Lambertian, of the "
         f"colour and gloss of {sample.name}, by manifold {__version__}",
         remedy="ask for a darker colour or less gloss", keeps_hue=True, expected_error=expected.cube_root,
@@ -223,7 +223,7 @@ def complete(
     if picture is not None:
         stages.begin("rendering")
         draw_ball(output, picture)
-    brdf = made if written.file is None else MeasuredBRDF(written.file)
+    brdf = coat if written.file is None else MeasuredBRDF(written.file)
     lab, gloss = lab_of(brdf), gloss_units(brdf)
     return Coated(
         output, sample, alpha, index, lab, gloss, expected, written.plausibility,
@@ -264,8 +264,8 @@ def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibrati
 
     def method(m: int) -> tuple[Errors[float], Array]:
         material = atoms.materials[m]
-        made, _ = coat_of(lab_of(material), gloss_units(material, angles_deg), bands)
-        on_grid, on_ball = (made.eval(pairs.wi, pairs.wo) for pairs in (grid, lights))
+        coat, _ = coat_of(lab_of(material), gloss_units(material, angles_deg), bands)
+        on_grid, on_ball = (coat.eval(pairs.wi, pairs.wo) for pairs in (grid, lights))
         return errors_of(atoms, m, on_grid, on_ball), np.ones(2)
 
     return Calibration.leave_out(method, range(len(atoms.names)))
@@ -297,7 +297,7 @@ def read_colours(
     comments = [line for line in lines if line.lstrip().startswith("#")]
     axes, seen = _lab_of_header(path, head, column_heads.viewing_of_lines(comments), viewing)
     of_name = 0 if head is None else column_heads.name_column(head)
-    found: dict[str, ColourSample] = {}
+    samples: dict[str, ColourSample] = {}
     for n, given in rows:
         cells = with_whole_name(given, width)
         if head is None and len(cells) == 3:
@@ -305,7 +305,7 @@ def read_colours(
         if len(cells) != width or (head is None and number(cells[0]) is not None):
             raise FileFormatError(f"{path}, line {n}: found '{' '.join(given)[:40]}', {_EXPECTED}")
         name = safe_name((cells[of_name] if of_name is not None else "") or f"colour_{n}")
-        if name in found:
+        if name in samples:
             raise FileFormatError(f"{path}, line {n}: the name '{name}' comes twice, expected each once")
         own = {
             angle: _number(path, n, cells[k]) for k, h in enumerate(head or ()) if (angle := gloss_angle(h))
@@ -317,10 +317,10 @@ def read_colours(
             lab = colour_under_d65(np.array([_number(path, n, cells[k]) for k in axes]), seen)
         except UsageError as error:
             raise FileFormatError(f"{path}, line {n}: {error}") from None
-        found[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
-    if not found:
+        samples[name] = ColourSample(name, (float(lab[0]), float(lab[1]), float(lab[2])), {**gloss, **own})
+    if not samples:
         raise FileFormatError(f"{path}: no colours below the header, {_EXPECTED}")
-    return list(found.values())
+    return list(samples.values())
 
 
 def _lab_of_header(

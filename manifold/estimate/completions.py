@@ -72,7 +72,8 @@ class Completed(Result):
     @property
     @derived(
         row="readings", columns={"readings": ()},
-        words=lambda made: f"{made.readings} of {made.sample}, {made.instrument}, {made.completion.readings.bands}",
+        words=lambda result: f"{result.readings} of {result.sample}, {result.instrument}, "
+        f"{result.completion.readings.bands}",
     )  # fmt: skip
     def readings(self) -> int:
         """Number of readings."""
@@ -82,8 +83,8 @@ class Completed(Result):
     expected: Errors[float] = field(
         metadata=entry(
             row="expected error", columns=EXPECTED_COLUMNS,
-            words=lambda made: [
-                words + made.beside(made.expected.ball) * (k == 0) for k, words in enumerate(made.expected.words)
+            words=lambda result: [
+                words + result.beside(result.expected.ball) * (k == 0) for k, words in enumerate(result.expected.words)
             ],
         )
     )  # fmt: skip
@@ -91,8 +92,8 @@ class Completed(Result):
     @property
     @derived(
         row="residual of readings", columns={"residual": ()},
-        words=lambda made: f"{100 * made.residual:.1f} % in cube roots, "
-        f"at most {100 * max(made.misfits.max(), made.residual):.1f} %",
+        words=lambda result: f"{100 * result.residual:.1f} % in cube roots, "
+        f"at most {100 * max(result.misfits.max(), result.residual):.1f} %",
     )  # fmt: skip
     def residual(self) -> float:
         """Residual of the readings in cube roots: root mean square, or that of gloss if it is larger."""
@@ -117,7 +118,7 @@ class Completed(Result):
         return self.completion.colours
 
     @property
-    @derived(row="colours at the readings", words=lambda made: made.colours_in_words())
+    @derived(row="colours at the readings", words=lambda result: result.colours_in_words())
     def misfits_ciede2000(self) -> Array | None:
         """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
         return self.completion.colour_misfits
@@ -129,7 +130,7 @@ class Completed(Result):
         return self.completion.readings.repeatability
 
     @property
-    @derived(row="between measurements", words=lambda made: made.between_in_words())
+    @derived(row="between measurements", words=lambda result: result.between_in_words())
     def between_measurements(self) -> Between | None:
         """Difference between measurements of the sample; None where there is one."""
         return self.completion.readings.between
@@ -137,9 +138,9 @@ class Completed(Result):
     @property
     @derived(
         row="gloss",
-        words=lambda made: [
-            f"{made.completion.gloss[angle]:.3g} at {angle:g} degrees, {units:g} given"
-            for angle, units in made.completion.readings.gloss.items()
+        words=lambda result: [
+            f"{result.completion.gloss[angle]:.3g} at {angle:g} degrees, {units:g} given"
+            for angle, units in result.completion.readings.gloss.items()
         ],
     )
     def gloss(self) -> dict[str, dict[str, float | None]]:
@@ -152,7 +153,7 @@ class Completed(Result):
 
     @property
     @derived(
-        row="combination of", words=lambda made: [f"{name} {weight:.2f}" for name, weight in made.made_of.items()]
+        row="combination of", words=lambda result: [f"{name} {weight:.2f}" for name, weight in result.made_of.items()]
     )  # fmt: skip
     def made_of(self) -> dict[str, float]:
         """Weights of materials, by name."""
@@ -250,17 +251,17 @@ def complete(
     stages.begin("reading materials")
     atoms = atoms_of(opened)
     stages.begin("completing")
-    made = Completion.of(atoms, readings)
+    completion = Completion.of(atoms, readings)
     stages.begin("expected error")
-    calibration = calibrate(atoms, made.readings, opened)
-    suggested = suggest(atoms, count, made, instrument) if count else None
-    expected = calibration.expected(made)
+    calibration = calibrate(atoms, completion.readings, opened)
+    suggested = suggest(atoms, count, completion, instrument) if count else None
+    expected = calibration.expected(completion)
     stages.begin("writing")
     written = write_checked(
         output,
-        made.brdf,
+        completion.brdf,
         options,
-        description=_describe(made),
+        description=_describe(completion),
         remedy="make it physical, measure more directions near the highlight",
         expected_error=expected.cube_root,
         keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
@@ -270,15 +271,15 @@ def complete(
         draw_ball(output, picture)
     plausibility = written.plausibility
     if written.file is not None:
-        made = made.as_written(MeasuredBRDF(written.file))
+        completion = completion.as_written(MeasuredBRDF(written.file))
     notes = (
-        *made.notes,
-        *calibration.notes(made),
+        *completion.notes,
+        *calibration.notes(completion),
         *written.notes,
-        *_of_unit(made.readings, plausibility),
+        *_of_unit(completion.readings, plausibility),
     )
     return Completed(
-        output, picture, made, correction, written.expected(expected), plausibility, suggested, notes,
+        output, picture, completion, correction, written.expected(expected), plausibility, suggested, notes,
         time.perf_counter() - start,
     )  # fmt: skip
 
@@ -332,7 +333,7 @@ def colour_under_d65(lab: Array, viewing: Viewing) -> Array:
 
 def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
     """Parse texts such as `60=12.5` into gloss units by angle in degrees."""
-    found: dict[float, float] = {}
+    units_by_angle: dict[float, float] = {}
     for text in texts:
         angle, is_pair, units = text.partition("=")
         try:
@@ -343,27 +344,28 @@ def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
             raise UsageError(f"gloss '{text}', expected an angle and gloss units, such as 60=12.5")
         if (fault := gloss_fault(*pair)) is not None:
             raise UsageError(fault)
-        if pair[0] in found:
+        if pair[0] in units_by_angle:
             raise UsageError(f"gloss at {pair[0]:g} degrees twice, expected once; give their mean")
-        found[pair[0]] = pair[1]
-    return found
+        units_by_angle[pair[0]] = pair[1]
+    return units_by_angle
 
 
-def uncertainty(made: Completion) -> dict[str, Any]:
+def uncertainty(completion: Completion) -> dict[str, Any]:
     """Return the relative standard deviation of f over hypotheses, in the plane of incidence, by direction."""
     profiles: dict[str, list[float]] = {}
     for incidence in _PROFILE_INCIDENCES_DEG:
         wi = from_spherical(np.deg2rad(incidence), np.pi)
         wo = from_spherical(np.deg2rad(_PROFILE_ELEVATIONS_DEG), 0.0)
-        profiles[f"{incidence:g}"] = made.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
+        profiles[f"{incidence:g}"] = completion.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
     return {"theta_o_deg": _PROFILE_ELEVATIONS_DEG.tolist(), "by_incidence_deg": profiles}
 
 
-def _describe(made: Completion) -> str:
-    gloss = " and its gloss" if made.readings.gloss else ""
+def _describe(completion: Completion) -> str:
+    readings = completion.readings
+    gloss = " and its gloss" if readings.gloss else ""
     return (
-        f"Completed from {len(made.readings)} readings ({made.readings.instrument}) of {made.readings.name}{gloss} "
-        f"through {len(made.atoms.names)} materials by manifold {__version__}"
+        f"Completed from {len(readings)} readings ({readings.instrument}) of {readings.name}{gloss} "
+        f"through {len(completion.atoms.names)} materials by manifold {__version__}"
     )
 
 

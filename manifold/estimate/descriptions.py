@@ -54,11 +54,11 @@ def locate(
     file = _read(path)
     loaded = load_model(model, library)
     loaded.prepare()
-    found = location.locate(loaded, file)
+    located = location.locate(loaded, file)
     if output is None:
-        return found
-    how = f"at latent ({', '.join(found.coordinates)})"
-    return _written(found, file, Path(output), how, options)
+        return located
+    how = f"at latent ({', '.join(located.coordinates)})"
+    return _written(located, file, Path(output), how, options)
 
 
 def reconstruct(
@@ -92,18 +92,18 @@ def reconstruct(
     output = Path(output)
     require_bsdf_output(output)
     file = _read(path)
-    found = location.reconstruct_file(Library(library), file, without, numbers=numbers)
-    how = f"from {found.materials} materials and analytic lobes"
-    return _written(found, file, output, how, options)
+    reconstruction = location.reconstruct_file(Library(library), file, without, numbers=numbers)
+    how = f"from {reconstruction.materials} materials and analytic lobes"
+    return _written(reconstruction, file, output, how, options)
 
 
 def _read(material: Path | str | MaterialSource) -> BsdfFile:
     return read_source(FileSource(Path(material)) if isinstance(material, str | Path) else material)
 
 
-def _written(found: _R, source: BsdfFile, output: Path, how: str, options: OutputOptions) -> _R:
+def _written(description: _R, source: BsdfFile, output: Path, how: str, options: OutputOptions) -> _R:
     """Write a reconstruction, or refuse it; return it with the plausibility of its file."""
-    clipped = ClippedBRDF(found.brdf)
+    clipped = ClippedBRDF(description.brdf)
     written = write_output(
         output,
         clipped,
@@ -112,11 +112,13 @@ def _written(found: _R, source: BsdfFile, output: Path, how: str, options: Outpu
     )
     measured = MeasuredBRDF(fill_unmeasured(source))
     if written.change is not None and written.file is not None:
-        found = replace(found, errors=brdf_errors(measured, MeasuredBRDF(written.file)))
+        description = replace(description, errors=brdf_errors(measured, MeasuredBRDF(written.file)))
     before = replace(written.plausibility, negative_share=clipped.clipped_share)
     sentences = (
-        *found.diagnostics,
+        *description.diagnostics,
         *diagnostics.of_prediction(False, before, measured=measured),
         *written.projection,
     )
-    return replace(found, plausibility=written.plausibility, diagnostics=sentences, refusal=written.refusal)
+    return replace(
+        description, plausibility=written.plausibility, diagnostics=sentences, refusal=written.refusal
+    )

@@ -75,20 +75,25 @@ def find_samples(sources: Iterable[Path]) -> list[Sample]:
         except ManifoldError:  # raised again where it is completed
             groups[str(path)] = [_Part(path, None, path.stem, "", 0, None)]
             continue
-        for one in records:
-            sample = one.name if len(records) > 1 else None
+        for record in records:
+            sample = record.name if len(records) > 1 else None
             part = _Part(
-                path, sample, one.name.strip(), one.instrument, one.bands.count, _only_incidence_deg(one)
+                path,
+                sample,
+                record.name.strip(),
+                record.instrument,
+                record.bands.count,
+                _only_incidence_deg(record),
             )
             groups.setdefault(alike(part.name), []).append(part)
-    found = [sample for parts in groups.values() for sample in _in_samples(parts)]
+    samples = [sample for parts in groups.values() for sample in _in_samples(parts)]
     lone = [parts[0] for parts in groups.values() if len(parts) == 1]
     incidences = {part.incidence_deg for part in lone}
-    is_apart = len(found) == len(lone) == len(incidences) > 1 and None not in incidences
+    is_apart = len(samples) == len(lone) == len(incidences) > 1 and None not in incidences
     if is_apart and len({part.instrument for part in lone}) == 1:
         note = f"{len(lone)} files have one incidence each, all different: --merge if they are of one sample"
-        return [replace(sample, note=note) for sample in found]
-    return found
+        return [replace(sample, note=note) for sample in samples]
+    return samples
 
 
 class _Part(NamedTuple):
@@ -181,19 +186,19 @@ def find_inputs(
     sources: Iterable[MaterialSource], is_wanted: Callable[[Path], bool] = is_rgl, *, samples: bool = False
 ) -> list[Input]:
     """Return the materials of sources, unread: wanted files of folders at every depth, and, if asked, all samples."""
-    found: list[Input] = []
+    inputs: list[Input] = []
     for source in sources:
         if isinstance(source, PlaceSource):
-            found.append(Input(str(source).replace(":", "_"), source))
+            inputs.append(Input(str(source).replace(":", "_"), source))
         elif isinstance(source, LibrarySource):
-            found.append(Input(source.name, source))
+            inputs.append(Input(source.name, source))
         elif is_library(source.path):
             names = Library(source.path).names
-            found += [Input(name, LibrarySource(source.path, name)) for name in names]
+            inputs += [Input(name, LibrarySource(source.path, name)) for name in names]
         else:
             for path in find_files([source.path], is_wanted, "suitable file"):
-                found += _samples_of(path) if samples and not is_rendered(path) else [_of_file(path)]
-    return list(dict.fromkeys(found))
+                inputs += _samples_of(path) if samples and not is_rendered(path) else [_of_file(path)]
+    return list(dict.fromkeys(inputs))
 
 
 def _of_file(path: Path) -> Input:
@@ -250,7 +255,7 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
     head = text.partition("\n")[0]
     separator = next((s for s in (";", "\t") if s in head), ",")
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
-    found: list[Input] = []
+    places: list[Input] = []
     failures: list[str] = []
     columns: list[str] | None = None
     lines: dict[str, int] = {}  # lines of names
@@ -262,7 +267,7 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
             if columns is None:
                 columns = _columns(path, cells)
                 continue
-            count = len(found) + len(failures) + 1
+            count = len(places) + len(failures) + 1
             if count > MOST_POINTS:
                 raise FileFormatError(f"{path}: more than {MOST_POINTS} rows; make several tables of it")
             try:
@@ -271,14 +276,14 @@ def read_points(path: Path, model: Path, library: Path | None = None) -> tuple[l
                     raise UsageError(f"has no latent, since it failed: {row['failed'][:200]}")
                 source = PlaceSource(model, _place(row), library, _colour(row, path.parent))
                 name = _name(row, count, reader.line_num, lines)
-                found.append(Input(name, source, line=reader.line_num))
+                places.append(Input(name, source, line=reader.line_num))
             except UsageError as error:
                 failures.append(f"line {reader.line_num}: {error}")
     except csv.Error as error:
         raise FileFormatError(f"{path}, line {reader.line_num}: not a table ({error}); {_EXPECTED}") from None
-    if not found and not failures:
+    if not places and not failures:
         raise UsageError(f"{path}: no row of points; {_EXPECTED}")
-    return found, failures
+    return places, failures
 
 
 def _columns(path: Path, cells: list[str]) -> list[str]:

@@ -300,7 +300,7 @@ def read(
     readings = [
         registry.read_readings(path, sample, _MOST_READINGS, is_only=is_only, unit=unit) for path in paths
     ]
-    names = list(dict.fromkeys(one.name for one in readings))
+    names = list(dict.fromkeys(each.name for each in readings))
     if sample is not None and sample not in names:
         raise UsageError(
             f"no file holds a sample '{sample}', but {' and '.join(names)}; name another, or none"

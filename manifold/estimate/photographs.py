@@ -78,11 +78,11 @@ class FromPhotographs(Result):
     @property
     @derived(
         row="photographs",
-        words=lambda made: [
+        words=lambda result: [
             f"{ball.photograph.path.name}, ball at {ball.circle}"
             + "".join(f", lamp {lamp}" for lamp in ball.lamps)
             + f", residual {100 * residual:.1f} %"
-            for ball, residual in made.balls_with_residuals
+            for ball, residual in result.balls_with_residuals
         ],
     )
     def photographs(self) -> list[dict[str, Any]]:
@@ -98,31 +98,33 @@ class FromPhotographs(Result):
         ]
 
     @property
-    @derived(row="latent", words=lambda made: made.located and ",".join(made.located.coordinates), json=False)
+    @derived(
+        row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
+    )
     def latent(self) -> Array | None:
         """Its latent on a map, if it was asked for."""
         return None if self.located is None else self.located.latent
 
     @property
     @derived(
-        row="nearest", words=lambda made: [f"{name} ({apart:.2f})" for name, apart in made.nearest], json=False
+        row="nearest", words=lambda result: [f"{name} ({apart:.2f})" for name, apart in result.nearest], json=False
     )  # fmt: skip
     def nearest(self) -> list[tuple[str, float]]:
         """The nearest materials on the map, with their distances."""
         return [] if self.located is None else self.located.nearest
 
     located: Located | None = field(
-        metadata=entry(row="reconstruction error", words=lambda made: made.located.errors.words)
+        metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
     )
 
     @property
-    @derived(row="expected error", words=lambda made: made.expected.words)
+    @derived(row="expected error", words=lambda result: result.expected.words)
     def expected(self) -> Errors[float]:
         """Expected errors."""
         return self.material.expected
 
     @property
-    @derived(row="residual of pixels", words=lambda made: f"{100 * made.residual:.1f} % in cube roots")
+    @derived(row="residual of pixels", words=lambda result: f"{100 * result.residual:.1f} % in cube roots")
     def residual(self) -> float:
         """Residual of all pixels, in cube roots."""
         return self.material.residual
@@ -135,7 +137,7 @@ class FromPhotographs(Result):
 
     @property
     @derived(
-        row="exposure", words=lambda made: ", ".join(dict.fromkeys(f"{exposure:.3g}" for exposure in made.exposures))
+        row="exposure", words=lambda result: ", ".join(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
     )  # fmt: skip
     def exposures(self) -> Array:
         """Exposures of the pictures."""
@@ -143,7 +145,7 @@ class FromPhotographs(Result):
 
     @property
     @derived(
-        row="made of", words=lambda made: [f"{name} {share:.2f}" for name, share in made.made_of.items()]
+        row="made of", words=lambda result: [f"{name} {share:.2f}" for name, share in result.made_of.items()]
     )
     def made_of(self) -> dict[str, float]:
         """Shares of materials in the light that the ball sends, by name."""

@@ -96,21 +96,22 @@ def predict(
     assert written.file is not None  # a refusal is an error
     difference = mirror_difference(brdf, MeasuredBRDF(written.file))
     seconds = time.perf_counter() - start
-    made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
-    if made.expected is not None:
-        made = replace(made, expected=written.expected(made.expected))
+    prediction = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
+    if prediction.expected is not None:
+        prediction = replace(prediction, expected=written.expected(prediction.expected))
     turned = f"turned by {np.rad2deg(place.rotation_rad):.1f} degrees, as the sample lay"
-    made = replace(
-        made, diagnostics=made.diagnostics + written.projection + (turned,) * bool(place.rotation_rad)
+    prediction = replace(
+        prediction,
+        diagnostics=prediction.diagnostics + written.projection + (turned,) * bool(place.rotation_rad),
     )
     if adjusted is not None:
-        made = replace(
-            made,
-            diagnostics=made.diagnostics + adjusted.shortfalls + (_RECOATED,) * bool(of_coat),
+        prediction = replace(
+            prediction,
+            diagnostics=prediction.diagnostics + adjusted.shortfalls + (_RECOATED,) * bool(of_coat),
             attributes=adjusted.to_json(),
         )
     return replace(
-        made,
+        prediction,
         path=output,
         is_physical=options.physical,
         clipped_share=clipped.clipped_share,

@@ -43,11 +43,11 @@ _MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # lines of a figure
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
-def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> None:
+def write_completion(path: Path, completed: Completed, sources: Sequence[Path]) -> None:
     """Write the page that reports a completion of readings from some files."""
-    completion, brdf = made.completion, MeasuredBRDF(read_bsdf(made.path))
+    completion, brdf = completed.completion, MeasuredBRDF(read_bsdf(completed.path))
     readings = completion.readings
-    rows: dict[str, object] = {"from": [source.name for source in sources], **made.rows}
+    rows: dict[str, object] = {"from": [source.name for source in sources], **completed.rows}
     rows["repeats within"] = f"{100 * readings.repeatability:g} % of a value"
     sections = [
         Section("Sample", rows),
@@ -59,64 +59,73 @@ def write_completion(path: Path, made: Completed, sources: Sequence[Path]) -> No
             heads=("materials", "probability", "residual"),
             table=[
                 (
-                    " + ".join(f"{weight:.2f} {name}" for name, weight in one.like), f"{one.probability:.2f}",
-                    f"{100 * one.misfit:.1f} %",
+                    " + ".join(f"{weight:.2f} {name}" for name, weight in mixture.like), f"{mixture.probability:.2f}",
+                    f"{100 * mixture.misfit:.1f} %",
                 )
-                for one in completion.alternatives
+                for mixture in completion.alternatives
             ],
         ),
-        Section("Notes", notes=made.diagnostics),
+        Section("Notes", notes=completed.diagnostics),
     ]  # fmt: skip
-    html_page.write(path, readings.name, f"{made.path.name}, completed from readings.", sections)
+    html_page.write(path, readings.name, f"{completed.path.name}, completed from readings.", sections)
 
 
-def write_coat(path: Path, made: Coated) -> None:
+def write_coat(path: Path, coated: Coated) -> None:
     """Write the report of a colour and gloss made a material."""
-    brdf = MeasuredBRDF(read_bsdf(made.path))
+    brdf = MeasuredBRDF(read_bsdf(coated.path))
     sections = [
-        Section("Sample", made.rows),
+        Section("Sample", coated.rows),
         balls(brdf),
-        gloss(brdf, made.sample.gloss),
-        Section("Notes", notes=made.diagnostics),
+        gloss(brdf, coated.sample.gloss),
+        Section("Notes", notes=coated.diagnostics),
     ]
-    html_page.write(path, made.sample.name, f"{made.path.name}, made of a colour and gloss.", sections)
+    html_page.write(path, coated.sample.name, f"{coated.path.name}, made of a colour and gloss.", sections)
 
 
-def write_photographs(path: Path, made: FromPhotographs) -> None:
+def write_photographs(path: Path, photographed: FromPhotographs) -> None:
     """Write the report of a material that was found in photographs, and written."""
-    assert made.output is not None
-    brdf = MeasuredBRDF(read_bsdf(made.output))
-    sections = [Section("Sample", made.rows), balls(brdf), gloss(brdf)]
-    if made.picture is not None:
-        shown = html_page.picture(images.read_display(made.picture), "photographs and predictions", _WIDE)
+    assert photographed.output is not None
+    brdf = MeasuredBRDF(read_bsdf(photographed.output))
+    sections = [Section("Sample", photographed.rows), balls(brdf), gloss(brdf)]
+    if photographed.picture is not None:
+        shown = html_page.picture(
+            images.read_display(photographed.picture), "photographs and predictions", _WIDE
+        )
         sections.append(
             Section("Photographs", pictures=[("photographs, predictions and differences", shown)])
         )
-    sections.append(Section("Notes", notes=made.diagnostics))
-    html_page.write(path, made.output.stem, f"{made.output.name}, found in photographs.", sections)
+    sections.append(Section("Notes", notes=photographed.diagnostics))
+    html_page.write(
+        path, photographed.output.stem, f"{photographed.output.name}, found in photographs.", sections
+    )
 
 
-def write_calibration(path: Path, made: CalibratedInstrument) -> None:
+def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
     """Write the report of a colour correction, learned from samples."""
     sections = [
         Section(
             "Leave-one-out relative error",
             heads=("form", "error", "chosen"),
             table=[
-                (form, "" if error != error else f"{error:.4f}", "chosen" * (form == made.correction.form))
-                for form, error in made.errors.items()
+                (
+                    form,
+                    "" if error != error else f"{error:.4f}",
+                    "chosen" * (form == calibrated.correction.form),
+                )
+                for form, error in calibrated.errors.items()
             ],
         ),
         Section(
             "CIEDE2000 (D65/2) to the reference, left out, mean over readings",
             heads=("sample", "uncorrected", "corrected"),
             table=[
-                (name, *("" if off != off else f"{off:.2f}" for off in row)) for name, row in made.colours
+                (name, *("" if off != off else f"{off:.2f}" for off in row))
+                for name, row in calibrated.colours
             ],
         ),
-        Section("Notes", notes=made.notes),
+        Section("Notes", notes=calibrated.notes),
     ]
-    html_page.write(path, "Colour correction", f"Learned from {len(made.samples)} samples.", sections)
+    html_page.write(path, "Colour correction", f"Learned from {len(calibrated.samples)} samples.", sections)
 
 
 def balls(brdf: BRDF) -> Section:
@@ -258,12 +267,12 @@ def flop_index(angles: Array, lab: Array) -> float | None:
 
 def gloss(brdf: BRDF, read: Mapping[float, float] = MappingProxyType({})) -> Section:
     """Return gloss units of a material, beside those that were read, by angle in degrees."""
-    found = gloss_units(brdf, GLOSS_ANGLES_DEG)
+    units_by_angle = gloss_units(brdf, GLOSS_ANGLES_DEG)
     return Section(
         "Gloss (ISO 2813)",
         heads=("angle", "read", "of the file"),
         table=[
             (f"{angle:g}", f"{read[angle]:.3g}" if angle in read else "", f"{units:.3g}")
-            for angle, units in found.items()
+            for angle, units in units_by_angle.items()
         ],
     )

@@ -82,7 +82,7 @@ class DiagnosedPrediction(Result):
     nearest: list[tuple[str, float]] = field(
         metadata=entry(
             row="nearest",
-            words=lambda made: [f"{name} ({distance:.2f})" for name, distance in made.nearest],
+            words=lambda result: [f"{name} ({distance:.2f})" for name, distance in result.nearest],
         )
     )
     materials: int = field(metadata=entry())

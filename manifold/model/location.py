@@ -53,15 +53,15 @@ class Reconstruction(Result):
 
     errors: Errors[float] = field(
         metadata=entry(
-            row="reconstruction error", words=lambda made: made.errors.words, columns=ERROR_COLUMNS
+            row="reconstruction error", words=lambda result: result.errors.words, columns=ERROR_COLUMNS
         )
     )
 
     @property
     @derived(
         row="rotation of the sample",
-        words=lambda made: (
-            f"{made.rotation_deg:.1f} degrees, undone to find it" if made.rotation_rad else None
+        words=lambda result: (
+            f"{result.rotation_deg:.1f} degrees, undone to find it" if result.rotation_rad else None
         ),
     )
     def rotation_deg(self) -> float:
@@ -112,10 +112,10 @@ def locate_brdf(
     A measured file may lie turned by one of several azimuths.
     """
     trials = [0.0] if model.materials.is_isotropic else rotations_rad
-    rotation, found = min(
+    rotation, embedding = min(
         ((angle, model.embed(_turned(brdf, -angle))) for angle in trials), key=lambda trial: trial[1].residual
     )
-    predicted = model.predict(found.latent, found.colours).turned(rotation)
+    predicted = model.predict(embedding.latent, embedding.colours).turned(rotation)
     errors = brdf_errors(brdf, predicted)
     return Located(
         brdf=predicted,
@@ -127,11 +127,11 @@ def locate_brdf(
             *_of_anisotropy(brdf, predicted),
             *model.notes,
         ),
-        latent=found.latent,
-        coordinates=model.space.printed(found.latent),
-        colours=found.colours,
-        expected=model.expected_error(found.latent, found.colours, found.residual),
-        nearest=model.nearest(found.latent, 3),
+        latent=embedding.latent,
+        coordinates=model.space.printed(embedding.latent),
+        colours=embedding.colours,
+        expected=model.expected_error(embedding.latent, embedding.colours, embedding.residual),
+        nearest=model.nearest(embedding.latent, 3),
         rotation_rad=rotation,
     )
 
@@ -158,20 +158,20 @@ def reconstruct_file(
     bands = evenly_spaced(library.bands.count, Settings().sample_bands)
     trials = [0.0] if materials.is_isotropic else trial_rotations(file)
     tried = [reconstruct(materials, bands, _turned(brdf, -angle), numbers).turned(angle) for angle in trials]
-    of_tried = [brdf_errors(brdf, found) for found in tried]
+    of_tried = [brdf_errors(brdf, reconstruction) for reconstruction in tried]
     best = int(np.argmin([errors.cube_root for errors in of_tried]))
-    found = tried[best]
+    reconstruction = tried[best]
     if brdf.name in names:
         notes += (
             f"{brdf.name} is in the library and reconstructed from itself, too; leave it out to see the errors of a "
             "new material",
         )
     return Reconstruction(
-        brdf=found,
+        brdf=reconstruction,
         materials=len(names),
         errors=of_tried[best],
         rotation_rad=trials[best],
-        diagnostics=notes + _of_anisotropy(brdf, found),
+        diagnostics=notes + _of_anisotropy(brdf, reconstruction),
     )
 
 

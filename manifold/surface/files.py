@@ -78,7 +78,7 @@ class SurfaceFiles(Result):
     textures: Textures
 
     @property
-    @derived(row="pictures", words=lambda made: list(made.pictures))
+    @derived(row="pictures", words=lambda result: list(result.pictures))
     def pictures(self) -> tuple[str, ...]:
         """Labels of the pictures."""
         return tuple(self.surface.pictures.labels)
@@ -97,7 +97,7 @@ class SurfaceFiles(Result):
 
     @property
     @derived(
-        row="colour, relative spread", words=lambda made: ", ".join(f"{100 * std:.1f} %" for std in made.albedo_std)
+        row="colour, relative spread", words=lambda result: ", ".join(f"{100 * std:.1f} %" for std in result.albedo_std)
     )  # fmt: skip
     def albedo_std(self) -> Array:
         """Standard deviation of the albedo texture over its mean, as it is written, shape (3,)."""
@@ -107,7 +107,7 @@ class SurfaceFiles(Result):
     @property
     @derived(
         row="slopes", columns={"slope": (1,)},
-        words=lambda made: "across {:.3f}, along {:.3f} (standard deviations)".format(*made.slope_std),
+        words=lambda result: "across {:.3f}, along {:.3f} (standard deviations)".format(*result.slope_std),
     )  # fmt: skip
     def slope_std(self) -> Array:
         """Standard deviation of the slopes of the normal texture, along x and y, shape (2,)."""
@@ -128,9 +128,13 @@ class SurfaceFiles(Result):
     @property
     @derived(
         row="heights",
-        words=lambda made: (
-            f"{made.height_std_px:.2f} pixels"
-            + ("" if made.mm_per_pixel is None else f", {made.mm_per_pixel * made.height_std_px:.2g} mm")
+        words=lambda result: (
+            f"{result.height_std_px:.2f} pixels"
+            + (
+                ""
+                if result.mm_per_pixel is None
+                else f", {result.mm_per_pixel * result.height_std_px:.2g} mm"
+            )
             + " (standard deviation)"
         ),
     )
@@ -158,8 +162,8 @@ class SurfaceFiles(Result):
     @property
     @derived(
         row="by the instrument",
-        words=lambda made: [
-            ", ".join(f"{key} {value}" for key, value in each.items()) for each in made.instrument
+        words=lambda result: [
+            ", ".join(f"{key} {value}" for key, value in each.items()) for each in result.instrument
         ],
     )
     def instrument(self) -> list[dict[str, Any]]:
@@ -171,13 +175,15 @@ class SurfaceFiles(Result):
     paths: Mapping[str, Path]
 
     @property
-    @derived(row="files", words=lambda made: list(made.files.values()))
+    @derived(row="files", words=lambda result: list(result.files.values()))
     def files(self) -> dict[str, str]:
         """Names of the files in the folder, by kind."""
         return {kind: path.name for kind, path in self.paths.items()}
 
     exports: Mapping[str, float] = field(
-        metadata=entry(json=lambda made: {target: {"ball": ball} for target, ball in made.exports.items()})
+        metadata=entry(
+            json=lambda result: {target: {"ball": ball} for target, ball in result.exports.items()}
+        )
     )
     completed: Completed | None
 

@@ -304,15 +304,15 @@ def complete_photographs(
 
 
 def show_photographs(
-    results: terminal.Results, title: str, found: FromPhotographs, report: Path | None = None
+    results: terminal.Results, title: str, photographed: FromPhotographs, report: Path | None = None
 ) -> None:
     """Print the results of photographs."""
-    notes = {f"note {k}": note for k, note in enumerate(found.diagnostics, start=1)}
+    notes = {f"note {k}": note for k, note in enumerate(photographed.diagnostics, start=1)}
     written = {} if report is None else {"report": report}
-    results.rows(title, {**found.rows, **written, "time": f"{found.seconds:.1f} s", **notes})
-    if found.plan is not None:
-        show_plan(results, found.plan, " beside what there is")
-    results.document(found)
+    results.rows(title, {**photographed.rows, **written, "time": f"{photographed.seconds:.1f} s", **notes})
+    if photographed.plan is not None:
+        show_plan(results, photographed.plan, " beside what there is")
+    results.document(photographed)
 
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
@@ -321,13 +321,13 @@ def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
 
     heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")
 
-    def cells(label: str, one: Determined) -> tuple[str, ...]:
+    def cells(label: str, determined: Determined) -> tuple[str, ...]:
         return (
             label,
-            f"{one.ball:.1f}",
-            f"{one.colour:.1f}",
-            f"{100.0 * one.gloss:.0f} %",
-            f"{one.flop:.1f}",
+            f"{determined.ball:.1f}",
+            f"{determined.colour:.1f}",
+            f"{100.0 * determined.gloss:.0f} %",
+            f"{determined.flop:.1f}",
         )
 
     results.text(
@@ -335,6 +335,10 @@ def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
         f"materials\n(CIEDE2000 of the ball in {LIGHTS} and of the colour at 45/0, gloss, L* at 15 less that at 110 "
         "degrees)\n"
     )
-    results.table(heads, [cells(f"{one.angles_deg[-1]:.0f} degrees", one) for one in plan.alone])
+    results.table(
+        heads, [cells(f"{determined.angles_deg[-1]:.0f} degrees", determined) for determined in plan.alone]
+    )
     results.text("\nHold the lamp next\n")
-    results.table(heads, [cells(f"{one.angles_deg[-1]:.0f} degrees", one) for one in plan.next])
+    results.table(
+        heads, [cells(f"{determined.angles_deg[-1]:.0f} degrees", determined) for determined in plan.next]
+    )

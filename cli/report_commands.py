@@ -187,34 +187,34 @@ def chart(
     _write_chart(made, results, output)
 
 
-def _write_chart(made: Chart, results: terminal.Results, output: Path | None) -> None:
+def _write_chart(chart: Chart, results: terminal.Results, output: Path | None) -> None:
     from manifold.evaluate import chart_figure
     from manifold.evaluate.chart import conclusion
     from manifold.judged_lights import BALL_COLUMN
     from manifold.plots import figures
 
-    if said := conclusion(made):
+    if said := conclusion(chart):
         results.sentence(said)
     columns = f"setting,{BALL_COLUMN},front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
-    results.table(columns.split(","), _chart_rows(made))
+    results.table(columns.split(","), _chart_rows(chart))
     results.text(
         "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
-        f"predict, fit: in times of a reference, here {1e3 * made.reference_seconds:.3g} ms of a core; "
-        f"each material left out once, in {made.folds} folds.\n"
+        f"predict, fit: in times of a reference, here {1e3 * chart.reference_seconds:.3g} ms of a core; "
+        f"each material left out once, in {chart.folds} folds.\n"
     )
-    for row in made.rows:
+    for row in chart.rows:
         if row.warnings:
             results.sentence(
-                f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}"
+                f"{row.title}: {len(row.warnings)} of {chart.folds} fits warned: {row.warnings[0]}"
             )
-    results.document(made)
+    results.document(chart)
     if output is not None:
-        figures.save(chart_figure.chart(made), output)
+        figures.save(chart_figure.chart(chart), output)
 
 
-def _chart_rows(made: Chart) -> list[list[str]]:
+def _chart_rows(chart: Chart) -> list[list[str]]:
     def letters(error: str, key: str) -> str:
-        return "".join(_LETTERS[cost] for cost, keys in made.fronts[error].items() if key in keys)
+        return "".join(_LETTERS[cost] for cost, keys in chart.fronts[error].items() if key in keys)
 
     return [
         [
@@ -225,7 +225,7 @@ def _chart_rows(made: Chart) -> list[list[str]]:
             f"{row.median.ball_itp:.2f}", f"{row.median.rmse:.3g}", f"{row.predict.median:.3g}",
             f"{row.bytes / 1e6:.3g}", "" if row.fit is None else f"{row.fit.median:.3g}",
         ]
-        for row in made.rows
+        for row in chart.rows
     ]  # fmt: skip
 
 
@@ -291,20 +291,20 @@ def stability(
     if picture is not None:
         figures.require_writable(picture)
     with progress.shown("Failure modes"), workers.executor() as executor:
-        made = run_modes(modes, executor)
+        trials = run_modes(modes, executor)
     if picture is not None:
-        figures.save(stability_figure.panels(made, modes), picture)
-    results.sentence(catalogue.conclusion(made))
-    results.table(catalogue.COLUMNS, catalogue.table(made))
-    results.text(catalogue.summary(made) + "\n")
-    for what, reason in made.skipped.items():
+        figures.save(stability_figure.panels(trials, modes), picture)
+    results.sentence(catalogue.conclusion(trials))
+    results.table(catalogue.COLUMNS, catalogue.table(trials))
+    results.text(catalogue.summary(trials) + "\n")
+    for what, reason in trials.skipped.items():
         results.sentence(f"{what} was skipped: {reason}")
-    results.document(made.to_json(modes))
+    results.document(trials.to_json(modes))
     known = {(mode.key, method) for mode in modes for method in mode.known}
-    for row in made.wrong:
+    for row in trials.wrong:
         if (row.mode, row.method) in known:
             results.sentence(f"known: {row.method} is wrong without a message in {row.mode}")
-    if made.false_alarms or any((row.mode, row.method) not in known for row in made.wrong):
+    if trials.false_alarms or any((row.mode, row.method) not in known for row in trials.wrong):
         raise typer.Exit(1)
 
 
@@ -379,34 +379,34 @@ def budget(
     _show_budget(results, made)
 
 
-def _show_budget(results: terminal.Results, made: Budget) -> None:
+def _show_budget(results: terminal.Results, budget: Budget) -> None:
     columns = ["material", "representation", "bytes", "ms", "pred.", "verified", "FLIP"]
     rows = [
         [
-            one.material if len(one.material) <= _NAME else f"{one.material[: _NAME - 1]}~",
-            one.candidate.name,
-            one.candidate.size,
-            f"{one.milliseconds:.0f}" if one.milliseconds >= 10 else f"{one.milliseconds:.1f}",
-            f"{one.candidate.predicted:.2f}",
-            f"{one.verified.delta_e:.2f}",
-            f"{one.verified.flip:.3f}",
+            chosen.material if len(chosen.material) <= _NAME else f"{chosen.material[: _NAME - 1]}~",
+            chosen.candidate.name,
+            chosen.candidate.size,
+            f"{chosen.milliseconds:.0f}" if chosen.milliseconds >= 10 else f"{chosen.milliseconds:.1f}",
+            f"{chosen.candidate.predicted:.2f}",
+            f"{chosen.verified.delta_e:.2f}",
+            f"{chosen.verified.flip:.3f}",
         ]
-        for one in made.chosen
+        for chosen in budget.chosen
     ]
     results.table(columns, rows)
-    for one in made.chosen:
+    for chosen in budget.chosen:
         results.sentence(
-            f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, subtracted"
+            f"{chosen.material}: {chosen.lighting}; {chosen.reason}; noise {chosen.noise.rendered:.2f}, subtracted"
         )
     results.text("pred., verified: CIEDE2000 in the scene's light, mean; ms: of a million evaluations\n")
-    results.text(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files\n")
-    for note in made.notes:
+    results.text(f"{budget.size} of {budget.full_size} bytes, {_share(budget)} of the whole files\n")
+    for note in budget.notes:
         results.sentence(f"note: {note}")
-    if made.output is not None:
-        results.text(f"wrote {made.output}\n")
-    results.document(made)
+    if budget.output is not None:
+        results.text(f"wrote {budget.output}\n")
+    results.document(budget)
 
 
-def _share(made: Budget) -> str:
-    percent = 100.0 * made.size / made.full_size
+def _share(budget: Budget) -> str:
+    percent = 100.0 * budget.size / budget.full_size
     return f"{percent:.0f} %" if percent >= 10.0 else f"{percent:.2g} %"

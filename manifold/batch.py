@@ -144,21 +144,21 @@ def batch(
         todo = [(sources[k], made.path(sources[k])) for k in missing]
         is_shared = command.has_balls and workers is not None
         make = partial(_make, command.make, command.beside, is_shared)
-        for done, (i, found, failure) in enumerate(work.run(make, todo, workers), start=1):
+        for done, (i, output, failure) in enumerate(work.run(make, todo, workers), start=1):
             k, (source, path) = missing[i], todo[i]
-            if found is None:
+            if output is None:
                 outcomes[k] = Outcome(printable(source.name), path, source, failure=failure)
-            elif not found.files:
-                refusal = found.content["refusal"]
-                outcomes[k] = Outcome(source.name, path, source, found.content, failure=refusal)
+            elif not output.files:
+                refusal = output.content["refusal"]
+                outcomes[k] = Outcome(source.name, path, source, output.content, failure=refusal)
             elif not _is_there(path):
                 unseen = (
                     f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
                 )
                 outcomes[k] = Outcome(source.name, path, source, failure=unseen)
             else:
-                index.add(path, keys[k], found.content, found.files)
-                outcomes[k] = Outcome(source.name, path, source, found.content)
+                index.add(path, keys[k], output.content, output.files)
+                outcomes[k] = Outcome(source.name, path, source, output.content)
             progress.report(done, len(todo), source.name)
     if command.conclude is not None:
         command.conclude(made)

@@ -90,7 +90,7 @@ def _report_of(pages: Path, path: Path, content: Content) -> list[Path]:
     return [pages / f"{path.stem}.html"]
 
 
-def _list_reports(report: Path, made: Batch[Sample]) -> None:
+def _list_reports(report: Path, completed: Batch[Sample]) -> None:
     pages = f"{report.stem}_reports"
     cards = [
         (
@@ -99,7 +99,7 @@ def _list_reports(report: Path, made: Batch[Sample]) -> None:
             outcome.name,
             f"expected error {outcome.content['expected']['ball']:.1f} {BALL}",
         )
-        for outcome in made.outcomes
+        for outcome in completed.outcomes
         if outcome.content is not None and (report.parent / pages / f"{outcome.path.stem}.html").is_file()
     ]
     reports.write_index(report, cards)
@@ -175,9 +175,9 @@ def _complete_colour(
     return completed.to_json() | appearance(path)
 
 
-def import_outputs(made: Batch[Any], library: Path) -> None:
+def import_outputs(outputs: Batch[Any], library: Path) -> None:
     """Import the files of a batch into a library, in place of others of the same names."""
-    paths = [o.path for o in made.outcomes if o.failure is None]
+    paths = [o.path for o in outputs.outcomes if o.failure is None]
     failed = import_files(library, paths, replace=True).failed if paths else {}
     if failed:
         raise ManifoldError("; ".join(failed.values()))
@@ -270,11 +270,11 @@ def conversions(to: str, *, correction: Path | None = None, options: Options) ->
 
 def _convert(source: Input, path: Path, *, to: str, correction: Path | None, options: Options) -> Content:
     with conversion.conversion_input([source.source]) as given:
-        made = conversion.convert(
+        converted = conversion.convert(
             given, path, to=to, sample=source.sample, correction=correction, options=options
         )
     brdf = open_source([path]).interpolated
-    return made.to_json() | ({} if isinstance(brdf, UsageError) else appearance(path, brdf))
+    return converted.to_json() | ({} if isinstance(brdf, UsageError) else appearance(path, brdf))
 
 
 def renders(

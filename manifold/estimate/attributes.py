@@ -416,13 +416,13 @@ class _Search:
 
         ways = [min(start + _ALONG * (end - start), key=cost) for end in self._model.X]
         tried = sorted(ways, key=cost)[:_REFINED]
-        found = [
+        minima = [
             scipy.optimize.minimize(
                 cost, x, method="Nelder-Mead", options={"maxfev": _EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4}
             )
             for x in tried
         ]
-        return min(found, key=lambda one: one.fun).x
+        return min(minima, key=lambda one: one.fun).x
 
 
 def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
@@ -501,7 +501,7 @@ def find(
     light = None if lab is None else f"{DAYLIGHT}, 45/0"
     if material is not None:
         light = str(DAYLIGHT) if isinstance(material, Readings) else LIGHTS
-    found = []
+    materials = []
     for k, name in enumerate(library.names):
         brdf = MeasuredBRDF(fill_unmeasured(library.read(name)))
         own, units = lab_of(brdf), gloss_units(brdf, gloss or (60.0,))
@@ -513,9 +513,9 @@ def find(
             for a, asked in gloss.items()
         ]
         distance = float(np.hypot(difference or 0.0, np.linalg.norm(steps)))
-        found.append(Found(name, own, units, difference, light, distance))
+        materials.append(Found(name, own, units, difference, light, distance))
         progress.report(k + 1, len(library.names), "materials")
-    return sorted(found, key=lambda one: one.distance)
+    return sorted(materials, key=lambda one: one.distance)
 
 
 def _difference_from(sought: BRDF | Readings) -> Callable[[BRDF], float]:

@@ -384,7 +384,7 @@ def pairs_of(reference: Path, other: Path) -> tuple[list[tuple[Readings, Reading
             pairs.append((held[reference][0].readings, held[other][0].readings))
             continue
         path, files = max(held.items(), key=lambda each: len(each[1]))
-        within = ", ".join(str(one.path) for one in files)
+        within = ", ".join(str(held_file.path) for held_file in files)
         why = f"read {len(files)} times in {path}" if len(files) > 1 else f"in {path} only"
         left_out.append(f"{files[0].readings.name} ({within}), {why}")
     if not pairs:

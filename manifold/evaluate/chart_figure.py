@@ -54,32 +54,33 @@ _LABEL = 8.8
 _LEAST_ERROR = 1e-4  # smaller ones are drawn here
 
 
-def chart(made: Chart) -> Figure:
+def chart(measured: Chart) -> Figure:
     """Draw errors against costs: points on the front filled and joined, dominated ones pale, seen ones as crosses."""
     figure = new_figure(15.0, 12.4)
-    kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
+    kind = "RGB" if measured.n_bands == 3 else f"{measured.n_bands} bands"
     figure.suptitle(
-        "\n".join([*textwrap.wrap(conclusion(made), 140, break_on_hyphens=False), ""])
-        + f"Speed against accuracy: {made.n_materials} materials, {kind}, each left out once; below and left is better",
+        "\n".join([*textwrap.wrap(conclusion(measured), 140, break_on_hyphens=False), ""])
+        + f"Speed against accuracy: {measured.n_materials} materials, {kind}, each left out once; below and left is "
+        "better",
         fontsize=12.5,
     )
     grid = figure.subplots(len(COSTS), len(_ERRORS), sharex="row", sharey="col", squeeze=False)
     for axis_row, cost in zip(grid, COSTS, strict=True):
         for axes, error in zip(axis_row, _ERRORS, strict=True):
-            _points(axes, made, error, cost)
+            _points(axes, measured, error, cost)
             axes.set_xlabel(_COSTS[cost])
-        costs = [cost_of(row, cost) for row in _with(made, cost)]
+        costs = [cost_of(row, cost) for row in _with(measured, cost)]
         _widen(axis_row[0], costs)
         if costs and max(costs) < 30.0 * min(costs):
             _number_ticks(axis_row[0].xaxis, axis_row[0].get_xlim())
     for axes, error in zip(grid[0], _ERRORS, strict=True):
         axes.set_title(f"{ERRORS[error]}, median", fontsize=11)
-        _error_ticks(axes, [_error_of(row, error) for row in made.rows])
-    figure.legend(handles=_legend(made), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
+        _error_ticks(axes, [_error_of(row, error) for row in measured.rows])
+    figure.legend(handles=_legend(measured), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
     fix_layout(figure)
     for axis_row, cost in zip(grid, COSTS, strict=True):
         for axes, error in zip(axis_row, _ERRORS, strict=True):
-            _name(figure, axes, made, error, cost)
+            _name(figure, axes, measured, error, cost)
     return figure
 
 

@@ -321,8 +321,8 @@ def _assess(residuals: Residuals, minima: list[Minimum], noise: float, tried: Tr
     variance = identifiability.residual_variance(residual, layout.size, assumed)
     limit = identifiability.as_good_limit(variance, layout.size)
     minima = gauss_newton.select_minima(minima, limit)
-    is_as_good = [one.cost - best.cost <= limit for one in minima]
-    others = [one.p for one, good in zip(minima[1:], is_as_good[1:], strict=True) if good]
+    is_as_good = [minimum.cost - best.cost <= limit for minimum in minima]
+    others = [minimum.p for minimum, good in zip(minima[1:], is_as_good[1:], strict=True) if good]
     statements = identifiability.identify_parameters(layout, best.p, J, variance, others, tried.kept)
     statements = tuple(
         replace(s, state=identifiability.UNCERTAIN) if refused and s.state == identifiability.UNSEEN else s
@@ -350,8 +350,10 @@ def _result(
         residuals=fit_metrics.relative_residuals(criterion.samples, everywhere.values(best.p)[0]),
         diffuse_residual=float(np.sqrt(fit_metrics.best_diffuse(criterion)[1]) / norm),
         minima=tuple(
-            FittedMinimum(layout.split(one.p), float(np.sqrt(one.cost) / norm), good, one.converged)
-            for one, good in zip(assessed.minima, assessed.is_as_good, strict=True)
+            FittedMinimum(
+                layout.split(minimum.p), float(np.sqrt(minimum.cost) / norm), good, minimum.converged
+            )
+            for minimum, good in zip(assessed.minima, assessed.is_as_good, strict=True)
         ),
         statements=assessed.statements,
         n_pairs=len(samples),

@@ -111,18 +111,18 @@ def _measured(
     """Return the better one of the files, its plausibility, and the bend of its normal distribution."""
     measure = partial(measure, resolution=options.resolution)
     file = measure(n_theta_i=options.incidences)
-    found = plausibility_of_file(file)
-    if found.max_albedo > diagnostics.MOST_ALBEDO:
+    plausibility = plausibility_of_file(file)
+    if plausibility.max_albedo > diagnostics.MOST_ALBEDO:
         finer = measure(n_theta_i=2 * options.incidences)
         resolved = plausibility_of_file(finer)
         if resolved.max_albedo <= diagnostics.MOST_ALBEDO:
             return finer, resolved, None
-    if found.highlight_valley > diagnostics.MOST_VALLEY:
+    if plausibility.highlight_valley > diagnostics.MOST_VALLEY:
         soft = measure(n_theta_i=options.incidences, bend=goniometer.SOFT_BEND)
         softly = plausibility_of_file(soft)
-        if softly.highlight_valley < found.highlight_valley:
+        if softly.highlight_valley < plausibility.highlight_valley:
             return soft, softly, goniometer.SOFT_BEND
-    return file, found, None
+    return file, plausibility, None
 
 
 def require_bsdf_output(output: Path) -> None:
@@ -175,20 +175,20 @@ def write_output(
     `expected_error`, of cube roots, relative, is kept as the file's field `EXPECTED_ERROR`.
     """
     name = material_name(output)
-    file, found, projection, change = output_file(
+    file, plausibility, projection, change = output_file(
         brdf, name, options, description=description, keeps_hue=keeps_hue
     )
-    if found.max_albedo > diagnostics.MOST_ALBEDO and options.strict:
+    if plausibility.max_albedo > diagnostics.MOST_ALBEDO and options.strict:
         return WrittenFile(
-            found,
-            refusal=f"{output}: would have an albedo of {found.max_albedo:.2f} at "
-            f"{found.albedo_incidence_deg:.0f} degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or write "
-            "it with a warning: options physical, strict",
+            plausibility,
+            refusal=f"{output}: would have an albedo of {plausibility.max_albedo:.2f} at "
+            f"{plausibility.albedo_incidence_deg:.0f} degrees, expected at most {diagnostics.MOST_ALBEDO}; "
+            f"{remedy}, or write it with a warning: options physical, strict",
         )
     if expected_error is not None:
         file = replace(file, extra={EXPECTED_ERROR: np.array([expected_error], np.float32)})
     write_bsdf(output, file)
-    return WrittenFile(found, file, projection, change)
+    return WrittenFile(plausibility, file, projection, change)
 
 
 def write_checked(

@@ -25,7 +25,7 @@ GROUPS = {
     "Files": {
         "import": ("library", "Import files or folders into a library."),
         "info": ("library", "Show what a file, a library, a model or a fit contains."),
-        "convert": ("instrument", "Convert between files of BRDFs, of instruments and of simulators."),
+        "convert": ("instrument", "Convert between BRDF, instrument and simulator files."),
         "fetch": ("library", "Download files of the RGL database."),
         "compact": ("library", "Store the materials of a library in a few per cent of their bytes."),
         "corpus": ("library", "Write the built-in synthetic corpus."),
@@ -45,7 +45,7 @@ GROUPS = {
     "Samples": {
         "complete": ("completion", "Complete a few readings of a material to a full BRDF."),
         "photograph": ("photograph", "Find the BRDF of a painted ball or tin in photographs."),
-        "reconstruct": ("model", "Write a measured file as a combination of a library's materials."),
+        "reconstruct": ("model", "Approximate a measured file by a combination of a library's materials."),
         "surface": ("surface", "Make textures and materials from a workbook's own pictures."),
         "calibrate": ("completion", "Fit the colour correction of an instrument to a reference instrument."),
     },
@@ -61,7 +61,7 @@ GROUPS = {
         "stability": ("report", "Test known failure modes, and whether they are detected."),
         "budget": (
             "report",
-            "Find the cheapest representation of a scene's materials that keeps its picture.",
+            "Find the cheapest representation of a scene's materials that preserves its picture.",
         ),
         "slices": ("picture", "Draw BRDF values over angles or wavelengths."),
     },

@@ -193,7 +193,7 @@ def make_many(
         f"{len(done)} {command.what} in {folder}" + (f", {kept} of them kept" if kept else "") + "\n"
     )
     listed = [path.name for path in (made.sheet, *made.tables) if path.is_file()]
-    results.text(f"there: {', '.join(listed)}\n")
+    results.text(f"with {', '.join(listed)}\n")
     document = made.to_json()
     document["failed"] = [*failed, *document["failed"]]
     results.document(document)

@@ -59,7 +59,7 @@ def complete(
         typer.Option("--into", help="Also import the completed samples into this library.", metavar="FOLDER"),
     ] = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="Treat all files as one sample, even if its names differ.")
+        bool, typer.Option("--merge", help="Treat all files as one sample, even if the sample names differ.")
     ] = False,
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
@@ -69,7 +69,7 @@ def complete(
         float | None,
         typer.Option(
             help="Repeatability of the instrument, in per cent of a reading; the completion reproduces "
-            "readings to that accuracy.  [default: 0.25 of spectrophotometers, 3 of goniometers]",
+            "readings to that accuracy.  [default: 0.25 for spectrophotometers, 3 for goniometers]",
             metavar="PERCENT",
             min=0.0,
             max=100.0,
@@ -88,7 +88,7 @@ def complete(
         typer.Option(
             "--mixture",
             help="For --lab and --gloss: mix the library's materials, metals included. Without it the result "
-            "is a dielectric coat over a diffuse base, which reaches both.",
+            "is a dielectric coat over a diffuse base, which matches both.",
         ),
     ] = False,
     illuminant: options.IlluminantOption = None,
@@ -121,8 +121,8 @@ def complete(
     """Complete readings of a material to a full BRDF, with a library of materials as prior.
 
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
-    samples are completed into a folder, with a table and a sheet of balls; results of an earlier run are kept, and
-    A report (--report) of several has an index and a page per sample.
+    samples are completed into a folder, with a table and a picture of all balls; results of an earlier run are
+    kept. A report (--report) of several samples has an index and a page per sample.
     """
     from manifold.estimate import completions, inputs, instruments, reports, suggestions
     from manifold.estimate.attributes import readings_of_colour
@@ -247,7 +247,7 @@ def complete(
         reports.write_completion(report, made, readings or [])
     rows = {"from": source, **made.rows} | ({} if made.picture is None else {"picture": made.picture})
     _show_completed(results, made, rows, report)
-    results.text("\nMixtures of materials that explain the readings, before they are adjusted to these:\n")
+    results.text("\nMixtures of materials that explain the readings, before adjustment to the readings:\n")
     results.table(
         ("materials", "probability", "residual", "difference of the ball"),
         [
@@ -284,7 +284,7 @@ def calibrate(
         bool,
         typer.Option(
             "--allow-harm",
-            help="Write the correction even if it is worse than none by its leave-one-out errors.",
+            help="Write the correction even if its leave-one-out error exceeds the error without it.",
         ),
     ] = False,
     report: options.ReportOption = None,
@@ -292,9 +292,9 @@ def calibrate(
 ) -> None:
     """Fit the colour correction of a camera-based instrument to a spectrophotometer, over several samples.
 
-    Compares linear, root-polynomial and Cheung's polynomial forms, and selects the one with the least
-    leave-one-out error, sample by sample, of those that make at most a quarter of the samples worse. Give six or more
-    samples of different colours: one sample determines the correction of its own colour only.
+    Cross-validates linear, root-polynomial and Cheung's polynomial forms, leaving out one sample at a time. Rejects
+    forms that make more than a quarter of the samples worse; of the others, writes the one with the smallest error.
+    Give six or more samples of different colours: one sample corrects only its own colour.
     """
     from manifold.estimate import instruments, reports
 
@@ -342,10 +342,8 @@ def _show_completed(
 def _show_suggested(
     results: terminal.Results, suggested: Suggested, title: str, instrument: str | None
 ) -> None:
-    of = instrument or "a goniometer up to 80 degrees (--instrument keeps to ma-t12 or mini-diff)"
-    results.text(
-        f"{title}, with {of}, angles in degrees; azimuth 0 is on the side of the mirror direction:\n"
-    )
+    of = instrument or "a goniometer up to 80 degrees (or --instrument ma-t12 or mini-diff)"
+    results.text(f"{title} with {of}. Angles in degrees, azimuth 0 on the side of the mirror direction:\n")
     results.table(
         ("incidence", "outgoing", "azimuth"),
         [tuple(f"{angle:.0f}" for angle in row) for row in suggested.angles_deg],

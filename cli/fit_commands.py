@@ -43,12 +43,12 @@ def fit(
     method: Annotated[
         str,
         typer.Option(
-            help="{manifold.registries.FITTERS}: Gauss-Newton from many starts, or others to compare with.",
+            help="{manifold.registries.FITTERS}: Gauss-Newton from many starts; adam and swarm are for comparison.",
             metavar="NAME",
         ),
     ] = "gauss-newton",
     metric: Annotated[
-        Metric, typer.Option(help="Residuals: of a lit ball and of cube roots of samples; or only of samples.")
+        Metric, typer.Option(help="Residuals: appearance, a lit ball and cube roots of samples; else only samples.")
     ] = "appearance",
     free: Annotated[
         str | None,
@@ -78,7 +78,7 @@ def fit(
 
     Writes one JSON per material: parameters, the difference on a lit ball, residuals, all minima found, and
     how well the samples determine each parameter. Fits that are up to date are kept. Several materials are fitted into
-    a folder, with a table and a sheet of balls.
+    a folder, with a table and a picture of all balls.
     """
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits
@@ -206,8 +206,8 @@ def export(
     pack: Annotated[
         Path | None,
         written(
-            help="Write a whole library, or folder, here, with index.html: balls measured and exported, and their "
-            "differences.",
+            help="Export a whole library or folder into this folder, with an index.html that shows measured and "
+            "exported balls and their differences.",
             metavar="FOLDER",
         ),
     ] = None,
@@ -215,9 +215,9 @@ def export(
 ) -> None:  # fmt: skip
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
-    The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 of the ball
-    between the two, mean of {manifold.judged_lights.LIGHTS} that the fit did not use, beside that of Mitsuba's
-    principled, where the fit starts.
+    The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 between
+    balls of the material and of its fit, mean of {manifold.judged_lights.LIGHTS} that the fit did not use. The error of
+    Mitsuba's principled, where the fit starts, is printed beside it.
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
@@ -257,7 +257,7 @@ def _show_export(results: terminal.Results, outcome: Outcome[Any], picture: Path
     rows = terminal.parameter_rows(content["parameters"])
     rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, against the {content['against']}"
     if content["principled_errors"] is not None:
-        rows["of Mitsuba's principled"] = Errors(**content["principled_errors"])
+        rows["Mitsuba's principled"] = Errors(**content["principled_errors"])
     if picture is not None:
         rows["picture"] = picture
     rows |= terminal.numbered("note", outcome.notes)

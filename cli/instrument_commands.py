@@ -24,7 +24,7 @@ def convert(
         list[str],
         typer.Argument(
             help="A file; the files of one sample, one per incidence; a material of the library; or a place on the "
-            "map. Into a folder: several of these, folders, patterns, libraries.",
+            "map. If OUT is a folder: several of these, folders, patterns or libraries.",
             metavar="IN",
         ),
     ],
@@ -69,7 +69,8 @@ def convert(
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="Treat several files as one sample, even if its names differ.")
+        bool,
+        typer.Option("--merge", help="Treat several files as one sample, even if the sample names differ."),
     ] = False,
     report: options.ReportOption = None,
     workers: WorkerOptions = PER_CORE,
@@ -78,8 +79,8 @@ def convert(
     """Convert a BRDF or readings into another format, and report the conversion error.
 
     Reads RGL files, and those of other programs and instruments, recognised by their content:
-    {manifold.registries.FORMATS}. The result is read back and compared at the file's own nodes. Several are
-    written into a folder, with a table and a sheet of balls.
+    {manifold.registries.FORMATS}. The result is read back and compared at the file's own nodes. Several
+    materials are written into a folder, with a table and a picture of all balls.
     """
     from manifold.convert import conversion
     from manifold.convert.targets import Options

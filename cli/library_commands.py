@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 ToleranceOption = Annotated[
     float | None,
     typer.Option(
-        help="{manifold.judged_lights.BALL} that a compact material may differ by.  [default: 0.2]",
+        help="Largest difference of a compact material from the original: {manifold.judged_lights.BALL}.  "
+        "[default: 0.2]",
         metavar="E",
     ),
 ]
@@ -150,15 +151,15 @@ def import_(
         ),
     ] = False,
     compact: Annotated[
-        bool, typer.Option("--compact", help="Store them as `manifold compact` does, not bit for bit.")
+        bool, typer.Option("--compact", help="Compress the materials with loss, like `manifold compact`.")
     ] = False,
     tolerance: ToleranceOption = None,
     rotation: Annotated[
         str | None,
         typer.Option(
             "--rotation",
-            help="Azimuth in degrees by which anisotropic samples were turned; predictions turn them back. auto turns "
-            "the direction in which normals spread most, and highlights are wide, to x.",
+            help="Azimuth in degrees by which anisotropic samples were rotated; predictions rotate them back. auto "
+            "estimates it: the axis along which highlights are widest becomes x.",
             metavar="DEG|auto",
         ),
     ] = None,
@@ -227,7 +228,7 @@ def compact(
 
     Each compact material is compared with the original, which is then removed: keep the imported files if you need them
     bit for bit. All commands read compact libraries, and earlier models stay valid. The bound on the cube-root error
-    is 1 % at the default tolerance, otherwise in proportion.
+    is proportional to the tolerance: 1 % at the default.
     """
     from manifold.judged_lights import BALL
     from manifold.library.compacting import compact_library
@@ -245,12 +246,12 @@ def compact(
             f"{max(e.ball for e in errors):.2f} {BALL}",
             f"{max(e.cube_root for e in errors):.2%} cube-root error",
         ]
-    rows["left as they are"] = len(result.failed)
+    rows["unchanged"] = len(result.failed)
     rows["size"] = f"{terminal.megabytes(after)}, before {terminal.megabytes(before)}"
     results.rows(f"Library {library}", rows)
     results.document({"library": library, **vars(result), "bytes_before": before, "bytes_after": after})
     if result.failed:
-        raise LibraryError(_shortened(list(result.failed.values()), "left as they are"))
+        raise LibraryError(_shortened(list(result.failed.values()), "unchanged"))
 
 
 @app.command(
@@ -261,8 +262,8 @@ def info(
     path: Annotated[
         str,
         typer.Argument(
-            help="A .bsdf or instrument's file, a library, a model, or a fit's JSON; a material of the library; or "
-            "a place on the map.",
+            help="A .bsdf file or an instrument's file, a library, a model, or a fit's JSON; a material of the "
+            "library; or a place on the map (X,Y or FROM:TO:T).",
             metavar="PATH",
         ),
     ] = str(options.DEFAULT_LIBRARY),
@@ -321,8 +322,8 @@ def find(
     material: Annotated[
         str | None,
         typer.Argument(
-            help="A file of a BRDF or of readings, a material of the library, or a place on the map; the "
-            "command finds the materials that look most like it.",
+            help="A file of a BRDF or of readings, a material of the library, or a place on the map (X,Y or "
+            "FROM:TO:T).",
             metavar="MATERIAL",
             show_default=False,
         ),
@@ -348,9 +349,9 @@ def find(
 ) -> None:
     """List the materials of a library nearest to a material, or to a colour, a gloss, or both.
 
-    Materials are compared as balls in {manifold.judged_lights.LIGHTS}, readings at their geometries, both by CIEDE2000.
-    Colours are printed, and distances CIEDE2000, under D65 and the 2 degree observer in the geometry 45/0; gloss counts
-    in steps of a fifth, about as visible as a CIEDE2000 of 1.
+    The distance from a BRDF is the CIEDE2000 of balls in {manifold.judged_lights.LIGHTS}; from readings, the CIEDE2000
+    at their geometries; from --lab, the CIEDE2000 at 45/0 under D65 and the 2 degree observer. A factor of 1.2 in gloss
+    counts as a CIEDE2000 of 1.
     """
     from manifold.estimate import attributes, coat, completions
     from manifold.formats.readings import Readings

@@ -72,7 +72,7 @@ def embed(
         Kind,
         typer.Option(
             help="blend: non-negative combinations of the surrounding materials. gplvm: a Gaussian process of whole "
-            "materials (Hikichi & Iwasaki); material is its old name."
+            "materials (Hikichi & Iwasaki); material is the old name of gplvm."
         ),
     ] = "blend",
     latent_dim: Annotated[
@@ -159,7 +159,7 @@ def embed(
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold.
 
-    It runs in this process, on all cores; with --scheduler, as one task of one worker.
+    Runs in this process on all cores, or with --scheduler as one task on one worker.
     """
     from manifold.evaluate.selection import PAYS, embed
     from manifold.judged_lights import BALL_COLUMN
@@ -268,8 +268,8 @@ def predict(
     place: Annotated[
         str | None,
         typer.Argument(
-            help="Latent coordinates separated by commas, without spaces; FROM:TO:T on the walk between two materials, "
-            "T from 0 to 1; or a material of the library or a file, which is located.",
+            help="Latent coordinates separated by commas, without spaces; FROM:TO:T, a step between two materials (see "
+            "`manifold walk`), T from 0 to 1; or a material of the library or a file, which is located.",
             metavar="X,Y|FROM:TO:T|NAME|FILE",
             show_default=False,
         ),
@@ -296,7 +296,7 @@ def predict(
 
     The colour is that of the latent, unless --like, --reflectance or --srgb chooses another. --lightness, --chroma and
     --hue change it; --gloss changes only the coat, not the layer below.
-    `--latent X,Y` is another way to name the place.
+    `--latent X,Y` is equivalent to the argument X,Y.
     """
     from manifold.estimate import predictions
     from manifold.estimate.attributes import Attributes
@@ -383,8 +383,8 @@ def locate(
 ) -> None:
     """Find the latent of a measured material on the fitted manifold.
 
-    The JSON has its colours. The predictions of several materials are written into a folder, with a table and a sheet
-    of balls.
+    --json also writes its colours. The predictions of several materials are written into a folder, with a table and a
+    picture of all balls.
     """
     from manifold.estimate import descriptions
     from manifold.model.diagnostics import in_words
@@ -457,9 +457,9 @@ def reconstruct(
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
 
-    Describes a new material most accurately: by single bands of all materials and by analytic lobes, with weights that
-    are never negative. It needs no model, and the result has no latent. Several are written into a
-    folder, with a table and a sheet of balls.
+    This is the most accurate description of a new material: a non-negative combination of single bands of all materials
+    and of analytic lobes. It needs no model and gives no latent. Several materials are written into a folder, with a
+    table and a picture of all balls.
     """
     from manifold.estimate import descriptions
     from manifold.model.output_file import OutputOptions

@@ -136,8 +136,8 @@ PhysicalOption = Annotated[
     bool,
     typer.Option(
         "--physical",
-        help="Change only impossible values: none negative, albedo at most 1, reciprocal within 5 %; may "
-        "refine grids.",
+        help="Make the file physically plausible: no negative values, albedo at most 1, reciprocal within "
+        "5 %. Plausible values stay as they are; grids may be refined.",
         rich_help_panel=GRID,
     ),
 ]
@@ -176,7 +176,7 @@ ReportOption = Annotated[
     Path | None,
     written(
         "--report",
-        help="Also write a report to hand on: one page of HTML, printable.",
+        help="Also write a printable report, as one HTML file.",
         at_end=True,
     ),
 ]

@@ -60,8 +60,8 @@ class PhotoOptions:
         str | None,
         typer.Option(
             "--exposure",
-            help="Exposure of the pictures relative to the light, or to a white diffuser that faces the lamp; each if "
-            "it is unknown, with lamps of unknown strength; free if it is unknown and all pictures share it.  "
+            help="Exposure of the pictures relative to the light, or to a white diffuser that faces the lamp; free: "
+            "unknown, equal for all pictures; each: unknown, different per picture (or lamps of unknown strength).  "
             "[default: each for lamps without a grey card, else 1]",
             metavar="E|free|each",
             rich_help_panel=TAKEN,
@@ -232,7 +232,7 @@ def photograph(
     suggest: Annotated[
         int,
         typer.Option(
-            help="Also suggest this many places of the lamp for the next pictures; without pictures, for the first.",
+            help="Also suggest this many lamp directions for the next pictures; without pictures, for the first.",
             metavar="K",
             min=0,
             max=100,
@@ -246,7 +246,7 @@ def photograph(
     """Find the BRDF of a painted ball or tin in photographs, with a library of materials as prior.
 
     The light of the pictures is given by --lamp, --light or --light-ball. Readings, gloss and a colour of the same
-    material are part of the same estimate. To find its place on a map, run `manifold locate` on the result.
+    material are part of the same estimate. To locate the result on a map, run `manifold locate`.
     """
     from manifold.model.output_file import OutputOptions
 
@@ -311,7 +311,7 @@ def show_photographs(
     written = {} if report is None else {"report": report}
     results.rows(title, {**photographed.rows, **written, "time": f"{photographed.seconds:.1f} s", **notes})
     if photographed.plan is not None:
-        show_plan(results, photographed.plan, " beside what there is")
+        show_plan(results, photographed.plan, " in addition to these")
     results.document(photographed)
 
 
@@ -331,14 +331,13 @@ def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
         )
 
     results.text(
-        f"\nWhat one picture{beside} determines, by the angle between lamp and camera: median errors of left-out "
-        f"materials\n(CIEDE2000 of the ball in {LIGHTS} and of the colour at 45/0, gloss, L* at 15 less that at 110 "
-        "degrees)\n"
+        f"\nMedian errors of left-out materials with one picture{beside}, by the angle between lamp and camera\n"
+        f"(CIEDE2000 of the ball in {LIGHTS} and of the colour at 45/0, gloss, L* at 15 minus L* at 110 degrees)\n"
     )
     results.table(
         heads, [cells(f"{determined.angles_deg[-1]:.0f} degrees", determined) for determined in plan.alone]
     )
-    results.text("\nHold the lamp next\n")
+    results.text("\nNext lamp directions\n")
     results.table(
         heads, [cells(f"{determined.angles_deg[-1]:.0f} degrees", determined) for determined in plan.next]
     )

@@ -89,10 +89,10 @@ def walk(
     output: PictureOption = Path("walk.png"),
     json: options.JsonOption = None,
 ) -> None:
-    """Draw a walk between two materials, in steps that look equally large, and below it the path of latents.
+    """Draw a walk between two materials in perceptually equal steps, above the predictions between their latents.
 
-    A walk uses only the two materials: roughness goes from one to the other, the rest is averaged. The path of
-    latents shows predictions from the surrounding materials on the straight line between the two.
+    A walk uses only the two materials: it interpolates their roughness and averages the rest. The second row shows
+    predictions from all surrounding materials, on the straight line between the two latents.
     `manifold predict FROM:TO:T -o FILE.bsdf` and `manifold export FROM:TO:T` write a step of the walk.
     """
     from manifold.pictures import maps
@@ -378,7 +378,7 @@ def compare(
     seed: SeedOption = 0,
     json: options.JsonOption = None,
 ) -> None:
-    """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are rendered alike first.
+    """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are first rendered in the same light.
 
     CIEDE2000 is defined for two uniform patches: most observers see a difference of 1. The same holds for a Delta E_ITP
     of 1 on a display with a white of 100 cd/m2. Means over a ball have no such threshold. FLIP ranges from 0 to 1 and
@@ -406,6 +406,4 @@ def compare(
 
 
 def _summary(found: Summary) -> str:
-    return (
-        f"mean {found.mean:.3f}, median {found.median:.3f}, 95 % below {found.p95:.3f}, most {found.max:.3f}"
-    )
+    return f"mean {found.mean:.3f}, median {found.median:.3f}, 95 % below {found.p95:.3f}, largest {found.max:.3f}"

@@ -62,7 +62,7 @@ def report(
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times.
 
-    --workers and --scheduler share out the models that are fitted without each material.
+    --workers and --scheduler distribute the leave-one-out fits.
     """
     from manifold.evaluate.report import make_report
     from manifold.evaluate.report_text import format_report
@@ -137,7 +137,7 @@ def chart(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            help="A setting's key, or a method's with --readings; may be repeated.",
+            help="Run only this setting (with --readings, this method); may be repeated.",
             metavar="KEY",
         ),
     ] = None,
@@ -146,8 +146,8 @@ def chart(
         bool,
         typer.Option(
             "--readings",
-            help="Instead: errors of completions against the number of readings (takes minutes; with --only one of "
-            "completion, ridge, ridge_same, nearest, principled: less).",
+            help="Instead: errors of completions against the number of readings (takes minutes; less with --only "
+            "completion, ridge, ridge_same, nearest or principled).",
         ),
     ] = False,
     workers: OneWorkerOptions = ONE,
@@ -155,12 +155,12 @@ def chart(
 ) -> None:
     """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
 
-    Takes minutes (51 materials in 195 bands: ten). When it is interrupted, the library keeps what is done, and the
-    same command continues.
+    Takes minutes (51 materials in 195 bands: ten). After an interruption, the same command
+    continues from the finished settings, which the library keeps.
 
-    Times are relative to one evaluation of a synthetic material in the same run. P, B, F: on the Pareto front of
-    an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no
-    front. With --readings it runs in this process.
+    Times are relative to one evaluation of a synthetic material in the same run. P, B and F mark settings on the Pareto
+    front of error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are not
+    marked. With --readings it runs in this process.
     """
     from manifold.evaluate.chart import make_chart
     from manifold.library.store import Library
@@ -278,8 +278,8 @@ def stability(
     """Run a catalogue of failure modes on synthetic plastics with known ground truth (takes minutes).
 
     Undetected: the largest error without a warning or an error message; above its limit the result is silently
-    wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program; those that are
-    not known make the exit status 1. Outcomes are listed in order of severity.
+    wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program; the
+    exit status is 1 if any is not a known one. Outcomes are listed in order of severity.
     """
     from manifold.evaluate.stability import catalogue, stability_figure
     from manifold.evaluate.stability.catalogue import MODES
@@ -348,14 +348,16 @@ def budget(
     samples: Annotated[
         int, typer.Option(help="Light paths per pixel, in the analysis.", metavar="N", min=1, max=1 << 16)
     ] = 128,
-    seed: Annotated[int, typer.Option(help="Fixes the noise.", metavar="N", min=0)] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0)
+    ] = 0,
     picture: Annotated[
         Path | None,
         written("--picture", help="Also draw both renders and the cost of every representation."),
     ] = None,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
-    """Find the cheapest representation of each measured material that keeps the rendered picture.
+    """Find the cheapest representation of each measured material that preserves the rendered picture.
 
     BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
     or are kept. By convention a CIEDE2000 above 1 is called visible.

@@ -38,9 +38,9 @@ def surface(
         Path | None,
         typer.Option(
             "--lamp",
-            help="Instead of workbooks, photographs of a flat sample from above: a text file of their lamps with "
-            "one line per picture, in the order of their names: right, up, towards the camera, and "
-            "intensity if it differs.",
+            help="For photographs of a flat sample from above, instead of workbooks: a text file of lamp "
+            "directions, one line per picture in the order of the file names: right, up, towards the camera, and "
+            "the intensity if lamps differ.",
             metavar="FILE",
         ),
     ] = None,
@@ -50,7 +50,8 @@ def surface(
     target: Annotated[
         list[str] | None,
         typer.Option(
-            help="gltf, openpbr, standard-surface, usd or blender; may be repeated. [default: all but the third]",
+            help="gltf, openpbr, standard-surface, usd or blender; may be repeated. [default: all but "
+            "standard-surface]",
             show_default=False,
             metavar="NAME",
         ),
@@ -58,8 +59,7 @@ def surface(
     mm_per_pixel: Annotated[
         float | None,
         typer.Option(
-            help="Width of a pixel of the pictures in millimetres, if you know it: heights in pixels times this are "
-            "millimetres.",
+            help="Width of a picture's pixel in millimetres, if known. It is recorded; heights stay in pixels.",
             metavar="MM",
             min=1e-6,
             max=1e3,

@@ -426,7 +426,7 @@ def test_a_plan_says_what_one_lamp_determines_and_which_to_add(photo_atoms, thre
 def test_lamps_are_suggested_before_and_after_the_picture(run, library, tmp_path):
     status, out, err = run("photograph", "--suggest", "1", "-L", library, cwd=tmp_path)
     assert status == 0, err
-    assert "Hold the lamp next" in out
+    assert "Next lamp directions" in out
     status, _, err = run("photograph", "--lamp", "flash", "-L", library, cwd=tmp_path)
     assert (status, "found no picture" in err) == (2, True)
 

@@ -57,7 +57,7 @@ def inspect_instrument_file(
         tables.append((("sample", "pairs", "bands"), listed))
     textured = [record for record in records if isinstance(record, Readings) and record.texture]
     if textured:
-        rows["texture"] = "graininess, sparkle or pictures of the sample are below"
+        rows["texture"] = "graininess, sparkle or pictures of the sample, listed below"
     for record in textured[:_MOST_LISTED]:
         for key, value in record.texture.items():
             heads, cells = _picture_table(record) if key == "images" else _texture_table(key, value)
@@ -109,7 +109,7 @@ def _count(record: registry.Record) -> int:
 
 def _picture_table(readings: Readings) -> Table:
     """Return pictures with their geometries, sizes and mean colours, and the ratio to the readings'."""
-    heads = ("picture", "camera, lamp in degrees", "pixels", "mean linear sRGB", "over its reading")
+    heads = ("picture", "camera, lamp in degrees", "pixels", "mean linear sRGB", "ratio to the reading")
     rows = []
     for caption, content in readings.texture["images"].items():
         geometry, factor = picture_geometry(caption), np.full(3, np.nan)
@@ -239,9 +239,7 @@ def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> In
     mask = file.measured_mask
     share = unmeasured_share(file, unmeasured_cells(file))
     checked = check_consistency(file, has_exact_luminance=not is_compact)
-    unit = (
-        "times ndf / (4 sigma) they are f cos(theta_o) in 1/sr" if file.jacobian else "f cos(theta_o) in 1/sr"
-    )
+    unit = "times ndf / (4 sigma): f cos(theta_o) in 1/sr" if file.jacobian else "f cos(theta_o) in 1/sr"
     rows: dict[str, object] = {
         "description": file.description,
         "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
@@ -444,10 +442,10 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
     if left_out is None:
         rows["left-out errors"] = list(NOT_CALIBRATED)
     else:
-        kept = "the places of the others kept (reports fit them again)"
+        kept = "with the latents of the others fixed (`manifold report` refits them)"
         rows["left-out errors"] = [*_quantiles(left_out.errors), kept]
         if left_out.blended is not None:
-            rows["if the colour is blended"] = _quantiles(left_out.blended)
+            rows["in blended colours"] = _quantiles(left_out.blended)
         columns += ["left out: ball", "cube root"]
         both = left_out.errors.ball.tolist(), left_out.errors.cube_root.tolist()
         each = zip(left_out.materials.tolist(), *both, strict=True)

@@ -148,7 +148,7 @@ class Errors(Generic[Number]):
         return Errors(**{name: array(value) for name, value in content.items()})
 
     def __str__(self) -> str:
-        worst = f", in {self.worst_light} {self.worst:.2f}" if self.worst_light else ""
+        worst = f", worst {self.worst:.2f} ({self.worst_light})" if self.worst_light else ""
         seen = f"; in the lights of the fit {self.fitted_ball:.2f}" if "fitted_ball" in self.known else ""
         return f"{self.ball:.2f} (mean of {LIGHTS}){worst}{seen}"
 
@@ -157,7 +157,7 @@ class Errors(Generic[Number]):
         """Return the errors of one BRDF in words, for a terminal."""
         of_all = {
             "ball": f"{self.ball:.1f} {BALL}",
-            "worst": f"{self.worst:.1f} in the worst of them, {self.worst_light}",
+            "worst": f"{self.worst:.1f} in the worst light ({self.worst_light})",
             "cube_root": f"{self.cube_root:.0%} cube-root error",
             "linear": f"{self.linear:.0%} linear",
             "near_mirror": f"{self.near_mirror:.0%} cube-root error within 10 degrees of the mirror direction",

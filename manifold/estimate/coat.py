@@ -97,7 +97,7 @@ class Coated(Result):
     sample: ColourSample = field(metadata=entry(json=lambda result: result.sample.name))
     alpha: float = field(
         metadata=entry(
-            row="made",
+            row="material",
             words=lambda result: (
                 f"a dielectric coat (alpha {result.alpha:.3g}, index {result.index:.3g}) over a diffuse base"
             ),

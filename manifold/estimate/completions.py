@@ -190,8 +190,8 @@ class Completed(Result):
         most = int(off.argmax())
         wi, wo = (np.degrees(np.arccos(min(w[most, 2], 1.0))) for w in (readings.wi, readings.wo))
         return (
-            f"off by CIEDE2000 ({self.viewing}) {off.mean():.2f} in the mean, at most {off[most]:.2f} "
-            f"(at {wi:.0f} and {wo:.0f} degrees)" + self.beside(off[most])
+            f"mean CIEDE2000 ({self.viewing}) {off.mean():.2f}, largest {off[most]:.2f} (incidence {wi:.0f}, "
+            f"outgoing {wo:.0f} degrees)" + self.beside(off[most])
         )
 
     def between_in_words(self) -> str:

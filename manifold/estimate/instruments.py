@@ -226,8 +226,8 @@ def _shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
     """Return values of another instrument (S, 3) and of the reference (S, B) at shared directions."""
     if other.bands.count != _CAMERA_BANDS:
         raise BandMismatchError(
-            f"{other.name}: {other.bands}, expected three bands, to be corrected by the {reference.bands} of "
-            f"{reference.name}; give the spectrophotometer's file first"
+            f"{other.name}: {other.bands}, expected three bands, which the {reference.bands} of "
+            f"{reference.name} correct; give the spectrophotometer's file first"
         )
     at_reference = _interpolated(other, reference.wi, reference.wo)
     is_shared = np.isfinite(at_reference).all(axis=1) & reference.measured.all(axis=1)
@@ -350,7 +350,7 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
     disk.require_writable(output)
     if len(paths) % 2 or not paths:
         raise UsageError(
-            f"found {len(paths)}, expected pairs of files or folders, the reference's first, then the other's"
+            f"found {len(paths)} files or folders, expected pairs: the reference's, then the other's"
         )
     pairs: list[tuple[Readings, Readings]] = []
     left_out: list[str] = []

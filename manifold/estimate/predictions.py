@@ -29,9 +29,7 @@ from manifold.model.prediction import ClippedBRDF
 if TYPE_CHECKING:
     from manifold.estimate.attributes import Attributes
 
-_RECOATED = (
-    "its coat was changed to have the gloss; the expected error is that of the material with its own coat"
-)
+_RECOATED = "the coat was changed to reach the gloss; the expected error is that before this change"
 
 
 def predict(

@@ -48,14 +48,14 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path]) 
     completion, brdf = completed.completion, MeasuredBRDF(read_bsdf(completed.path))
     readings = completion.readings
     rows: dict[str, object] = {"from": [source.name for source in sources], **completed.rows}
-    rows["repeats within"] = f"{100 * readings.repeatability:g} % of a value"
+    rows["repeatability"] = f"{100 * readings.repeatability:g} % of a reading"
     sections = [
         Section("Sample", rows),
         balls(brdf),
         *_of_colours(completion),
         gloss(brdf, completion.readings.gloss),
         Section(
-            "Mixtures that explain the readings, before they are adjusted to these",
+            "Mixtures that explain the readings, before adjustment to the readings",
             heads=("materials", "probability", "residual"),
             table=[
                 (
@@ -163,7 +163,7 @@ def _of_colours(made: Completion) -> list[Section]:
     off = made.colour_misfits
     angles = angles_of(made.readings.wi, made.readings.wo)
     shown = np.arange(len(off))
-    title = f"Colours (L*, a*, b* under {made.viewing}), read and completed"
+    title = f"Colours (L*, a*, b* under {made.viewing}), readings and completion"
     if len(off) > _MOST_READINGS:
         shown = np.sort(np.argsort(off)[::-1][:_MOST_READINGS])
         title += f": the {_MOST_READINGS} of {len(off)} readings that differ most"
@@ -183,10 +183,12 @@ def _of_colours(made: Completion) -> list[Section]:
         rows["flop index"] = (
             f"{flop:.2f} read, {flop_index(angles, found):.2f} completed (2.69 (L15 - L110)^1.11 / L45^0.86)"
         )
-    figures = [("over the aspecular angle; lines completed, dots read", _colour_figure(angles, read, found))]
+    figures = [
+        ("over the aspecular angle; lines: completed, dots: readings", _colour_figure(angles, read, found))
+    ]
     if made.readings.wavelengths_nm is not None:
         spectra = _spectra_figure(made.readings, made.predicted, angles)
-        figures.append(("reflectance factors; lines completed, dots read", spectra))
+        figures.append(("reflectance factors; lines: completed, dots: readings", spectra))
     pictures = [(caption, html_page.drawing(figure)) for caption, figure in figures if figure is not None]
     return [Section("Over angles", rows, pictures=pictures), Section(title, heads=heads, table=table)]
 
@@ -270,7 +272,7 @@ def gloss(brdf: BRDF, read: Mapping[float, float] = MappingProxyType({})) -> Sec
     units_by_angle = gloss_units(brdf, GLOSS_ANGLES_DEG)
     return Section(
         "Gloss (ISO 2813)",
-        heads=("angle", "read", "of the file"),
+        heads=("angle", "measured", "of the BRDF"),
         table=[
             (f"{angle:g}", f"{read[angle]:.3g}" if angle in read else "", f"{units:.3g}")
             for angle, units in units_by_angle.items()

@@ -90,8 +90,8 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     try:
         known, names = _names(model, library)
         unknown = (
-            f"no material of {known.name} ({names_like(names, text)}), and no place on a map; "
-            "places are X,Y or FROM:TO:T between two materials"
+            f"no material of {known.name} ({names_like(names, text)}), and no place on a map (X,Y, or "
+            "FROM:TO:T between two materials)"
         )
     except ManifoldError as error:
         known, names = Path(), ()

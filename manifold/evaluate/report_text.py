@@ -51,7 +51,7 @@ the two. Latents kept, or others kept: latents (and of blends, paths of colours)
 fitted with the material, which is then predicted without it. All other methods
 are fitted without the material.
 a + b per band: a coordinates that all bands share, and b of every band.
-Medians and 90th percentiles of materials. linear: relative, cosine-weighted,
+Medians and 90th percentiles over materials. linear: relative, cosine-weighted,
 dominated by highlights; cube root: the same of cube roots, closer to perceived
 differences; CIEDE2000: of the ball, mean of the {LIGHTS} below."""
 
@@ -80,8 +80,8 @@ _PLAUSIBILITY: Columns = (
     ("ball ITP", lambda m: f"{m.median.ball_itp:.1f}"),
 )
 _PLAUSIBILITY_NOTE = f"""\
-RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, which a few directions at the
-horizon decide; RMSE 80: within 80 degrees, weighted by both cosines. negative:
+RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, dominated by a few directions at
+the horizon; RMSE 80: within 80 degrees, weighted by both cosines. negative:
 share of values, before they are cut to 0; measured files have some. recip.,
 albedo: error of reciprocity and largest albedo of the worst material. ball ITP:
 Delta E_ITP of the ball (ITU-R BT.2124), mean of {LIGHTS}, on a display whose
@@ -119,11 +119,11 @@ _EXPECTED_NAMES = {
     "blended_ball": "ball, blended", "blended_cube_root": "cube root, blended",
 }  # fmt: skip
 _EXPECTED_NOTE = f"""\
-Each material is left out of the map, and the others keep their places; its errors
-are expected without it, in its own colours or in colours blended from the
-surrounding materials. ball: {BALL}; rank
-corr.: of expected with true errors; below 2x: true errors below twice the
-expected."""
+Each material is left out of the map; the latents of the others are kept. Its
+expected errors are computed without it, in its own colours or in colours
+blended from the surrounding materials. ball: {BALL};
+rank corr.: rank correlation of expected and true errors; below 2x: share of
+true errors below twice the expected."""
 
 
 def lead(report: Report) -> str:
@@ -266,7 +266,7 @@ def _materials(report: Report) -> list[str]:
     ]
     note = (
         f"CIEDE2000: of '{first.title}', mean of {LIGHTS}.\n"
-        f"To its right: linear errors, first of the same method ({_MATERIAL_COLUMNS[shown[0]]})."
+        f"The columns to its right are linear errors, of this method in '{_MATERIAL_COLUMNS[shown[0]]}'."
     )
     return _table(head, rows, note)
 

@@ -210,7 +210,7 @@ def export(
         comparison.picture_of_brdfs(subject.name, sources, picture)
     if balls is not None:
         _write_balls(balls, material, model)
-    notes = (*subject.notes, *(f"of principled: {note}" for note in subject.fit["notes"]))
+    notes = (*subject.notes, *(f"principled: {note}" for note in subject.fit["notes"]))
     if made.errors.ball > VISIBLE:
         worst = f": {made.errors.ball:.1f} {BALL}, in {made.errors.worst_light} {made.errors.worst:.1f}"
         notes = (f"visibly different from the {subject.against}{worst}", *notes)

@@ -363,7 +363,7 @@ def _direction_columns(table: Table, index: int, heads: list[str], context: Erro
     if not bands or unknown or not is_one_kind:
         raise context.error(
             f"columns {', '.join(unknown or [head for head in heads if head])[:80]}: expected values beside the "
-            f"directions, with heads such as 465nm, R, G, B, or one of {KNOWN}, a row per pair of directions",
+            f"directions, one row per pair of directions, in columns such as 465nm, R, G, B, or one of {KNOWN}",
             where,
             remedy=NEW_HEADER,
         )

@@ -105,7 +105,7 @@ class DiagnosedPrediction(Result):
         default=None,
         metadata=entry(
             row="file",
-            words="at most {:.1%} from the prediction within 5 degrees of mirror directions",
+            words="differs from the prediction by at most {:.1%} within 5 degrees of mirror directions",
         ),
     )
     diagnostics: tuple[str, ...] = field(metadata=entry(row="diagnostics"))
@@ -196,8 +196,8 @@ def in_words(
     words = [*expected.words, "90 % of errors below twice these"]
     if in_chosen_colour is not None:
         words.append(
-            f"in a chosen colour {in_chosen_colour.ball:.1f} and {in_chosen_colour.cube_root:.0%}: this one is blended "
-            "from the surrounding materials"
+            f"{in_chosen_colour.ball:.1f} and {in_chosen_colour.cube_root:.0%} if the colour is chosen: this one is "
+            "blended from the surrounding materials"
         )
     return words + [f"coarse: known from {materials} materials"] * (materials < COARSE_BELOW)
 

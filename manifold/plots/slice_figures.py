@@ -166,7 +166,7 @@ def _channels(brdf: EvaluableBRDF, f: Array, wavelengths_nm: Sequence[float]) ->
     if not wavelengths_nm:
         return to_srgb(f, brdf.bands)
     if brdf.bands.wavelengths_nm is None:
-        raise UsageError("wavelengths of an RGB material, expected none")
+        raise UsageError("--bands: an RGB material has no wavelengths; leave the option out")
     known = np.asarray(brdf.bands.wavelengths_nm)
     outside = [w for w in wavelengths_nm if not known[0] <= w <= known[-1]]
     if outside:

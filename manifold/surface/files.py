@@ -439,7 +439,7 @@ def write_exports(
 def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, ...]:
     """Return notes on parts of the flakes that the materials of engines do not show."""
     notes = tuple(
-        f"{name}: no flakes, its coat has the normals of its base"
+        f"{name}: no flakes, because its coat shares the normals of its base"
         for name in targets
         if not _shows_flakes(name, flakes)
     )

@@ -209,7 +209,7 @@ def _registered(values: Array) -> tuple[Array, tuple[str, ...]]:
             rows = np.arange(values.shape[1])
             spline = make_interp_spline(rows, values[..., channel], axis=1, check_finite=False)
             moved[..., channel] = spline(rows - steps[best])
-            notes.append(f"{name} moved by {steps[best]:+.2f} pixels along the rows onto green")
+            notes.append(f"{name} shifted by {steps[best]:+.2f} pixels along the rows to align with green")
     margin = int(_MOST_SHIFT_PX) + 1
     return np.maximum(moved[:, margin:-margin], _HALF_CODE), tuple(notes)
 

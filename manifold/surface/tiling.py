@@ -96,11 +96,11 @@ def _left_out(albedo: Array, rows: slice, columns: slice, dust: Mask) -> tuple[s
     if dust.size < h * w:
         edges = (columns.start, w - columns.stop, rows.start, h - rows.stop)
         sides = [
-            f"{n} at the {side}"
+            f"{n} pixels at the {side}"
             for n, side in zip(edges, ("left", "right", "top", "bottom"), strict=True)
             if n
         ]
-        notes += (f"edges of another brightness are left out: {', '.join(sides)} (pixels)",)
+        notes += (f"edges of different brightness are cropped: {', '.join(sides)}",)
     labels, count = label(dust)
     if count:
         places = [

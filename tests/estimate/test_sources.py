@@ -275,7 +275,7 @@ def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run
     assert np.abs(file.eval(read.wi, read.wo) / expected - 1.0).max() > 0.01
     assert made.mirror_difference == pytest.approx(mirror_difference(predicted, file))
     out = run("predict", "0.1,0.2", "-o", "place.bsdf", cwd=folder)[1]
-    words = f"at most {made.mirror_difference:.1%} from the prediction within 5 degrees of mirror directions"
+    words = f"differs from the prediction by at most {made.mirror_difference:.1%} within 5 degrees of mirror directions"
     assert words in " ".join(out.split())
     for made_for_it in (source_file, ball_material):  # of other commands, and of renders
         with made_for_it(PlaceSource(folder / "model.h5", "0.1,0.2")) as found:

@@ -272,7 +272,7 @@ def test_a_workbook_s_pictures_are_read_with_their_geometries_and_registered(rng
     np.testing.assert_allclose(pictures.lamps[0], [0.0, -np.sin(np.pi / 3), 0.5], atol=1e-12)
     assert np.isnan(pictures.lamps[6]).all()
     np.testing.assert_allclose(pictures.factors[:6], 1.0, atol=0.03)  # 8 bits
-    assert "red moved by +1.00 pixels along the rows onto green" in pictures.notes
+    assert "red shifted by +1.00 pixels along the rows to align with green" in pictures.notes
     found = estimate_surface(pictures).slope[..., 1]
     margin = (slope.shape[0] - found.shape[0]) // 2
     assert np.corrcoef(found.ravel(), slope[margin:-margin, :, 1].ravel())[0, 1] > 0.97

@@ -9,6 +9,7 @@ import sys
 import traceback
 import warnings
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import typer
@@ -22,6 +23,7 @@ from manifold.progress import display_with
 from . import application, terminal
 
 _COORDINATES = re.compile(r"-[\d.][-+\d.eE]*(,[-+\d.eE]+)+")  # such as -0.3,1.2, which is no option
+_COORDINATE = re.compile(r"-[\d.][-+\d.eE]*")  # of a latent in one dimension, unless it is an option's value
 _EXIT_ERROR = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
@@ -71,7 +73,10 @@ def run(arguments: list[str] | None = None) -> None:
     arguments = ["--help" if argument == "--help-all" else argument for argument in arguments]
     command = next((argument for argument in arguments if not argument.startswith("-")), None)
     # Behind a blank, which all that takes coordinates ignores, they are no option to Click.
-    arguments = [f" {argument}" if _COORDINATES.fullmatch(argument) else argument for argument in arguments]
+    arguments = [
+        f" {argument}" if _is_latent(argument, before) else argument
+        for before, argument in pairwise(["", *arguments])
+    ]
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
@@ -106,6 +111,12 @@ def run(arguments: list[str] | None = None) -> None:
     sys.exit(status or 0)
 
 
+def _is_latent(argument: str, before: str) -> bool:
+    """Return whether an argument that begins with a minus is a latent, not an option or an option's value."""
+    single = _COORDINATE.fullmatch(argument) is not None and not before.startswith("-")
+    return single or _COORDINATES.fullmatch(argument) is not None
+
+
 def _is_interruption(error: BaseException | None) -> bool:
     """Return whether Ctrl-C caused the error; compiled code and imports wrap `KeyboardInterrupt` in other errors."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
@@ -117,6 +128,7 @@ def _message(error: Exception) -> str:
     if isinstance(error, _Mistyped):
         command = getattr(error.ctx, "command_path", "manifold")
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
+        found = re.sub(r"\. Did you mean (.*\?)$", r" (did you mean \1)", found)
         return f"{found}; see `{command} --help`"
     if isinstance(error, ModuleNotFoundError):
         error = missing(error) or error

@@ -92,6 +92,7 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
         (["render", "--size", "1"], "--size"),
         (["corpus", "x", "--seed", "one"], "--seed"),
         (["corpus"], "Missing argument 'FOLDER'"),
+        (["predit"], "'predit' (did you mean 'predict'?); see `manifold --help`"),
         (["import", ""], "an empty argument"),
     ],
 )
@@ -279,8 +280,8 @@ def test_tiny_libraries_work_or_say_what_they_lack(run, tmp_path, count, latent_
         assert (status, err) == (0, "")
         assert f"{count} materials" in out
         assert len(json.loads((tmp_path / "report.json").read_text())["names"]) == count
-    latent = ",".join(["0.1"] * latent_dim)
-    assert run("predict", "--latent", latent, "-o", "p_rgb.bsdf", cwd=tmp_path)[0] == 0
+    latent = ",".join(["-0.1"] * latent_dim)  # begins like an option, also in one dimension
+    assert run("predict", latent, "-o", "p_rgb.bsdf", cwd=tmp_path)[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,6 +98,7 @@ PER_CORE, ONE, THREADS = WorkerOptions(), OneWorkerOptions(), ThreadOptions()
 
 
 _MOST_NOTES = 20  # that are printed; the table has all
+_MOST_NAMES = 3  # in front of a note
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
 
 PointsOption = Annotated[
@@ -182,7 +183,7 @@ def make_many(
     ]
     if rows:
         results.table([*rows[0]], [[cell(value) for value in row.values()] for row in rows])
-    notes = [f"{o.name}: {note}" for o in known for note in notes_of(o)]
+    notes = _grouped({o.name: notes_of(o) for o in known})
     for note in notes[:_MOST_NOTES]:
         results.sentence(note)
     if len(notes) > _MOST_NOTES:
@@ -199,3 +200,19 @@ def make_many(
     results.document(document)
     if document["failed"]:
         raise FileFormatError(terminal.first_three(document["failed"]))
+
+
+def _grouped(notes: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return each note once, behind the names of the materials that have it."""
+    names: dict[str, list[str]] = {}
+    for name, own in notes.items():
+        for note in dict.fromkeys(own):
+            names.setdefault(note, []).append(name)
+    return [f"{_named(having, len(notes))}: {note}" for note, having in names.items()]
+
+
+def _named(names: Sequence[str], count: int) -> str:
+    """Return some names of `count`; of more than three, their number."""
+    if len(names) <= _MOST_NAMES:
+        return ", ".join(names)
+    return f"all {count}" if len(names) == count else f"{len(names)} of {count}"

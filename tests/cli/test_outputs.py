@@ -10,7 +10,7 @@ from helpers.small_library import NAMES, small_model
 from rich.cells import cell_len
 from test_cli import one_line
 
-from manifold.cli import terminal
+from manifold.cli import batch_options, terminal
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +113,11 @@ def test_rows_are_broken_between_words_and_lose_none(capsys):
     assert lines[1] == "  nearest      a (1), b (2)"
     assert [line for line in lines if len(line) > 80] == ["  file         " + values["file"]]
     assert " ".join(lines).split().count("word,") == 20
+
+
+def test_a_note_on_many_materials_is_printed_once():
+    notes = {name: ["no unit given"] for name in "abcd"}
+    assert batch_options._grouped(notes) == ["all 4: no unit given"]
+    notes["a"] = ["no unit given", "one band"]
+    assert batch_options._grouped({**notes, "e": []}) == ["4 of 5: no unit given", "a: one band"]
+    assert batch_options._grouped({"a": ["x"], "b": ["x"]}) == ["a, b: x"]

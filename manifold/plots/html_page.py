@@ -64,7 +64,9 @@ class Section:
     notes: Sequence[str] = ()
 
     def html(self) -> str:
-        """Return the part as HTML."""
+        """Return the part as HTML; a part without content is empty."""
+        if not (self.rows or self.table or self.pictures or self.notes):
+            return ""
         is_long = len(self.table) > _LONG
         parts = [f"<section{' class=long' * is_long}><h2>{_text(self.title)}</h2>\n"]
         parts += [

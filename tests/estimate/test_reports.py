@@ -14,6 +14,7 @@ from manifold.analytic.virtual_instruments import MA_T12_BANDS, ma_t12_readings
 from manifold.estimate import reports
 from manifold.formats import csv_table
 from manifold.formats.readings import aspecular_pair, geometry_ma_t12
+from manifold.plots import html_page
 
 
 def rows(page: str) -> list[list[str]]:
@@ -27,6 +28,13 @@ def rows(page: str) -> list[list[str]]:
 def write_table(path, name):
     """Readings of a smooth material in six bands."""
     csv_table.write(path, ma_t12_readings(smooth(MA_T12_BANDS), name).select_bands(list(range(0, 31, 6))))
+
+
+def test_a_section_without_content_has_no_heading(tmp_path):
+    sections = [html_page.Section("Sample", {"bands": 3}), html_page.Section("Notes")]
+    html_page.write(tmp_path / "page.html", "paint", "A paint.", sections)
+    page = (tmp_path / "page.html").read_text()
+    assert (page.count("<section"), "Notes" in page) == (1, False)
 
 
 def test_the_report_of_a_completion_has_every_reading_with_its_difference(run, library, tmp_path):

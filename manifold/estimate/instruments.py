@@ -350,7 +350,7 @@ def calibrate(paths: Sequence[Path], output: Path, *, allow_harm: bool = False) 
     disk.require_writable(output)
     if len(paths) % 2 or not paths:
         raise UsageError(
-            f"found {len(paths)} files or folders, expected pairs: the reference's, then the other's"
+            f"found {len(paths)}, expected pairs of files or folders: the reference's, then the other's"
         )
     pairs: list[tuple[Readings, Readings]] = []
     left_out: list[str] = []

@@ -137,7 +137,7 @@ def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(library, rng):
     of_another = replace(gonio, values=gonio.values[rng.permutation(len(gonio))], name="other")
     mixed, _ = merge(spectro, of_another)
     assert mixed.notes[-1].endswith("do both files read one sample, sample and other?")
-    with pytest.raises(BandMismatchError, match="expected three bands, to be corrected"):
+    with pytest.raises(BandMismatchError, match="expected three bands, which"):
         merge(spectro, spectro.select_bands(range(5)))
 
 

@@ -48,7 +48,7 @@ def fit(
         ),
     ] = "gauss-newton",
     metric: Annotated[
-        Metric, typer.Option(help="Residuals: appearance, a lit ball and cube roots of samples; else only samples.")
+        Metric, typer.Option(help="Residuals to minimise; appearance uses a lit ball and cube roots of the samples.")
     ] = "appearance",
     free: Annotated[
         str | None,

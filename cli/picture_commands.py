@@ -89,7 +89,7 @@ def walk(
     output: PictureOption = Path("walk.png"),
     json: options.JsonOption = None,
 ) -> None:
-    """Draw a walk between two materials in perceptually equal steps, above the predictions between their latents.
+    """Draw a walk between two materials in perceptually equal steps, and predictions between their latents.
 
     A walk uses only the two materials: it interpolates their roughness and averages the rest. The second row shows
     predictions from all surrounding materials, on the straight line between the two latents.

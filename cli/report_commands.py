@@ -278,8 +278,8 @@ def stability(
     """Run a catalogue of failure modes on synthetic plastics with known ground truth (takes minutes).
 
     Undetected: the largest error without a warning or an error message; above its limit the result is silently
-    wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program; the
-    exit status is 1 if any is not a known one. Outcomes are listed in order of severity.
+    wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program; new
+    ones set the exit status to 1. Outcomes are listed in order of severity.
     """
     from manifold.evaluate.stability import catalogue, stability_figure
     from manifold.evaluate.stability.catalogue import MODES

@@ -72,7 +72,7 @@ def surface(
 
     The readings are completed to the mean BRDF; pictures under lamps of known direction show how colour and
     slope differ from it, point by point. Writes textures without seams, and glTF, MaterialX, USD and Blender materials
-    with them. Surfaces of several samples go into one folder, with a table and a sheet.
+    with them. Surfaces of several samples go into one folder, with a table and a picture of all.
     """
     from manifold.estimate import inputs
     from manifold.surface.files import TARGETS, make_surface

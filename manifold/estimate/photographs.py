@@ -82,7 +82,8 @@ class FromPhotographs(Result):
             f"{ball.photograph.path.name}, ball at {ball.circle}"
             + "".join(f", lamp {lamp}" for lamp in ball.lamps)
             + f", residual {100 * residual:.1f} %"
-            for ball, residual in result.balls_with_residuals
+            + ("" if predicted is None else f", {100 * predicted:.1f} % predicted from the others")
+            for ball, residual, predicted in result.balls_with_residuals
         ],
     )
     def photographs(self) -> list[dict[str, Any]]:
@@ -93,8 +94,9 @@ class FromPhotographs(Result):
                 "circle": list(vars(ball.circle).values()),
                 "lamps": [lamp.direction for lamp in ball.lamps],
                 "residual": residual,
+                "predicted": predicted,
             }
-            for ball, residual in self.balls_with_residuals
+            for ball, residual, predicted in self.balls_with_residuals
         ]
 
     @property
@@ -176,9 +178,12 @@ class FromPhotographs(Result):
     plan: LampPlan | None = field(default=None, metadata=entry())
 
     @property
-    def balls_with_residuals(self) -> list[tuple[SeenBall, float]]:
-        """The balls, each with the residual of its pixels."""
-        return list(zip(self.balls, self.material.solution.residuals.tolist(), strict=True))
+    def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
+        """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
+        residuals = self.material.solution.residuals.tolist()
+        return list(
+            zip(self.balls, residuals, self.material.predicted or [None] * len(residuals), strict=True)
+        )
 
 
 def complete(

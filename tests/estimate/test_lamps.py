@@ -29,9 +29,9 @@ from manifold.estimate.lamps import (
 from manifold.estimate.light_probe import encoding_notes, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.photo_material import CONTRADICTION, find_material, strength_of_spots
-from manifold.estimate.photographs import _odd_pictures
+from manifold.estimate.photographs import FromPhotographs, _odd_pictures
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
-from manifold.estimate.sightings import PhotoRequest, Sighting, see
+from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, see
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
@@ -300,6 +300,13 @@ def test_a_picture_of_another_material_contradicts_the_others(photo_atoms):
         found = find_material(photo_atoms, seen, np.eye(3), exposure=None, each=True)
         assert len(found.predicted) == 3
         assert [note.partition(":")[0] for note in _odd_pictures(names, found.predicted)] == odd
+        balls = [SeenBall(picture, CIRCLE, None, sighting) for sighting in seen]
+        made = FromPhotographs(
+            balls=tuple(balls), material=found, located=None, output=None, plausibility=None, picture=None,
+            diagnostics=(), seconds=0.0,
+        )  # fmt: skip
+        assert [row["predicted"] for row in made.photographs] == list(found.predicted)
+        assert made.rows["photographs"][0].endswith("% predicted from the others")
     one = find_material(photo_atoms, sightings_of(DIRECTIONS[:1], [1.0]), np.eye(3))
     assert one.predicted == ()
     assert _odd_pictures(names[:2], (0.3, 0.3)) == []

@@ -62,6 +62,7 @@ def test_a_photograph_is_completed(run, folder, library):
     assert (folder / "found.png").stat().st_size > 10_000
     document = json.loads((folder / "found.json").read_text())
     assert document["photographs"][0]["circle"] == pytest.approx([64, 64, 64 / 1.3], abs=1.0)
+    assert document["photographs"][0]["predicted"] is None  # there are no others
     assert document["plausibility"]["max_albedo"] <= 1.05
     assert set(document["expected"]) == {"ball", "cube_root", "linear"}
     assert "expected error" in out

@@ -228,7 +228,7 @@ def rendered(files: Sequence[Path], library: Path, asked: argparse.Namespace) ->
             measured.append(json.loads(kept.read_text(encoding="utf-8")))
         last = {shot: list(of.values())[-1] for shot, of in measured[-1]["errors"].items()}
         print(f"{name}: " + ", ".join(f"{shot} {error:.1f}" for shot, error in last.items()), flush=True)
-    _tables(measured, asked.json)
+    _tables(measured, asked.lights, asked.json)
 
 
 def _measured(one: Material, path: Path, folder: Path, asked: argparse.Namespace) -> dict[str, Any]:
@@ -261,12 +261,14 @@ def _measured(one: Material, path: Path, folder: Path, asked: argparse.Namespace
     return {"errors": errors, "fits": fits, "off": off, "expected": expected}
 
 
-def _tables(measured: Sequence[Mapping[str, Any]], path: Path | None) -> None:
-    """Print and write medians and 90th percentiles over files."""
+def _tables(measured: Sequence[Mapping[str, Any]], lights: Sequence[str], path: Path | None) -> None:
+    """Print and write medians and 90th percentiles over files, under some lights."""
     tables: dict[str, dict[str, list[float]]] = {}
     for title, kind in (("", "errors"), ("principled ", "fits")):
         for of_file in measured:
             for name, by_count in of_file[kind].items():
+                if (light := name.partition(",")[0]) in COUNTS and light not in lights:
+                    continue
                 for count, error in by_count.items():
                     tables.setdefault(title + name, {}).setdefault(count, []).append(error)
     print("\nball in the judged lights, median / 90th percentile, by number of pictures (materials)")
@@ -288,7 +290,7 @@ def _tables(measured: Sequence[Mapping[str, Any]], path: Path | None) -> None:
         print(f"{name}: " + ", ".join(cells))
     print("\nlamps found: degrees off, mean, median; by how many nearer to the camera, mean")
     lamps: dict[str, dict[str, dict[str, float]]] = {}
-    for light in COUNTS:
+    for light in lights:
         for count in map(str, COUNTS[light]):
             pairs = [pair for one in measured for pair in one["off"].get(light, {}).get(count, ())]
             if pairs:

@@ -110,8 +110,8 @@ RESULTS = {
     "photo": Result("bench_photo.py FILES", ("estimate/photo_material.py", "estimate/pixels.py")),
     "together": Result("bench_photo.py FILES --together", ("estimate/photo_material.py", *_COMPLETE)),
     "lamps": Result(
-        "bench_lamps.py --files FILES --library LIBRARY",
-        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", "estimate/photo_material.py"), 20,
+        "bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2",
+        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", "estimate/photo_material.py"), 10,
     ),
     "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY", ("surface",)),
     "stability": Result("manifold stability", ("evaluate/stability", *_GPLVM, *_BLEND)),

@@ -47,9 +47,9 @@ _ERRORS: Columns = (
 )
 _ERROR_NOTE = f"""\
 Reconstructions use the material they predict; the mix of two uses it to choose
-the two. Latents kept, others kept: the latents (and colours of blends) are fitted
-with the material, which is then predicted without its own data. All other
-methods are fitted without the material.
+the two. Latents kept, others kept: the latents (and colours of blends) are
+fitted with the material, which is then predicted without its own data. All
+other methods are fitted without the material.
 a + b per band: a coordinates that all bands share, and b of every band.
 Medians and 90th percentiles over materials. linear: relative, cosine-weighted,
 dominated by highlights; cube root: the same of cube roots, closer to perceived

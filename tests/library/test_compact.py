@@ -319,7 +319,7 @@ def test_commands_read_compact_libraries_with_models_fitted_before(tmp_path: Pat
     assert run(*predict, "before_rgb.bsdf", cwd=tmp_path)[0] == 0
     status, out, _ = run("compact", "library.zarr", "--tolerance", "0.3", cwd=tmp_path)
     assert status == 0
-    assert "compacted         6" in out
+    assert "compacted        6" in out
     assert run(*predict, "after_rgb.bsdf", cwd=tmp_path)[0] == 0
     before, after = (MeasuredBRDF(read_bsdf(tmp_path / f"{n}_rgb.bsdf")) for n in ("before", "after"))
     assert brdf_errors(before, after).ball < 0.3

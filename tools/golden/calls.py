@@ -9,6 +9,7 @@ import numpy as np
 
 import manifold as mf
 from golden.values import direction_pairs
+from manifold.registries import MAPPINGS
 
 
 def python_model(folder: Path) -> dict[str, Any]:
@@ -124,7 +125,7 @@ def python_mappings(folder: Path) -> dict[str, Any]:
     return {
         "rusinkiewicz": [np.asarray(part) for part in mf.directions.to_rusinkiewicz(wi, wo)],
         "cube root": mf.metrics.cube_root_error(a, b),
-        "mapped": {name: mf.mapping.MAPPINGS[name].forward(a) for name in ("identity", "cube-root", "log")},
+        "mapped": {name: MAPPINGS[name].forward(a) for name in ("identity", "cube-root", "log")},
     }
 
 

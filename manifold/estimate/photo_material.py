@@ -614,13 +614,13 @@ class PixelPosterior:
     the exposure and are summed once.
 
     Attributes:
-        exposures: by which what was seen is divided, ascending, shape (E,).
+        exposures: divisors of the observed values, ascending, shape (E,).
         material_of: of the Q usable atoms that are mixed, shape (Q,).
         n_library: how many of the materials are measured.
         bright, dark: inner products of atoms under every exposure, over its square and as they are, (E, Q, Q).
         with_bright, with_dark: likewise with what was seen, over the exposure and times it, (E, Q).
         square_bright, square_dark: likewise of what was seen, as they are and times the exposure squared, (E,).
-        bounds: atoms (Q, b), what was seen (b,) and roots of weights (b,) of clipped pixels.
+        bounds: atoms (Q, b), observed values (b,) and roots of weights (b,) of clipped pixels.
         of_grid: products of mixtures over all directions, see `mixtures.products`.
     """
 

@@ -23,7 +23,7 @@ from scipy.stats import spearmanr
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
-from manifold.encoding import encoding_pairs
+from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold

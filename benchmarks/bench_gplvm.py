@@ -40,11 +40,11 @@ from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.gp.kernels import SquaredExponential
+from manifold.gp.likelihood import LatentObjective, centre_gram, pca_start
 from manifold.gplvm import GPLVM
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
-from manifold.kernels import SquaredExponential
-from manifold.likelihood import LatentObjective, centre_gram, pca_start
 from manifold.model.fitting import gram_matrix
 from manifold.pairs import RusinkiewiczGrid
 from manifold.registries import MAPPINGS, OPTIMIZERS

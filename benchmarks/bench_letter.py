@@ -22,11 +22,11 @@ from bench_published import GRID, measured
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
-from manifold.encoding import Encoder
 from manifold.evaluate.method_data import Data
+from manifold.gp.encoding import Encoder
+from manifold.gp.kernels import squared_distances
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
-from manifold.kernels import squared_distances
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.fitting import Gram, gram_matrix

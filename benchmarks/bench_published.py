@@ -19,15 +19,15 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.encoding import Encoder
 from manifold.evaluate.cross_validation import Encode
 from manifold.evaluate.errors import PredictionErrors
 from manifold.evaluate.latent_models import LatentProcess, fit_settings
 from manifold.evaluate.method_data import Data, band_shares
 from manifold.evaluate.methods import STANDARD
+from manifold.gp.encoding import Encoder
+from manifold.gp.likelihood import pca_start
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
-from manifold.likelihood import pca_start
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.materials import MaterialTable

@@ -34,7 +34,7 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
 from manifold.directions import from_spherical
-from manifold.encoding import encoding_pairs
+from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
 from manifold.model.walks import WALK_NODES, Walked, step_of, walk_shares

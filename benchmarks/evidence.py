@@ -24,7 +24,9 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 FOLDER = REPOSITORY / "benchmarks" / "results"
 MADE = "_made"
 
-_GPLVM = ("gplvm.py", "likelihood.py", "dls.py", "gpr.py", "kernels.py", "encoding.py", "pairs.py")
+_GPLVM = (
+    "gplvm.py", "gp/likelihood.py", "dls.py", "gpr.py", "gp/kernels.py", "gp/encoding.py", "pairs.py",
+)  # fmt: skip
 _BLEND = ("model/blend_fitting.py", "model/blend_space.py", "model/blending.py", "model/colour_paths.py")
 _COMPLETE = (
     "estimate/atoms.py", "estimate/mixtures.py", "estimate/residual.py", "estimate/completion.py",

@@ -136,7 +136,7 @@ struct ActiveSet {
     }
 };
 
-// Weights (R, n) >= 0 that minimise v gram v - 2 v cross_r for every row r; `manifold.nonnegative`.
+// Weights (R, n) >= 0 that minimise v gram v - 2 v cross_r for every row r; `manifold.gp.nonnegative`.
 void solve_nonnegative(Matrix<const double> gram, Matrix<const double> cross, double tolerance, Matrix<double> out) {
     const int n = int(gram.shape(0)), rows = int(cross.shape(0));
     require(gram.shape(1) == gram.shape(0) && cross.shape(1) == gram.shape(0) && out.shape(0) == cross.shape(0) &&
@@ -170,7 +170,7 @@ void radial_of_pairs(int family, Vector<const double> squared, Vector<double> ou
     for (size_t k = 0; k < out.size(); ++k) out.data()[k] = radial_of_pair(family, squared.data()[k]);
 }
 
-// The point of a search and what follows from it, as `manifold.likelihood.IncrementalObjective` keeps them: latents
+// The point of a search and what follows from it, as `manifold.gp.likelihood.IncrementalObjective` keeps them: latents
 // X (N, Q), their covariance K, P = K^-1 and the data's S, (N, N) each.
 struct Search {
     double *X, *K, *P;

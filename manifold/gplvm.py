@@ -2,7 +2,7 @@
 
 The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of outputs D. It
 starts from principal components, and is minimised by the direct local search of `manifold.dls`, as Hikichi & Iwasaki
-publish it (sections 3.3 and 3.4), or by L-BFGS. The likelihood itself is `manifold.likelihood.LatentObjective`.
+publish it (sections 3.3 and 3.4), or by L-BFGS. The likelihood itself is `manifold.gp.likelihood.LatentObjective`.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
-from manifold.encoding import Encoder
 from manifold.errors import UsageError
-from manifold.gpr import GaussianProcess
-from manifold.kernels import Kernel, kernel_named, require_mu
-from manifold.likelihood import (
+from manifold.gp.encoding import Encoder
+from manifold.gp.kernels import Kernel, kernel_named, require_mu
+from manifold.gp.likelihood import (
     IncrementalObjective,
     LatentObjective,
     blas_threads,
@@ -34,6 +33,7 @@ from manifold.likelihood import (
     require_prior,
     require_start,
 )
+from manifold.gpr import GaussianProcess
 from manifold.records import Array
 from manifold.registries import OPTIMIZERS
 

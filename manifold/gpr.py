@@ -2,7 +2,7 @@
 
 Because all outputs share one kernel, a prediction is a weighted sum of the training samples, `w = K^-1 k*` (eq. 13):
 `GaussianProcess` depends on latents alone and never sees an output. Manifolds of kind `gplvm` predict by it; those
-of kind `blend` take its variance. `manifold.estimators.GPRegressor` adds outputs, in the manner of scikit-learn.
+of kind `blend` take its variance. `manifold.gp.estimators.GPRegressor` adds outputs, in the manner of scikit-learn.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from manifold.errors import NumericalError
-from manifold.kernels import Kernel, equal_rows, first_equal_row, squared_distances
-from manifold.likelihood import centre_gram
+from manifold.gp.kernels import Kernel, equal_rows, first_equal_row, squared_distances
+from manifold.gp.likelihood import centre_gram
 from manifold.names import first_few
 from manifold.records import Array, Indices, Mask
 
@@ -169,7 +169,7 @@ class GaussianProcess:
         Args:
             X_new: latents, shape (M, Q).
 
-        >>> from manifold.kernels import SquaredExponential
+        >>> from manifold.gp.kernels import SquaredExponential
         >>> gp = GaussianProcess(np.array([[0.0], [1.0]]), SquaredExponential())
         >>> gp.weights(np.array([[0.5], [1.0]]))
         array([[0.5, 0.5],

@@ -273,9 +273,9 @@ NAMED_GRIDS: Registry[Any] = Registry(
 KERNELS: Registry[Any] = Registry(
     "kernel",
     places={
-        "se": "manifold.kernels:SquaredExponential",
-        "matern32": "manifold.kernels:Matern32",
-        "matern52": "manifold.kernels:Matern52",
+        "se": "manifold.gp.kernels:SquaredExponential",
+        "matern32": "manifold.gp.kernels:Matern32",
+        "matern52": "manifold.gp.kernels:Matern52",
     },
 )
 """Classes of covariance functions."""

@@ -1,5 +1,7 @@
 """Count what a reader of the code meets: `python tools/house.py [REVISION ...]`, by default the working tree.
 
+`python tools/house.py --check` prints circles of imports alone, and fails if there is one.
+
 Prints per folder: lines of code (no blank lines, comments or docstrings), functions, classes, code lines in the body of
 a function, and the share of functions that one place refers to. Below are circles of imports: groups of modules that
 reach each other by imports at the top of modules and for annotations (`TYPE_CHECKING`), and by these and imports within
@@ -116,9 +118,14 @@ def imports(files: dict[str, str], *, in_functions: bool) -> dict[str, set[str]]
         waiting: list[ast.AST] = [ast.parse(files[path])]
         while waiting:
             node = waiting.pop()
-            if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                names = [f"{node.module}.{alias.name}" for alias in node.names]
-                edges[module].update(name if name in modules else node.module for name in names)
+            if isinstance(node, ast.ImportFrom):
+                source = node.module or ""
+                if node.level:
+                    package = module if path.endswith("/__init__.py") else module.rpartition(".")[0]
+                    above = package.split(".")[: package.count(".") + 2 - node.level]
+                    source = ".".join([*above, *filter(None, [source])])
+                names = [f"{source}.{alias.name}" for alias in node.names]
+                edges[module].update(name if name in modules else source for name in names)
             elif isinstance(node, ast.Import):
                 edges[module].update(alias.name for alias in node.names)
             elif in_functions or not isinstance(node, _Function):
@@ -148,8 +155,22 @@ def circles(edges: dict[str, set[str]]) -> list[list[str]]:
     return sorted((sorted(group) for group in groups), key=lambda group: (-len(group), group))
 
 
+def print_circles(files: dict[str, str]) -> int:
+    """Print circles of imports, and return their number."""
+    count = 0
+    for title, in_functions in (("by modules and annotations", False), ("by functions as well", True)):
+        groups = circles(imports(files, in_functions=in_functions))
+        print(f"circles of imports, {title}: {len(groups)}, of {sum(map(len, groups))} modules")
+        for group in groups:
+            print("   " + " ".join(group))
+        count += len(groups)
+    return count
+
+
 def main() -> None:
-    """Print the tables of all revisions."""
+    """Print the tables of all revisions, or check the working tree."""
+    if sys.argv[1:] == ["--check"]:
+        sys.exit(print_circles(sources(None)) > 0)
     for revision in sys.argv[1:] or [None]:
         files = sources(revision)
         print(f"{revision or 'working tree'}")
@@ -158,11 +179,7 @@ def main() -> None:
         )
         for name, folder in table(files).items():
             print(folder.row(name))
-        for title, in_functions in (("by modules and annotations", False), ("by functions as well", True)):
-            groups = circles(imports(files, in_functions=in_functions))
-            print(f"circles of imports, {title}: {len(groups)}, of {sum(map(len, groups))} modules")
-            for group in groups:
-                print("   " + " ".join(group))
+        print_circles(files)
         print()
 
 

@@ -66,7 +66,7 @@ except mf.errors.ManifoldError as error:
 
 # manifold.gpr
 import numpy as np
-from manifold.kernels import SquaredExponential
+from manifold.gp.kernels import SquaredExponential
 
 X = np.linspace(0.0, 3.0, 7)[:, None]
 gp = mf.gpr.GaussianProcess(X, SquaredExponential(1e-4, 1.0))

@@ -13,10 +13,10 @@ from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.colour import ball_colours, panel
-from manifold.encoding import encoding_pairs
 from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.residual import coordinates
+from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.mapping import CubeRoot, Identity
 from manifold.model.combination import Combination, Dictionary

@@ -31,10 +31,10 @@ from manifold.colour.difference import delta_e_2000, delta_e_2000_lab, to_lab
 from manifold.colour.narrow_bands import with_spectra
 from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_spherical, rotate_z
-from manifold.encoding import Decoder
 from manifold.errors import UsageError
 from manifold.estimate.gloss import gloss_meter, gloss_units, half_gloss_meter
 from manifold.formats.readings import DAYLIGHT, GLOSS_ANGLES_DEG, Readings, gloss_fault
+from manifold.gp.encoding import Decoder
 from manifold.judged_lights import LIGHTS
 from manifold.library.store import Library
 from manifold.model.blend_space import require_blends

@@ -18,7 +18,7 @@ from manifold.directions import from_spherical
 from manifold.estimate.gloss import gloss_differences, value_of_unit
 from manifold.estimate.residual import cells, coordinates, covariance
 from manifold.formats.readings import Readings
-from manifold.nonnegative import nonnegative_weights
+from manifold.gp.nonnegative import nonnegative_weights
 from manifold.records import Array, Indices, Mask
 
 SHARES = (0.5, 0.2, 0.8)  # shares of the first atom of two; one alone has 1

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.interface import all_isotropic
-from manifold.encoding import Decoder, Encoder
 from manifold.evaluate.cross_validation import Encode, Fit
 from manifold.evaluate.method_data import Data
+from manifold.gp.encoding import Decoder, Encoder
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.mapping import CubeRoot, ValueMapping

@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold import progress
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.encoding import PAIR_STRIDE
+from manifold.gp.encoding import PAIR_STRIDE
 from manifold.mapping import ValueMapping
 from manifold.metrics import relative_error
 from manifold.model import fitting

@@ -21,8 +21,8 @@ from manifold.brdf.plausibility import (
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
-from manifold.encoding import encoding_pairs
-from manifold.kernels import Kernel
+from manifold.gp.encoding import encoding_pairs
+from manifold.gp.kernels import Kernel
 from manifold.model.blend_space import BlendSpace
 from manifold.model.blending import Layout, blend_layout
 from manifold.model.colour_paths import ColourPaths, fit_paths, sample_rows

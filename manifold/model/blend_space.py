@@ -10,10 +10,10 @@ from typing import ClassVar, Protocol
 import numpy as np
 import scipy
 
-from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import UsageError
+from manifold.gp.encoding import Decoder, encoding_pairs
+from manifold.gp.kernels import Kernel, first_equal_row
 from manifold.gpr import GaussianProcess
-from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, ValueMapping
 from manifold.metrics import relative_error
 from manifold.model.blending import NEIGHBOURS, blend_weights, nearest_distance, widest_gap

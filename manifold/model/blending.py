@@ -14,8 +14,8 @@ import numpy as np
 import scipy
 
 from manifold.errors import ShapeError
-from manifold.kernels import squared_distances
-from manifold.likelihood import fix_gauge
+from manifold.gp.kernels import squared_distances
+from manifold.gp.likelihood import fix_gauge
 from manifold.records import Array, Indices
 
 NEIGHBOURS = 128

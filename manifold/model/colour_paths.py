@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from manifold.nonnegative import nonnegative_weights
+from manifold.gp.nonnegative import nonnegative_weights
 from manifold.records import Array, Indices
 
 WHITE = 0.9

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
-from manifold.encoding import Decoder
 from manifold.errors import ShapeError, UsageError
+from manifold.gp.encoding import Decoder
 from manifold.library.identity import file_sha256
 from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import decoder_at, integrating_sphere

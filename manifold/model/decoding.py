@@ -13,7 +13,7 @@ from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Picture, sums_of_runs
 from manifold.directions import from_spherical
-from manifold.encoding import Decoder, encoding_pairs
+from manifold.gp.encoding import Decoder, encoding_pairs
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.nonnegative import nonnegative_weights
+from manifold.gp.nonnegative import nonnegative_weights
 from manifold.records import Array, Mask
 from manifold.threads import one_blas_thread
 

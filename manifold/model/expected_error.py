@@ -11,7 +11,7 @@ import numpy as np
 from manifold import progress
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
-from manifold.encoding import encoding_pairs
+from manifold.gp.encoding import encoding_pairs
 from manifold.mapping import CubeRoot
 from manifold.metrics import Errors
 from manifold.model.blend_fitting import BlendSamples

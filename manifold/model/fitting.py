@@ -14,7 +14,7 @@ from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.likelihood import LatentObjective, centre_gram, require_start
+from manifold.gp.likelihood import LatentObjective, centre_gram, require_start
 from manifold.mapping import ValueMapping
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.latent_space import LatentSpace

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from manifold.encoding import encoding_pairs
+from manifold.gp.encoding import encoding_pairs
 from manifold.metrics import relative_error
 from manifold.model.blend_space import BlendSpace, PlaceSearch, Rows
 from manifold.model.blending import (

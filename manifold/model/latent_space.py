@@ -10,10 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from manifold.encoding import Decoder, encoding_pairs
 from manifold.errors import ShapeError, UsageError
+from manifold.gp.encoding import Decoder, encoding_pairs
+from manifold.gp.kernels import Kernel, first_equal_row
 from manifold.gpr import GaussianProcess
-from manifold.kernels import Kernel, first_equal_row
 from manifold.mapping import ValueMapping
 from manifold.model.combination import Combination
 from manifold.model.materials import MaterialCache, MaterialTable

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from manifold.encoding import Decoder, Encoder
-from manifold.kernels import Kernel
+from manifold.gp.encoding import Decoder, Encoder
+from manifold.gp.kernels import Kernel
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
 from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_shapes

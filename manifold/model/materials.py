@@ -17,8 +17,8 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import rotation_of
 from manifold.brdf.unmeasured_cells import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.colour import panel
-from manifold.encoding import encoding_pairs
 from manifold.errors import UnknownNameError
+from manifold.gp.encoding import encoding_pairs
 from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.model.combination import Combination, Values, evaluate

@@ -212,7 +212,7 @@ def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, Lef
     except UnknownNameError as error:
         raise ModelError(
             f"{path}: {error}; register your own before you load the model, as in "
-            "manifold.kernels.KERNELS['name'] = Class"
+            "manifold.registries.KERNELS['name'] = Class"
         ) from error
     except UsageError as error:
         raise ModelError(f"{path}: fitted with {error}; embed the library again") from error

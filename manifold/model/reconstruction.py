@@ -13,14 +13,14 @@ from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.interface import BRDF, all_isotropic
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
-from manifold.encoding import encoding_pairs
 from manifold.errors import UsageError
+from manifold.gp.encoding import encoding_pairs
+from manifold.gp.nonnegative import nonnegative_weights
 from manifold.mapping import Identity
 from manifold.model.combination import Combination, Dictionary
 from manifold.model.estimator import LEAST, Observation, explain
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
-from manifold.nonnegative import nonnegative_weights
 from manifold.pairs import Pairs
 from manifold.records import Array, Indices, evenly_spaced
 from manifold.threads import one_blas_thread

@@ -7,7 +7,7 @@ from numbers import Integral
 from typing import Any, cast
 
 from manifold.errors import UsageError
-from manifold.kernels import Kernel, kernel_named, require_mu
+from manifold.gp.kernels import Kernel, kernel_named, require_mu
 from manifold.pairs import RusinkiewiczGrid
 from manifold.registries import MAPPINGS, OPTIMIZERS
 

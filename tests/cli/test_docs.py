@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import pkgutil
 import re
+import tomllib
 
 import pytest
 import typer
@@ -42,6 +43,7 @@ def test_paths_and_modules_in_documents_exist(document):
 
 
 ARCHITECTURE = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
+DRAWN = r"^.{19} *(\w+(?: · \w+)*)(?: {2,}|$)"  # names in the picture of the floors
 
 
 def test_modules_and_functions_in_the_architecture_exist():
@@ -49,14 +51,24 @@ def test_modules_and_functions_in_the_architecture_exist():
     folders = {path.stem for path in (REPOSITORY / "manifold").iterdir()}
     named = re.findall(r"`([a-z_]+(?:\.[A-Za-z_]+)+)`", ARCHITECTURE)
     named = [name for name in named if name.split(".")[0] in folders]
-    drawn = re.findall(
-        r"^.{19} *(\w+(?: · \w+)*)(?: {2,}|$)", ARCHITECTURE.split("```")[1], flags=re.MULTILINE
-    )
+    drawn = re.findall(DRAWN, ARCHITECTURE.split("```")[1], flags=re.MULTILINE)
     floors = [name for floor in drawn for name in floor.split(" · ")]
     assert len(named) > 30
     assert len(floors) > 25
     for name in (*named, *floors):
         pkgutil.resolve_name(f"manifold.{name}")
+
+
+def test_floors_of_the_architecture_are_the_layers_that_import_linter_checks():
+    floors = re.split(r"^(?=\d)", ARCHITECTURE.split("```")[1], flags=re.MULTILINE)[1:]
+    lines = [re.findall(DRAWN, floor, flags=re.MULTILINE) for floor in floors]
+    drawn = [{name for names in floor for name in names.split(" · ")} for floor in lines]
+    contracts = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "importlinter"
+    ]
+    layers = [set(re.findall(r"\w+", layer)) - {"__main__"} for layer in contracts["contracts"][0]["layers"]]
+    assert len(layers) == 8
+    assert drawn == layers
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

@@ -22,7 +22,6 @@ from manifold.colour import panel
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
 from manifold.directions import from_spherical
-from manifold.encoding import encoding_pairs
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
@@ -44,6 +43,7 @@ from manifold.estimate.suggestions import DIRECTIONS as INSTRUMENTS
 from manifold.estimate.suggestions import Deviations, _residual, next_readings
 from manifold.formats import csv_table
 from manifold.formats.readings import mean_of_repeats
+from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.metrics import Errors, cube_root_error

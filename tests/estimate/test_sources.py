@@ -16,7 +16,6 @@ from manifold.brdf import physical
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured_cells import fill_unmeasured
-from manifold.encoding import encoding_pairs
 from manifold.errors import MissingFileError, UnknownNameError
 from manifold.estimate import completions, descriptions, predictions
 from manifold.estimate.attributes import readings_of_colour
@@ -24,6 +23,7 @@ from manifold.estimate.gloss import gloss_units
 from manifold.estimate.source_files import read_source, source_file
 from manifold.estimate.sources import FileSource, LibrarySource, PlaceSource, parse_source
 from manifold.formats import registry
+from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics

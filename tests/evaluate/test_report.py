@@ -15,13 +15,13 @@ from matplotlib.transforms import Bbox
 from manifold import pairs
 from manifold.brdf.plausibility import plausibility
 from manifold.colour.difference import colour_differences, multi_angle_pairs
-from manifold.encoding import encoding_pairs
 from manifold.evaluate import method_data, report
 from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.report_text import format_report, lead
+from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.encoding import Decoder, Encoder, Products, decoded_error, likelihood, mapped_residual
+from manifold.gp.encoding import Decoder, Encoder, Products, decoded_error, likelihood, mapped_residual
+from manifold.gp.kernels import kernel_named
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
-from manifold.kernels import kernel_named
 from manifold.metrics import cube_root_error, relative_error
 from manifold.registries import MAPPINGS
 

@@ -8,11 +8,11 @@ from importlib import import_module
 import pytest
 
 MODULES = (
-    "manifold.dls", "manifold.gplvm", "manifold.estimators", "manifold.mapping", "manifold.metrics",
+    "manifold.dls", "manifold.gplvm", "manifold.gp.estimators", "manifold.mapping", "manifold.metrics",
     "manifold.analytic.base", "manifold.brdf.goniometer", "manifold.colour.conversion",
     "manifold.colour.difference", "manifold.colour.reflectances", "manifold.formats.geometries",
-    "manifold.formats.readings", "manifold.gpr", "manifold.kernels",
-    "manifold.nonnegative", "manifold.render.images",
+    "manifold.formats.readings", "manifold.gpr", "manifold.gp.kernels",
+    "manifold.gp.nonnegative", "manifold.render.images",
 )  # fmt: skip
 
 

@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_limits
 
 from manifold.dls import hooke_jeeves
 from manifold.errors import ShapeError, UsageError
+from manifold.gp.kernels import Kernel, Matern52, SquaredExponential, kernel_named
+from manifold.gp.likelihood import IncrementalObjective, LatentObjective, centre_gram, fix_gauge, pca_start
 from manifold.gplvm import GPLVM
 from manifold.gpr import FlatModelWarning, GaussianProcess, IsolatedLatentsWarning
-from manifold.kernels import Kernel, Matern52, SquaredExponential, kernel_named
-from manifold.likelihood import IncrementalObjective, LatentObjective, centre_gram, fix_gauge, pca_start
 from manifold.registries import KERNELS, OPTIMIZERS
 
 

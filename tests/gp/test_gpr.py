@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from manifold.estimators import GPRegressor
+from manifold.gp.estimators import GPRegressor
+from manifold.gp.kernels import SquaredExponential
+from manifold.gp.likelihood import centre_gram
 from manifold.gpr import GaussianProcess, JitterWarning
-from manifold.kernels import SquaredExponential
-from manifold.likelihood import centre_gram
 
 
 @parametrize_with_checks([GPRegressor()])

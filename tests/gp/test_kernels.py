@@ -13,9 +13,9 @@ from sklearn.base import clone
 
 from manifold.compiled import loops
 from manifold.errors import UsageError
-from manifold.estimators import GPRegressor
+from manifold.gp.estimators import GPRegressor
+from manifold.gp.kernels import SquaredExponential, kernel_named
 from manifold.gplvm import GPLVM
-from manifold.kernels import SquaredExponential, kernel_named
 from manifold.model.settings import Settings
 from manifold.registries import KERNELS
 

@@ -15,7 +15,7 @@ from manifold.analytic.free_lobes import (
 )
 from manifold.analytic.ggx import GGX, normal_distribution
 from manifold.directions import from_spherical, to_rusinkiewicz
-from manifold.nonnegative import nonnegative_weights
+from manifold.gp.nonnegative import nonnegative_weights
 
 
 def directions(rng, n):

@@ -14,9 +14,9 @@ from scipy.optimize import nnls
 from manifold.analytic.free_lobes import Lobes
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ShapeError
+from manifold.gp.nonnegative import nonnegative_weights
 from manifold.model.estimator import explain
 from manifold.model.reconstruction import few_atoms, observations
-from manifold.nonnegative import nonnegative_weights
 from manifold.pairs import RusinkiewiczGrid, cosine_weight
 
 

@@ -12,7 +12,7 @@ from scipy.stats import spearmanr
 
 from manifold.colour import panel
 from manifold.colour.colour_science import colour_science
-from manifold.encoding import encoding_pairs
+from manifold.gp.encoding import encoding_pairs
 from manifold.judged_lights import JUDGED
 from manifold.library.store import Library
 from manifold.metrics import Errors

@@ -27,8 +27,8 @@ from manifold.errors import (
     ShapeError,
     UsageError,
 )
+from manifold.gp.kernels import Kernel
 from manifold.io_rgl import write_bsdf
-from manifold.kernels import Kernel
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import rmse
@@ -313,7 +313,7 @@ def test_a_model_with_a_kernel_of_ones_own_is_loaded_where_it_is_registered(libr
     monkeypatch.delitem(KERNELS, "cauchy")
     with pytest.raises(
         ModelError,
-        match=r"model\.h5: no kernel is called 'cauchy'; .* register .* manifold\.kernels\.KERNELS",
+        match=r"model\.h5: no kernel is called 'cauchy'; .* register .* manifold\.registries\.KERNELS",
     ):
         Manifold.load(tmp_path / "model.h5", library)
 

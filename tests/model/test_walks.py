@@ -13,7 +13,7 @@ from manifold.analytic.microfacet import Plastic, RoughConductor
 from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
-from manifold.encoding import encoding_pairs
+from manifold.gp.encoding import encoding_pairs
 from manifold.metrics import cube_root_error
 from manifold.model.manifold import Manifold
 from manifold.model.walks import RoughenedBRDF, Walked, fit_highlight, roughness_at, step_of

@@ -131,8 +131,8 @@ def python_mappings(folder: Path) -> dict[str, Any]:
 
 def python_latent_models(folder: Path) -> dict[str, Any]:
     """Gaussian-process latent variables, regression, direct search, kernels and non-negative weights."""
-    from manifold import estimators, nonnegative
-    from manifold.kernels import kernel_named
+    from manifold.gp import estimators, nonnegative
+    from manifold.gp.kernels import kernel_named
 
     t = np.linspace(0.0, 3.0, 12)
     Y = np.stack([np.sin(t), np.cos(2 * t), t * t / 9, np.exp(-t)], axis=1)

@@ -17,10 +17,10 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.evaluate.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, in_space, named, predict
 from manifold.evaluate.stability.trials import BALL, HALF_OF_NEAREST, Limit, Measurement, Mode, Trial
+from manifold.gp.kernels import SquaredExponential
+from manifold.gp.likelihood import centre_gram, pca_start
 from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
-from manifold.kernels import SquaredExponential
-from manifold.likelihood import centre_gram, pca_start
 from manifold.model.combination import Combination
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.manifold import Manifold

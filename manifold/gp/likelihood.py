@@ -10,7 +10,7 @@ import scipy
 
 from manifold.compiled import loops
 from manifold.errors import NumericalError, ShapeError, UsageError
-from manifold.kernels import Kernel
+from manifold.gp.kernels import Kernel
 from manifold.records import Array
 from manifold.threads import one_blas_thread
 

@@ -55,6 +55,7 @@ from manifold.surface.response import Response, shaded
 from manifold.surface.sparkle import Flakes, sparkle_of
 from manifold.surface.tiling import tile
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "surface"))
 import surface_twins as twins
 

@@ -9,6 +9,9 @@ five pictures of it, and the others predicted; each may have a gain, and is comp
 
 Files are photographed in a dark room: 8-bit JPEG of random gain, the ball off the middle. What is found without the
 file is compared as a ball in the judged lights. The analytic fits see the same pixels and the true lamps.
+
+Pictures in which no lamp is found are refused, and the message asks for the lamps. `with_refused` gives them the error
+of the same pictures with the lamps given, so that these rows are over all files.
 """
 
 from __future__ import annotations
@@ -87,6 +90,8 @@ SHOTS = tuple(
     )
     for knows in kinds
 )
+INSTEAD = {"nothing": "geometry", "card": "geometry and card"}
+"""What users give if the lamps are not found, by what they gave before."""
 
 
 @dataclass(frozen=True)
@@ -278,15 +283,12 @@ def _tables(measured: Sequence[Mapping[str, Any]], lights: Sequence[str], path: 
             for count, of in by_count.items()
         ]
         print(f"{name}: " + ", ".join(cells))
-    counts = [str(count) for count in COUNTS["sun"]]
-    suns = [shot.name for shot in SHOTS if shot.light == "sun"]
-    whole = [
-        one["errors"] for one in measured if all(set(counts) <= set(one["errors"].get(s, ())) for s in suns)
-    ]
-    print(f"\n{len(whole)} materials that every row has, of {', '.join(counts)} pictures")
-    same = {name: {count: [of[name][count] for of in whole] for count in counts} for name in suns if whole}
-    for name, by_count in same.items():
-        cells = [f"{np.median(of):.2f} / {np.percentile(of, 90):.2f}" for of in by_count.values()]
+    whole = with_refused([one["errors"] for one in measured], lights)
+    print(f"\nthe same of all {len(measured)} materials; refused pictures count as if their lamps were given")
+    for name, by_count in whole.items():
+        cells = [
+            f"{count}: {np.median(of):.2f} / {np.percentile(of, 90):.2f}" for count, of in by_count.items()
+        ]
         print(f"{name}: " + ", ".join(cells))
     print("\nlamps found: degrees off, mean, median; by how many nearer to the camera, mean")
     lamps: dict[str, dict[str, dict[str, float]]] = {}
@@ -308,9 +310,32 @@ def _tables(measured: Sequence[Mapping[str, Any]], lights: Sequence[str], path: 
         )
     if path is not None:
         made: dict[str, object] = {_key(k): _summary(of) for k, of in tables.items() if ":" not in k}
-        made["same_materials"] = {_key(name): _summary(of) for name, of in same.items()}
+        made["with_refused"] = {_key(name): _summary(of) for name, of in whole.items()}
         made["lamps_off"] = lamps
         path.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+
+
+def with_refused(
+    errors: Sequence[Mapping[str, Mapping[str, float]]], lights: Sequence[str]
+) -> dict[str, dict[str, list[float]]]:
+    """Errors of every file by kind of photographs and their number; refused ones have those with given lamps."""
+    return {
+        shot.name: {
+            str(count): [_or_instead(of_file, shot, str(count)) for of_file in errors]
+            for count in COUNTS[shot.light]
+        }
+        for shot in SHOTS
+        if shot.light in lights
+    }
+
+
+def _or_instead(of_file: Mapping[str, Mapping[str, float]], shot: Shot, count: str) -> float:
+    error = of_file.get(shot.name, {}).get(count)
+    if error is None and shot.knows in INSTEAD:
+        error = of_file.get(f"{shot.light}, {INSTEAD[shot.knows]}", {}).get(count)
+    if error is None:
+        raise ValueError(f"{shot.name}, {count}: refused although the lamps are given")
+    return error
 
 
 def _key(name: str) -> str:

@@ -11,6 +11,7 @@ from helpers.paths import REPOSITORY
 sys.path.insert(0, str(REPOSITORY / "benchmarks"))
 sys.path.insert(0, str(REPOSITORY / "docs"))
 
+import bench_lamps
 import evidence
 import figures
 
@@ -58,3 +59,23 @@ def test_the_hash_of_code_sees_code_alone():
     reworded = '"""Some module."""\ndef f(x):\n    """Return the double."""\n\n    return 2*x\n'
     assert evidence.bare(source) == evidence.bare(reworded)
     assert evidence.bare(source) != evidence.bare(source.replace("2 *", "3 *"))
+
+
+def test_refused_pictures_count_as_if_their_lamps_were_given():
+    given = {"sun, geometry": {str(n): 2.0 for n in (1, 2, 3, 5, 8)}}
+    given["sun, geometry and card"] = dict.fromkeys(given["sun, geometry"], 1.0)
+    estimated = given | {
+        f"sun, {knows}": dict.fromkeys(given["sun, geometry"], 3.0) for knows in ("card", "nothing")
+    }
+    refused = given | {"sun, nothing": {"1": 4.0}}
+    whole = bench_lamps.with_refused([estimated, refused], ["sun"])
+    assert whole["sun, nothing"] == {
+        "1": [3.0, 4.0],
+        "2": [3.0, 2.0],
+        "3": [3.0, 2.0],
+        "5": [3.0, 2.0],
+        "8": [3.0, 2.0],
+    }
+    assert whole["sun, card"]["3"] == [3.0, 1.0]
+    with pytest.raises(ValueError, match="although the lamps are given"):
+        bench_lamps.with_refused([{}], ["sun"])

@@ -39,12 +39,11 @@ _LIGHTS = ("colour/panel.py", "colour/difference.py")
 class Result:
     """A result: the command that writes it, and the modules of `manifold` that decide its figures.
 
-    Words in capitals in the command stand for data, see `run_all.py`. Minutes are of a processor; None is not known.
+    Words in capitals in the command stand for data, see `run_all.py`.
     """
 
     command: str
     modules: tuple[str, ...]
-    minutes: float | None = None
 
     @property
     def sources(self) -> list[Path]:
@@ -75,20 +74,20 @@ CHARTED = (
 )  # fmt: skip
 
 RESULTS = {
-    "letter": Result("bench_letter.py FILES", (*_GPLVM, "model/fitting.py"), 3),
-    "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS), 3),
-    "fair_corpus": Result("bench_fair.py CORPUS --every 10", (*_GPLVM, *_BLEND, *_LIGHTS), 10),
-    "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic"), 5),
+    "letter": Result("bench_letter.py FILES", (*_GPLVM, "model/fitting.py")),
+    "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS)),
+    "fair_corpus": Result("bench_fair.py CORPUS --every 10", (*_GPLVM, *_BLEND, *_LIGHTS)),
+    "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic")),
     "spectral": Result(
-        "bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS, "../benchmarks/completion_baselines.py"), 2
+        "bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS, "../benchmarks/completion_baselines.py")
     ),
     "counts": Result(
         "bench_counts.py LIBRARY",
         (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py", "evaluate/readings.py", "fit/principled.py",
          "../benchmarks/completion_baselines.py"),
     ),
-    "sequence": Result("bench_sequence.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py"), 1),
-    "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS), 2),
+    "sequence": Result("bench_sequence.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/suggestions.py")),
+    "noise": Result("bench_noise.py LIBRARY", (*_COMPLETE, *_LIGHTS)),
     "met": Result("bench_met.py LIBRARY WORKBOOKS", (*_COMPLETE, *_LIGHTS)),
     "published": Result("bench_published.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS)),
     "held_out": Result(
@@ -113,7 +112,7 @@ RESULTS = {
     "together": Result("bench_photo.py FILES --together", ("estimate/photo_material.py", *_COMPLETE)),
     "lamps": Result(
         "bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2",
-        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", "estimate/photo_material.py"), 10,
+        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", "estimate/photo_material.py"),
     ),
     "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY", ("surface",)),
     "stability": Result("manifold stability", ("evaluate/stability", *_GPLVM, *_BLEND)),
@@ -128,7 +127,7 @@ RESULTS = {
     "commands": Result("bench_commands.py FILES", ()),
     "engines": Result("make engines", ("fit/exports",)),
 }  # fmt: skip
-"""Every result by name, those that need few minutes first."""
+"""Every result by name."""
 
 
 def bare(source: str) -> str:
@@ -179,19 +178,29 @@ def record(name: str) -> dict[str, object]:
     return dict(json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))[MADE])
 
 
+def minutes(name: str) -> float | None:
+    """Minutes of a processor that a result took when it was last measured; None if they are not known."""
+    if not (FOLDER / f"{name}.json").exists():
+        return None
+    seconds = record(name)["processor_seconds"]
+    return None if seconds is None else float(str(seconds)) / 60.0
+
+
 def is_current(name: str) -> bool:
     """Whether a result was measured with the present code."""
     return record(name)["code"] == RESULTS[name].code_hash
 
 
 def table() -> str:
-    """The results as a table of Markdown: command, date, commit, and whether the code has changed since."""
-    rows = ["| result | command | measured | commit | code |", "|---|---|---|---|---|"]
+    """The results as a table of Markdown: command, minutes, date, commit, and whether the code has changed since."""
+    rows = ["| result | command | minutes | measured | commit | code |", "|---|---|---|---|---|---|"]
     for path in sorted(FOLDER.glob("*.json")):
         how = record(path.stem)
         code = (
             "not recorded" if how["code"] is None else "as now" if is_current(path.stem) else "changed since"
         )
         command = re.sub(r"(--only \S+ ?|--methods .*)", "", str(how["command"])).strip()
-        rows.append(f"| `{path.stem}` | `{command}` | {how['date']} | `{how['commit']}` | {code} |")
+        took = minutes(path.stem)
+        shown = "" if took is None else f"{took:.1f}" if took < 1.0 else f"{took:.0f}"
+        rows.append(f"| `{path.stem}` | `{command}` | {shown} | {how['date']} | `{how['commit']}` | {code} |")
     return "\n".join(rows)

@@ -22,13 +22,15 @@ import sys
 import tempfile
 from pathlib import Path
 
-from evidence import FOLDER, RESULTS, data_hash, stamp
+from evidence import FOLDER, RESULTS, data_hash, minutes, stamp
 
 HERE = Path(__file__).resolve().parent
 MEASURED = {"FILES": "rgl", "NEURAL": "neural.zip", "WORKBOOKS": "ma-t12", "SPECTRAL": "spectral"}
 """Names of the data in a command, and where --data has them."""
-MADE_OF = {"LIBRARY": "FILES", "MODEL": "FILES", "WORKBOOK_FOLDER": "WORKBOOKS"}
+MADE_OF = {"LIBRARY": "FILES", "MODEL": "FILES", "WORKBOOK_FOLDER": "WORKBOOKS", "SURFACES": "WORKBOOKS"}
 """What is made of other data for the commands that name it."""
+SURFACES = ("PEN_PW_EB_PB_2", "PAR_PW_CN_MC_2", "PAR_PW_GE_MC_2")
+"""Workbooks whose surfaces a page shows: one with flakes, two without."""
 
 
 class Places:
@@ -41,7 +43,7 @@ class Places:
     def missing(self, words: list[str]) -> list[str]:
         """Which data a command needs and nobody gave."""
         needed = {MADE_OF.get(word, word) for word in words}
-        return [word for word in (*MEASURED, "SURFACES") if word in needed and word not in self._given]
+        return [word for word in MEASURED if word in needed and word not in self._given]
 
     def words(self, word: str) -> list[str]:
         """The paths that a word of a command stands for, or the word."""
@@ -49,6 +51,8 @@ class Places:
             return [str(path) for path in sorted(self._given[word].glob("*.xlsx"))]
         if word == "WORKBOOK_FOLDER":
             return [str(self._given["WORKBOOKS"].resolve())]
+        if word == "SURFACES":
+            return [str(self._surface(name)) for name in SURFACES]
         if word in self._given:
             return [str(self._given[word].resolve())]
         files = {"LIBRARY": "library.zarr", "MODEL": "model.h5", "CORPUS": "corpus"}
@@ -61,6 +65,15 @@ class Places:
             self._run("import", str(self._given["FILES"].resolve()))
             self._run("embed")
         return [str(path)]
+
+    def _surface(self, name: str) -> Path:
+        """The surface of a workbook."""
+        path = self._folder / f"{name}_surface"
+        if not path.exists():
+            self.words("LIBRARY")
+            workbook = (self._given["WORKBOOKS"] / f"{name}.xlsx").resolve()
+            self._run("surface", str(workbook), "-o", str(path))
+        return path
 
     def hashes(self, words: list[str]) -> dict[str, str]:
         """Hashes of the measured data of a command."""
@@ -101,7 +114,8 @@ def main() -> None:
             if program == "make":
                 print(f"== {name}: left out, run `{result.command}`", flush=True)
                 continue
-            expected = "" if result.minutes is None else f", about {result.minutes:g} processor minutes"
+            took = minutes(name)
+            expected = "" if took is None else f", about {took:.1f} processor minutes"
             print(f"== {name}{expected}", flush=True)
             command = (
                 [sys.executable, "-m", "manifold"]

@@ -301,14 +301,14 @@ def calibrate(
     results = terminal.Results(json)
     with progress.shown("Calibrating"):
         calibrated = instruments.calibrate(pairs, output, allow_harm=allow_harm)
-    form, count = calibrated.correction.form, len(calibrated.samples)
-    results.rows(f"Colour correction {output}", {"samples": count, "form": form})
-    left_out = "reading by reading of the one sample" if count == 1 else "sample by sample"
+    results.rows(f"Colour correction {output}", calibrated.rows)
+    one_sample = len(calibrated.samples) == 1
+    left_out = "reading by reading of the one sample" if one_sample else "sample by sample"
     results.text(f"\nLeave-one-out relative error, {left_out}:\n")
     results.table(
         ("form", "error", "chosen"),
         [
-            (each, "not measured" if error != error else f"{error:.4f}", "*" * (each == form))
+            (each, "not measured" if error != error else f"{error:.4f}", "*" * (each == calibrated.form))
             for each, error in calibrated.errors.items()
         ],
     )
@@ -317,7 +317,7 @@ def calibrate(
         ("sample", "uncorrected", "corrected"),
         [
             (name, *("unknown" if off != off else f"{off:.2f}" for off in row))
-            for name, row in calibrated.colours
+            for name, row in calibrated.ciede2000
         ],
     )
     if report is not None:

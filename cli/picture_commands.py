@@ -18,8 +18,7 @@ from .batch_options import ONE, OneWorkerOptions, PointsOption, inputs_of, make_
 from .outputs import or_default, written
 
 if TYPE_CHECKING:
-    from manifold.pictures.renders import Rendered
-    from manifold.render.images import Summary
+    pass
 
 
 PictureOption = Annotated[Path, options.output_option("The picture: .png, .pdf or .svg.")]
@@ -334,23 +333,8 @@ def render(
         return
     with progress.shown("Rendering"):
         made = renders.render(sources[0], or_default(output, "render.png"), settings, direct=direct)
-    _show_render(results, made)
-
-
-def _show_render(results: terminal.Results, rendered: Rendered) -> None:
-    content = rendered.to_json()
-    rows = {
-        "material": f"{content['material']} ({content['route']})",
-        "light": content["illuminant"],
-        "picture": "{size} x {size}, {samples} samples per pixel, seed {seed}".format(**content),
-        "renderer": content["backend"],
-        "time": f"{rendered.seconds:.1f} s",
-    }
-    results.rows(
-        f"Rendered {rendered.path}",
-        rows | (rendered.prediction.rows if rendered.prediction is not None else {}),
-    )
-    results.document(content)
+    results.rows(f"Rendered {made.path}", made.rows)
+    results.document(made)
 
 
 @app.command(
@@ -394,16 +378,5 @@ def compare(
     with progress.shown("Comparing"):
         sources = [options.material_source(text, model, library) for text in (a, b)]
         made = renders.compare(sources[0], sources[1], output, settings)
-    rows: dict[str, object] = {}
-    for name, key in (("CIEDE2000", "ciede2000"), ("Delta E_ITP", "itp"), ("FLIP", "flip")):
-        if made.ball:
-            rows[f"{name} of the ball ({made.light})"] = _summary(made.ball[key])
-        rows[f"{name} of the picture ({made.light})"] = _summary(made.pixels[key])
-    if made.diagnostics:
-        rows["diagnostics"] = made.diagnostics
-    results.rows(f"Compared {made.a} and {made.b} in {output}", rows)
+    results.rows(f"Compared {made.a} and {made.b} in {output}", made.rows)
     results.document(made)
-
-
-def _summary(found: Summary) -> str:
-    return f"mean {found.mean:.3f}, median {found.median:.3f}, 95 % below {found.p95:.3f}, largest {found.max:.3f}"

@@ -386,22 +386,22 @@ def _show_budget(results: terminal.Results, budget: Budget) -> None:
     rows = [
         [
             chosen.material if len(chosen.material) <= _NAME else f"{chosen.material[: _NAME - 1]}~",
-            chosen.candidate.name,
-            chosen.candidate.size,
+            chosen.representation,
+            chosen.size,
             f"{chosen.milliseconds:.0f}" if chosen.milliseconds >= 10 else f"{chosen.milliseconds:.1f}",
-            f"{chosen.candidate.predicted:.2f}",
+            f"{chosen.predicted:.2f}",
             f"{chosen.verified.delta_e:.2f}",
             f"{chosen.verified.flip:.3f}",
         ]
-        for chosen in budget.chosen
+        for chosen in budget.materials
     ]
     results.table(columns, rows)
-    for chosen in budget.chosen:
+    for chosen in budget.materials:
         results.sentence(
             f"{chosen.material}: {chosen.lighting}; {chosen.reason}; noise {chosen.noise.rendered:.2f}, subtracted"
         )
     results.text("pred., verified: CIEDE2000 in the scene's light, mean; ms: of a million evaluations\n")
-    results.text(f"{budget.size} of {budget.full_size} bytes, {_share(budget)} of the whole files\n")
+    results.text(f"{budget.bytes} of {budget.full_bytes} bytes, {_share(budget)} of the whole files\n")
     for note in budget.notes:
         results.sentence(f"note: {note}")
     if budget.output is not None:
@@ -410,5 +410,5 @@ def _show_budget(results: terminal.Results, budget: Budget) -> None:
 
 
 def _share(budget: Budget) -> str:
-    percent = 100.0 * budget.size / budget.full_size
+    percent = 100.0 * budget.bytes / budget.full_bytes
     return f"{percent:.0f} %" if percent >= 10.0 else f"{percent:.2g} %"

@@ -26,7 +26,7 @@ from manifold.metrics import Errors
 from manifold.model.expected_error import NOT_CALIBRATED
 from manifold.model.model_file import read_model
 from manifold.recognition import Kind, kind_of
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, plain
 
 if TYPE_CHECKING:
     from manifold.brdf.consistency import Consistency
@@ -268,7 +268,7 @@ def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> In
         "measured_share": float(mask.mean()),
         "zero_share": float(np.mean(file.spectra == 0)),
         "unmeasured_share": share,
-        "consistency": checked.to_json(),
+        "consistency": plain(checked),
     }
     tables = [_incidence_table(file, checked), _cell_table(file, checked)]
     return Inspection(f"{path.name}: RGL material", rows, document, tables)

@@ -285,16 +285,12 @@ def renders(
     A model and library are of all materials, where they are places of a table; there is no sheet of these. `direct`
     evaluates the measured materials of predictions while rendering.
     """
-    columns: Columns = {
-        "material": lambda content: content["route"],
-        "light": lambda content: content["illuminant"],
-    }
     loaded = None if model is None else load_model(model, library)
     if loaded is not None and loaded.bands.is_rgb:
         require_d65(settings.illuminant)
     return Command(
         "renders", partial(_render, settings=settings, direct=direct),
-        pictures.settings_key(settings) | {"direct": direct}, ".png", images.SUFFIXES, columns,
+        pictures.settings_key(settings) | {"direct": direct}, ".png", images.SUFFIXES, pictures.Rendered.columns(),
         has_balls=loaded is None, prepare=None if loaded is None else loaded.prepare,
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weight
 from manifold.colour.illuminants import Illuminant
 from manifold.directions import HORIZON, from_spherical
 from manifold.names import counted, first_few
-from manifold.records import Array, BsdfFile, Indices, Mask, evenly_spaced, plain
+from manifold.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 
 # Limits, and in brackets what 20 measured files and the corpus reach.
 _STEEPEST_DEG = 75.0  # nearer to the horizon, files hold little that was measured
@@ -79,10 +79,6 @@ class Consistency:
     negative_share: Array
     cells: tuple[Cell, ...]
     findings: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {name: plain(value) for name, value in vars(self).items()}
 
 
 def check_consistency(file: BsdfFile, *, has_exact_luminance: bool = True) -> Consistency:

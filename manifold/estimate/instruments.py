@@ -7,7 +7,7 @@ goniometer. For these directions its values are interpolated in half and differe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -31,7 +31,8 @@ from manifold.library.identity import alike
 from manifold.library.importing import find_files
 from manifold.names import counted, first_few
 from manifold.recognition import is_readings
-from manifold.records import Array, plain
+from manifold.records import Array
+from manifold.results import Result, derived, entry
 
 _ENOUGH_SAMPLES = 6  # samples for a colour correction; see docs/explanation/completion.md
 _ASK_FOR_PAIRS = "do both files of each pair read one sample?"
@@ -45,17 +46,25 @@ _SIMPLEX = 4  # points needed to interpolate in three coordinates
 
 
 @dataclass(frozen=True, eq=False)
-class CalibratedInstrument:
+class CalibratedInstrument(Result):
     """A colour correction that was learned from samples, whose names it has, and written.
 
     Attributes:
         left_out: samples that have no pair, with their files, and why.
     """
 
-    path: Path
+    path: Path = field(metadata=entry())
     correction: ColourCorrection
-    samples: Sequence[str]
-    left_out: tuple[str, ...] = ()
+    samples: Sequence[str] = field(
+        metadata=entry(row="samples", words=lambda made: len(made.samples), json=False)
+    )
+    left_out: tuple[str, ...] = field(default=(), metadata=entry())
+
+    @property
+    @derived(row="form", json=False)
+    def form(self) -> str:
+        """The form of the correction."""
+        return self.correction.form
 
     @property
     def errors(self) -> dict[str, float]:
@@ -63,7 +72,8 @@ class CalibratedInstrument:
         return {**self.correction.errors, "none: estimated spectra": self.correction.uncorrected}
 
     @property
-    def colours(self) -> list[tuple[str, list[float]]]:
+    @derived(json=lambda made: dict(made.ciede2000))
+    def ciede2000(self) -> list[tuple[str, list[float]]]:
         """Return every sample's CIEDE2000 (D65/2) to the reference, before and after the correction.
 
         The correction leaves the sample out; unknown values are NaN.
@@ -99,6 +109,7 @@ class CalibratedInstrument:
         return f"{counted(len(worse), 'sample')} of {len(self.samples)} become worse: {first_few(named)}"
 
     @property
+    @derived()
     def notes(self) -> tuple[str, ...]:
         """Return sentences on the range and quality of the correction."""
         notes, n_samples = [], len(self.samples)
@@ -122,14 +133,8 @@ class CalibratedInstrument:
         return tuple(notes)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values; None for an error that could not be measured."""
-        known = {
-            "path": self.path,
-            "ciede2000": dict(self.colours),
-            "left_out": self.left_out,
-            "notes": self.notes,
-        }
-        return self.correction.to_json() | plain(known)
+        """Return plain values, beside those of the correction."""
+        return self.correction.to_json() | super().to_json()
 
 
 def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from manifold.estimate.pixels import Blocks, Camera, block_sums
 from manifold.formats.readings import aspecular_pair
 from manifold.library.store import Library
 from manifold.model.estimator import Observation
-from manifold.records import Array, Bands, evenly_spaced, plain
+from manifold.records import Array, Bands, evenly_spaced
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 110.0, 130.0)
 """Between lamp and camera, seen from the ball, that are tried."""
@@ -64,10 +64,6 @@ class LampPlan:
 
     alone: tuple[Determined, ...]
     next: tuple[Determined, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return plain({"alone": self.alone, "next": self.next})
 
 
 def plan_lamps(

@@ -110,7 +110,7 @@ def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
                 (
                     form,
                     "" if error != error else f"{error:.4f}",
-                    "chosen" * (form == calibrated.correction.form),
+                    "chosen" * (form == calibrated.form),
                 )
                 for form, error in calibrated.errors.items()
             ],
@@ -120,7 +120,7 @@ def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:
             heads=("sample", "uncorrected", "corrected"),
             table=[
                 (name, *("" if off != off else f"{off:.2f}" for off in row))
-                for name, row in calibrated.colours
+                for name, row in calibrated.ciede2000
             ],
         ),
         Section("Notes", notes=calibrated.notes),

@@ -141,7 +141,7 @@ def plausibility_results(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class MethodErrors:
     """A method that was measured on materials.
 
     Attributes:

@@ -18,7 +18,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.evaluate import storage_forms
 from manifold.evaluate.cross_validation import Fit, Method, cross_validate, leave_out
-from manifold.evaluate.errors import Result
+from manifold.evaluate.errors import MethodErrors
 from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares
 from manifold.evaluate.stopwatch import RelativeTime, Stopwatch, some_pairs
 from manifold.evaluate.storage_forms import Storage
@@ -27,7 +27,7 @@ from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
 from manifold.pairs import Pairs, RusinkiewiczGrid
-from manifold.records import Array, BsdfFile, evenly_spaced, plain
+from manifold.records import Array, BsdfFile, evenly_spaced
 
 FOLDS = 10
 _TIMED, _REPEATS = 3, 5
@@ -41,10 +41,10 @@ _Fitted = tuple[list[Combination], RelativeTime, tuple[str, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChartRow(Result):
+class ChartRow(MethodErrors):
     """One setting; errors are in some of the bands, which stand for all.
 
-    Attributes: those of `Result`, and
+    Attributes: those of `MethodErrors`, and
         family: as in `Method`.
         fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
             it was not measured.
@@ -58,10 +58,6 @@ class ChartRow(Result):
     predict: RelativeTime
     bytes: int
     warnings: tuple[str, ...] = ()
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return super().to_json() | plain({"fit": self.fit, "predict": self.predict})
 
 
 class HeldOut:

@@ -25,8 +25,8 @@ from manifold.evaluate.cross_validation import (
     wall_clock,
 )
 from manifold.evaluate.errors import (
+    MethodErrors,
     PredictionErrors,
-    Result,
     colour_errors,
     measure_errors,
     plausibility_results,
@@ -58,10 +58,10 @@ _BYTES_PER_NUMBER = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class MethodResult(Result):
+class MethodResult(MethodErrors):
     """The results of one method in a report.
 
-    Attributes: those of `Result`, and
+    Attributes: those of `MethodErrors`, and
         rmse_uncertainty: relative error of both RMSE, estimated from every second of the measured bands; 0 if all were
             measured.
         numbers: that describe one material.

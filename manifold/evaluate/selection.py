@@ -20,7 +20,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.errors import ManifoldError, UsageError
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
-from manifold.evaluate.errors import Result, measure_errors
+from manifold.evaluate.errors import MethodErrors, measure_errors
 from manifold.evaluate.latent_models import fit_settings
 from manifold.evaluate.method_data import Data
 from manifold.library.store import Library
@@ -42,10 +42,10 @@ _TOLERANCE = 1e-4  # tolerance of fits: finer ones move no error by more than it
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate(Result):
+class Candidate(MethodErrors):
     """One setting and its held-out errors.
 
-    Attributes: those of `Result`, and
+    Attributes: those of `MethodErrors`, and
         mapping, latent_dim: the setting.
         error: geometric mean over materials of the linear error, which the choice is made by.
         seconds: of fitting and encoding all folds.

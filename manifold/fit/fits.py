@@ -61,10 +61,6 @@ class FitSettings:
     wide_colours: bool = False
     sample: str | None = None
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the settings on which a fit depends, as plain values."""
-        return plain(vars(self))
-
     def fit(
         self,
         target: BRDF | BsdfFile | FitSamples,
@@ -148,7 +144,7 @@ def fits(settings: FitSettings, *, with_pictures: bool = False) -> Command[Input
     columns = placed(FitResult.columns(), PREDICTED, before=BALL_COLUMN)
     return Command(
         "fits", partial(_fit_input, settings=settings, with_pictures=with_pictures),
-        settings.to_json() | {"pictures": with_pictures}, FIT_SUFFIX, columns=columns, under=BALL_COLUMN,
+        plain(settings) | {"pictures": with_pictures}, FIT_SUFFIX, columns=columns, under=BALL_COLUMN,
         has_balls=True, beside=_picture_of,
     )  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -23,11 +23,11 @@ from manifold.model.colours import ColourChoice
 from manifold.model.places import PlaceLike
 from manifold.progress import Stages
 from manifold.recognition import Kind, kind_of
-from manifold.records import plain
 from manifold.render import backend, images, scenes
 from manifold.render.ball import BallMaterial, read_material
 from manifold.render.images import Summary
 from manifold.render.render import RenderSettings, require_d65
+from manifold.results import Result, entry
 
 if TYPE_CHECKING:
     from manifold.model.diagnostics import DiagnosedPrediction
@@ -37,32 +37,42 @@ if TYPE_CHECKING:
 RIM = 0.03  # share of the ball's radius: where it meets the ground, and pixels see both
 
 
-@dataclass(frozen=True)
-class Rendered:
+@dataclass(frozen=True, kw_only=True)
+class Rendered(Result):
     """A picture that was made.
 
     Attributes:
+        route: how Mitsuba gets the material.
         seconds: rendering, without reading.
-        prediction: what is rendered; None for what was measured or fitted.
+        prediction: the rendered prediction; None for measured and fitted materials.
     """
 
-    path: Path
-    material: BallMaterial
-    settings: RenderSettings
-    renderer: backend.Backend
-    seconds: float
-    prediction: DiagnosedPrediction | None = None
+    program: str = field(default=f"manifold {__version__}", metadata=entry())
+    path: Path = field(metadata=entry())
+    material: str = field(
+        metadata=entry(row="material", words=lambda made: f"{made.material} ({made.route})")
+    )
+    route: str = field(metadata=entry(columns={"material": ()}))
+    illuminant: str = field(metadata=entry(row="light", columns={"light": ()}))
+    size: int = field(
+        metadata=entry(
+            row="picture",
+            words=lambda made: (
+                f"{made.size} x {made.size}, {made.samples} samples per pixel, seed {made.seed}"
+            ),
+        )
+    )
+    samples: int = field(metadata=entry())
+    seed: int = field(metadata=entry())
+    backend: str = field(metadata=entry(row="renderer"))
+    advice: str | None = field(metadata=entry())
+    seconds: float = field(metadata=entry(row="time", words="{:.1f}", unit="s"))
+    prediction: DiagnosedPrediction | None = field(metadata=entry())
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values, with the program's version."""
-        settings = self.settings
-        known = {
-            "program": f"manifold {__version__}", "path": self.path, "material": self.material.name,
-            "route": self.material.route, "backend": self.renderer.kind, "advice": self.renderer.advice,
-            "illuminant": settings.illuminant.name, "size": settings.size, "samples": settings.samples,
-            "seed": settings.seed, "seconds": self.seconds, "prediction": self.prediction,
-        }  # fmt: skip
-        return plain(known)
+    @property
+    def rows(self) -> dict[str, object]:
+        """Return the rows of the table, by label; those of the prediction come last."""
+        return super().rows | ({} if self.prediction is None else self.prediction.rows)
 
 
 def settings_key(settings: RenderSettings) -> dict[str, Any]:
@@ -103,7 +113,12 @@ def render(
         picture = material.render(settings)
         seconds = time.perf_counter() - start
     images.write_image(output, picture)
-    return Rendered(output, material, settings, backend.choose(), seconds, made)
+    renderer = backend.choose()
+    return Rendered(
+        path=output, material=material.name, route=material.route, illuminant=settings.illuminant.name,
+        size=settings.size, samples=settings.samples, seed=settings.seed, backend=renderer.kind,
+        advice=renderer.advice, seconds=seconds, prediction=made,
+    )  # fmt: skip
 
 
 @contextmanager
@@ -164,32 +179,30 @@ def latent_material(
     yield BallMaterial(f"latent {at}", bsdf, loaded.bands.is_rgb, "measured materials, directly"), predicted
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """The differences of two pictures.
+@dataclass(frozen=True, kw_only=True)
+class Comparison(Result):
+    """The differences of two pictures, or of two materials.
 
     Attributes:
         path: of the figure.
         a, b: what was compared.
         light: in which they are seen.
+        ciede2000_ball, itp_ball, flip_ball: over the pixels of the ball; None if pictures were compared.
+        ciede2000, itp, flip: over all pixels; `itp` is Delta E_ITP of ITU-R BT.2124.
         diagnostics: of the predictions among them.
-        pixels: over all pixels, by `ciede2000`, `itp` (Delta E_ITP of ITU-R BT.2124) and `flip`.
-        ball: the same over the pixels of the ball; empty where pictures were compared.
     """
 
-    path: Path
-    a: str
-    b: str
-    light: str
-    diagnostics: tuple[str, ...]
-    pixels: dict[str, Summary]
-    ball: dict[str, Summary]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values; those of the ball are None if pictures were compared."""
-        balls = {f"{key}_ball": self.ball[key] if self.ball else None for key in self.pixels}
-        names = ("path", "a", "b", "light", "diagnostics")
-        return plain({name: getattr(self, name) for name in names} | self.pixels | balls)
+    path: Path = field(metadata=entry())
+    a: str = field(metadata=entry())
+    b: str = field(metadata=entry())
+    light: str = field(metadata=entry(row="light"))
+    ciede2000_ball: Summary | None = field(default=None, metadata=entry(row="CIEDE2000 of the ball"))
+    ciede2000: Summary = field(metadata=entry(row="CIEDE2000 of the picture"))
+    itp_ball: Summary | None = field(default=None, metadata=entry(row="Delta E_ITP of the ball"))
+    itp: Summary = field(metadata=entry(row="Delta E_ITP of the picture"))
+    flip_ball: Summary | None = field(default=None, metadata=entry(row="FLIP of the ball"))
+    flip: Summary = field(metadata=entry(row="FLIP of the picture"))
+    diagnostics: tuple[str, ...] = field(metadata=entry(row="diagnostics"))
 
 
 def compare(
@@ -241,6 +254,9 @@ def compare(
     light = "as displayed" if ball is None else settings.light
     drawn = comparison_figure.comparison(first, second, maps["ciede2000"], maps["flip"], names, light, ball)
     figures.save(drawn, output)
-    of_ball = {} if ball is None else {key: Summary.of(values[ball]) for key, values in maps.items()}
-    of_pixels = {key: Summary.of(values) for key, values in maps.items()}
-    return Comparison(output, str(a), str(b), light, tuple(diagnostics), of_pixels, of_ball)
+    differences = {key: Summary.of(values) for key, values in maps.items()}
+    if ball is not None:
+        differences |= {f"{key}_ball": Summary.of(values[ball]) for key, values in maps.items()}
+    return Comparison(
+        path=output, a=str(a), b=str(b), light=light, diagnostics=tuple(diagnostics), **differences
+    )

@@ -107,6 +107,9 @@ class Summary:
     p95: float
     max: float
 
+    def __str__(self) -> str:
+        return f"mean {self.mean:.3f}, median {self.median:.3f}, 95 % below {self.p95:.3f}, largest {self.max:.3f}"
+
     @classmethod
     def of(cls, values: Array) -> Summary:
         """Summarise all values of an array."""

@@ -30,7 +30,7 @@ from manifold.evaluate.budget.search import Tolerance
 from manifold.evaluate.budget.verification import Pictures
 from manifold.io_rgl import read_bsdf, rgl_wavelengths_nm, write_bsdf
 from manifold.model.manifold import Manifold
-from manifold.records import Bands
+from manifold.records import Bands, plain
 from manifold.render import backend, render
 
 SMALL = BudgetSettings(size=40, samples=32)
@@ -78,14 +78,14 @@ def examples(tmp_path_factory):
 
 
 def test_the_three_examples_end_differently_within_the_tolerance(examples):
-    answers = {name: made.chosen[0] for name, made in examples.items()}
-    assert len({one.candidate.name for one in answers.values()}) == 3
+    answers = {name: made.materials[0] for name, made in examples.items()}
+    assert len({one.representation for one in answers.values()}) == 3
     assert all(one.verified.delta_e <= 1.0 for one in answers.values())
-    assert all(examples[name].size <= examples[name].full_size / 10 for name in ("felt", "paint"))
-    assert answers["felt"].candidate.numbers is not None
-    assert answers["felt"].candidate.numbers <= 12
-    assert answers["chrome"].candidate.numbers is None
-    assert answers["chrome"].asset.stat().st_size == answers["chrome"].candidate.size
+    assert all(examples[name].bytes <= examples[name].full_bytes / 10 for name in ("felt", "paint"))
+    assert answers["felt"].numbers is not None
+    assert answers["felt"].numbers <= 12
+    assert answers["chrome"].numbers is None
+    assert answers["chrome"].asset.stat().st_size == answers["chrome"].size
 
 
 def test_written_scenes_load_by_themselves_and_look_like_the_answer(examples):
@@ -94,13 +94,13 @@ def test_written_scenes_load_by_themselves_and_look_like_the_answer(examples):
     loaded = mi.load_file(str(made.output))
     assert "24, 24" in str(loaded.shapes()[0].bsdf())
     again = SceneDocument.read(made.output)
-    assert Path(again.materials[0].properties["filename"]) == made.chosen[0].asset
+    assert Path(again.materials[0].properties["filename"]) == made.materials[0].asset
 
 
 def test_the_answer_is_the_cheapest_of_the_rendered_candidates_within_the_tolerance(examples):
     for made in examples.values():
-        rendered = [c for c in made.chosen[0].to_json()["candidates"] if c["verified"] is not None]
-        assert min(c["bytes"] for c in rendered if c["verified"]["delta_e"] <= 1.0) == made.size
+        rendered = [c for c in plain(made.materials[0])["candidates"] if c["verified"] is not None]
+        assert min(c["bytes"] for c in rendered if c["verified"]["delta_e"] <= 1.0) == made.bytes
 
 
 def test_the_picture_shows_the_felt_yellow_twice(examples):
@@ -115,16 +115,16 @@ def test_the_picture_shows_the_felt_yellow_twice(examples):
 def test_the_star_of_the_figure_stands_below_the_tolerance(examples):
     made = examples["chrome"]
     blank = np.zeros((8, 16, 3))
-    figure = budget_figure(blank, blank, blank[..., 0], [one.to_json() for one in made.chosen], 1.0)
+    figure = budget_figure(blank, blank, blank[..., 0], [plain(one) for one in made.materials], 1.0)
     axis = next(a for a in figure.findobj(Axes) if a.get_xscale() == "log")
     (star,) = (line for line in axis.lines if line.get_label() == "chosen")
-    assert star.get_xdata()[0] == made.size
+    assert star.get_xdata()[0] == made.bytes
     assert star.get_ydata()[0] < 1.0
     assert "24x24x6" in " ".join(text.get_text() for text in axis.texts)
 
 
 def test_answers_are_plain_json(examples):
-    content = json.loads(json.dumps(examples["paint"].to_json(), allow_nan=False))
+    content = json.loads(json.dumps(plain(examples["paint"]), allow_nan=False))
     assert content["bytes"] == content["materials"][0]["size"]
     assert content["materials"][0]["candidates"][-1]["name"] == representations.FULL
 
@@ -155,8 +155,8 @@ def test_two_materials_of_a_dictionary_are_answered_together_without_llvm(tmp_pa
     content = scene(a=sphere(-1.1, red), b={"type": "sphere", "center": [1.1, 0.0, 0.0], "bsdf": two_sided})
     made = budgets.budget_scene(content, Tolerance(2.0), BudgetSettings(16, 8), tmp_path / "out")
     assert made.backend == "scalar"
-    assert [one.candidate.name for one in made.chosen] == ["diffuse, RGB"] * 2
-    colours = [one.candidate.bsdf["reflectance"]["value"] for one in made.chosen]
+    assert [one.representation for one in made.materials] == ["diffuse, RGB"] * 2
+    colours = [one.bsdf["reflectance"]["value"] for one in made.materials]
     np.testing.assert_allclose(
         colours, [(0.6, 0.2, 0.1), (0.1, 0.2, 0.5)], atol=0.03
     )  # a file of 8x8x4 nodes
@@ -171,10 +171,10 @@ def test_files_that_stay_count_among_the_bytes(tmp_path):
     made = budgets.budget_scene(content, Tolerance(5.0), BudgetSettings(16, 4), tmp_path / "out")
     stays = hidden.stat().st_size
     assert made.unseen == (("hidden", stays),)
-    assert made.size == made.chosen[0].candidate.size + stays
-    assert made.full_size == grey.stat().st_size + stays
-    assert made.to_json()["unseen"] == [{"material": "hidden", "bytes": stays}]
-    with pytest.raises(UsageError, match=f"needs {made.size} bytes, expected at most {stays}"):
+    assert made.bytes == made.materials[0].size + stays
+    assert made.full_bytes == grey.stat().st_size + stays
+    assert plain(made)["unseen"] == [{"material": "hidden", "bytes": stays}]
+    with pytest.raises(UsageError, match=f"needs {made.bytes} bytes, expected at most {stays}"):
         budgets.budget_scene(content, Tolerance(5.0, size=stays), BudgetSettings(16, 4))
 
 
@@ -188,14 +188,14 @@ def test_predictions_of_one_latent_in_two_colours_are_two_materials(tmp_path):
     source = tmp_path / "scene.json"
     source.write_text(json.dumps(scene(a=red, b=blue)), encoding="utf-8")
     made = budgets.budget_scene(source, Tolerance(20.0), BudgetSettings(16, 4))
-    a, b = (one.candidate.bsdf["reflectance"]["value"] for one in made.chosen)
+    a, b = (one.bsdf["reflectance"]["value"] for one in made.materials)
     assert a[0] > 3.0 * a[2]
     assert b[2] > 3.0 * b[0]
 
 
 @pytest.mark.parametrize(("size", "words"), [(996, "100 %"), (1000, "100 %"), (120, "12 %"), (1, "0.1 %")])
 def test_shares_are_written_without_exponents(size, words):
-    assert report_commands._share(SimpleNamespace(size=size, full_size=1000)) == words
+    assert report_commands._share(SimpleNamespace(bytes=size, full_bytes=1000)) == words
 
 
 # -- what a scene asks ----------------------------------------------------------------------------------------
@@ -363,7 +363,7 @@ def test_files_of_the_scene_are_never_overwritten(tmp_path):
 @pytest.mark.parametrize("name", ["felt", "paint"])
 def test_the_name_of_the_choice_is_not_written_over_other_candidates(examples, name):
     blank = np.zeros((8, 16, 3))
-    figure = budget_figure(blank, blank, blank[..., 0], [one.to_json() for one in examples[name].chosen], 1.0)
+    figure = budget_figure(blank, blank, blank[..., 0], [plain(one) for one in examples[name].materials], 1.0)
     figure.draw_without_rendering()
     axis = next(a for a in figure.findobj(Axes) if a.get_xscale() == "log")
     (text,) = axis.texts

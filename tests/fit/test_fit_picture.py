@@ -100,7 +100,7 @@ def test_a_fit_is_rendered_and_compared_like_a_file(fitted, tmp_path):
     source = read_material(fit)
     assert (source.is_rgb, source.route) == (True, "fitted principled")
     made = compare(FileSource(fit), FileSource(material), tmp_path / "both.png", SETTINGS)
-    assert made.ball["ciede2000"].mean < 4.0
+    assert made.ciede2000_ball.mean < 4.0
 
 
 def test_slices_show_a_fit_beside_its_material(fitted, tmp_path):

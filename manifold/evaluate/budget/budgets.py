@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from manifold import disk
 from manifold.batch import make_folder
@@ -51,62 +51,55 @@ class BudgetSettings:
 _TOLERANCE, _SETTINGS = Tolerance(), BudgetSettings()
 
 
+class Candidate(NamedTuple):
+    """A representation that could be chosen: bytes, predicted and, if it was rendered alone, verified difference."""
+
+    name: str
+    bytes: int
+    predicted: float
+    verified: Difference | None
+
+
 @dataclass(frozen=True, eq=False)
 class Chosen:
     """The answer for one material.
 
     Attributes:
-        full_size: bytes of the whole file.
+        representation: name of the chosen candidate.
         reason: why nothing cheaper.
         lighting: where and by what light the scene shows it.
+        size, full_size: bytes of the choice and of the whole file.
+        numbers: that describe the choice; None for files.
         milliseconds: for a million evaluations.
+        predicted: CIEDE2000 that was predicted for the choice.
         verified: difference of the renders, all materials exchanged.
         noise: difference of two renders of the reference with different seeds.
-        candidates: all of them, cheapest first.
-        alone: differences of those that were rendered alone, by name.
         asset: file that was written.
+        bsdf: of the choice, as Mitsuba takes it; a file that was not written has no name.
+        candidates: all of them, cheapest first.
     """
 
     material: str
-    candidate: Representation
-    full_size: int
+    representation: str
     reason: str
     lighting: str
+    size: int
+    full_size: int
+    numbers: int | None
     milliseconds: float
+    predicted: float
     verified: Difference
     noise: Difference
-    candidates: tuple[Representation, ...]
-    alone: Mapping[str, Difference]
-    asset: Path | None = None
+    asset: Path | None
+    bsdf: Mapping[str, Any]
+    candidates: tuple[Candidate, ...]
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values; a file that was not written has no name."""
-        one, bsdf = self.candidate, dict(self.candidate.bsdf)
-        if "filename" in bsdf:
-            bsdf["filename"] = self.asset
-        known = {
-            "material": self.material,
-            "representation": one.name,
-            "reason": self.reason,
-            "lighting": self.lighting,
-            "size": one.size,
-            "full_size": self.full_size,
-            "numbers": one.numbers,
-            "milliseconds": self.milliseconds,
-            "predicted": one.predicted,
-            "verified": self.verified,
-            "noise": self.noise,
-            "asset": self.asset,
-            "bsdf": bsdf,
-            "candidates": [
-                {
-                    "name": c.name, "bytes": c.size, "predicted": c.predicted,
-                    "verified": self.alone.get(c.name),
-                }
-                for c in self.candidates
-            ],
-        }  # fmt: skip
-        return plain(known)
+
+class Unseen(NamedTuple):
+    """A material that no pixel shows, which stays as it is."""
+
+    material: str
+    bytes: int
 
 
 @dataclass(frozen=True)
@@ -114,41 +107,23 @@ class Budget:
     """The answer for a scene.
 
     Attributes:
-        chosen: per material that is seen.
-        unseen: bytes of the materials that no pixel shows, by name; they stay as they are.
+        backend: `llvm` or `scalar`.
+        bytes, full_bytes: of all materials, and of all whole files.
+        materials: per material that is seen.
         notes: what a user should know, one line each.
         output: the scene that was written.
-        backend: `llvm` or `scalar`.
     """
 
     scene: str
     tolerance: Tolerance
-    chosen: tuple[Chosen, ...]
-    unseen: tuple[tuple[str, int], ...]
+    settings: BudgetSettings
+    backend: str
+    bytes: int
+    full_bytes: int
+    materials: tuple[Chosen, ...]
+    unseen: tuple[Unseen, ...]
     notes: tuple[str, ...]
     output: Path | None
-    backend: str
-    settings: BudgetSettings
-
-    @property
-    def size(self) -> int:
-        """Return the bytes of all materials, including those that are kept whole."""
-        return sum(one.candidate.size for one in self.chosen) + sum(size for _, size in self.unseen)
-
-    @property
-    def full_size(self) -> int:
-        """Return the bytes of all whole files."""
-        return sum(one.full_size for one in self.chosen) + sum(size for _, size in self.unseen)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        known = {
-            "scene": self.scene, "tolerance": self.tolerance, "settings": self.settings, "backend": self.backend,
-            "bytes": self.size, "full_bytes": self.full_size, "materials": self.chosen,
-            "unseen": [{"material": name, "bytes": size} for name, size in self.unseen],
-            "notes": self.notes, "output": self.output,
-        }  # fmt: skip
-        return plain(known)
 
 
 def example(
@@ -205,43 +180,56 @@ def budget_scene(
         times = cache(lambda candidate: representations.milliseconds(candidate.bsdf, is_rgb))
         pictures = Pictures(document, files, survey, settings.samples, settings.seed)
         unseen = tuple(
-            (material_name(path), path.stat().st_size) for key, path in files.items() if key not in candidates
+            Unseen(material_name(path), path.stat().st_size)
+            for key, path in files.items()
+            if key not in candidates
         )
         answer = search.search(
-            candidates, tolerance, pictures.differences, times, sum(size for _, size in unseen)
+            candidates, tolerance, pictures.differences, times, sum(one.bytes for one in unseen)
         )
         noise = pictures.noise()
         assets = {} if target is None else _write(document, target, names, answer.choice)
         chosen = tuple(
             Chosen(
                 material=material_name(files[key]),
-                candidate=one,
-                full_size=next(c.size for c in candidates[key] if c.is_full),
+                representation=one.name,
                 reason=_reason(candidates[key][: candidates[key].index(one)], answer.alone[key]),
                 lighting=_lighting_in_words(survey.lighting[key]),
+                size=one.size,
+                full_size=next(c.size for c in candidates[key] if c.is_full),
+                numbers=one.numbers,
                 milliseconds=times(one),
+                predicted=one.predicted,
                 verified=answer.together[key],
                 noise=noise[key],
-                candidates=tuple(candidates[key]),
-                alone=answer.alone[key],
                 asset=assets.get(key),
+                bsdf={
+                    name: assets.get(key) if name == "filename" else value for name, value in one.bsdf.items()
+                },
+                candidates=tuple(
+                    Candidate(c.name, c.size, c.predicted, answer.alone[key].get(c.name))
+                    for c in candidates[key]
+                ),
             )
             for key, one in answer.choice.items()
         )
         if picture is not None:
             both = pictures.beside(answer.choice)
-            shown = [one.to_json() for one in chosen]
+            shown = [plain(one) for one in chosen]
             delta_e = images.ciede2000_map(*both)
             figures.save(budget_figure(*both, delta_e, shown, tolerance.delta_e), picture)
+    kept = sum(one.bytes for one in unseen)
     return Budget(
         scene=document.origin,
         tolerance=tolerance,
-        chosen=chosen,
-        unseen=unseen,
-        notes=_notes(chosen, tolerance, [name for name, _ in unseen]),
-        output=target,
-        backend=backend.choose().kind,
         settings=settings,
+        backend=backend.choose().kind,
+        bytes=sum(one.size for one in chosen) + kept,
+        full_bytes=sum(one.full_size for one in chosen) + kept,
+        materials=chosen,
+        unseen=unseen,
+        notes=_notes(chosen, tolerance, [one.material for one in unseen]),
+        output=target,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import sys
 
 import pytest
@@ -14,6 +15,7 @@ sys.path.insert(0, str(REPOSITORY / "docs"))
 import bench_lamps
 import evidence
 import figures
+import run_all
 
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 
@@ -79,3 +81,37 @@ def test_refused_pictures_count_as_if_their_lamps_were_given():
     assert whole["sun, card"]["3"] == [3.0, 1.0]
     with pytest.raises(ValueError, match="although the lamps are given"):
         bench_lamps.with_refused([{}], ["sun"])
+
+
+DATA_WORDS = {*run_all.MEASURED, *run_all.MADE_OF, "CORPUS"}
+
+
+@pytest.mark.parametrize("name", evidence.RESULTS)
+def test_data_that_a_command_names_can_be_given(name):
+    words = evidence.RESULTS[name].command.split()
+    assert {word for word in words if word.isupper()} <= DATA_WORDS
+
+
+ONLY_PARSE = """
+import argparse, pathlib, runpy, sys
+parse = argparse.ArgumentParser.parse_args
+def parsed(self, *arguments):
+    parse(self, *arguments)
+    sys.exit("parsed")
+argparse.ArgumentParser.parse_args = parsed
+del sys.argv[0]
+sys.path.insert(0, str(pathlib.Path(sys.argv[0]).parent))
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [n for n, r in evidence.RESULTS.items() if r.command.split()[0].endswith(".py")]
+)
+def test_benchmark_imports_what_it_needs_and_has_the_options_of_its_command(name):
+    program, *words = evidence.RESULTS[name].command.split()
+    path = REPOSITORY / "benchmarks" / program
+    command = [sys.executable, "-c", ONLY_PARSE, str(path), *words, "--json", "FILE"]
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY.parent, check=False)
+    assert ran.stderr.endswith("parsed\n"), ran.stderr

@@ -8,7 +8,7 @@
 
 Mitsuba renders the ball of every file, 256 pixels across, with noise, clipped at display white; what was found without
 that file is compared in another light: the studio turned by half a circle. Negative values of files are cut, as in a
-library.
+library. Light and outline are given, so that no picture is refused and every row is over all chosen files.
 """
 
 from __future__ import annotations

@@ -34,11 +34,11 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.errors import ManifoldError
 from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.channels import Channels
+from manifold.estimate.completion import Completion
 from manifold.estimate.lamps import Lamp, lamp_pairs, read_lamps
 from manifold.estimate.light_probe import find_light
 from manifold.estimate.outlines import Circle, Photograph, read_photograph
-from manifold.estimate.photo_material import PhotoMaterial, find_material
-from manifold.estimate.photographs import band_matrix, srgb_responses
 from manifold.estimate.pixels import Camera, blocks_of, frames
 from manifold.estimate.sightings import PhotoRequest, Sighting, see
 from manifold.fit.fit_samples import FitSamples
@@ -103,17 +103,15 @@ class Material:
     truth: MeasuredBRDF
 
     @property
-    def to_bands(self) -> Array:
-        """See `spectra.band_matrix`."""
-        return band_matrix(self.library, self.atoms.names, srgb_responses(self.library.bands))
+    def channels(self) -> Channels:
+        """Those of linear sRGB, and the bands of the library."""
+        return Channels.of_library(self.library, self.atoms.names)
 
-    def found(
-        self, balls: Sequence[Sighting | Readings], exposure: float | None, each: bool
-    ) -> PhotoMaterial:
+    def found(self, balls: Sequence[Sighting | Readings], exposure: float | None, each: bool) -> Completion:
         """What is found without the file."""
-        return find_material(self.atoms, balls, self.to_bands, exposure=exposure, each=each)
+        return Completion.of(self.atoms, balls, exposure=exposure, each=each, channels=self.channels)
 
-    def ball(self, material: PhotoMaterial) -> float:
+    def ball(self, material: Completion) -> float:
         """Its error in the judged lights."""
         return brdf_errors(self.truth, ClippedBRDF(material.brdf)).ball
 
@@ -463,8 +461,6 @@ def _together(one: Material, taken: Taken) -> dict[str, dict[str, float]]:
     read = Readings("left out", "twelve", wi, wo, None, np.maximum(one.truth.eval(wi, wo), 0.0))
     balls, exposure = _seen([taken], Shot("", "sun", "geometry and card"))
     assert balls is not None
-    from manifold.estimate.completion import Completion
-
     of_readings = Completion.of(replace(one.atoms, is_linear=False), read)
     alone = brdf_errors(one.truth, ClippedBRDF(of_readings.brdf)).ball
     errors = {"together: twelve readings": {"0": alone}}

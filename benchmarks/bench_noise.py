@@ -18,6 +18,7 @@ from bench_readings import KINDS, read
 from bench_spectral import GAIN, OFFSET, SCATTER
 
 from manifold.estimate import Completion, LibraryAtoms
+from manifold.estimate.evidence import Evidence
 from manifold.estimate.expected import errors_of
 from manifold.formats.readings import geometry_ma_t12
 from manifold.library.store import Library
@@ -47,7 +48,8 @@ def main() -> None:
             ("exact", exact),
             ("noisy", replace(exact, values=exact.values * scale + offset)),
         ):
-            made = Completion.of(others, readings, (left, np.empty((len(left), 0))))
+            seen = Evidence.of_instruments(others, readings, (left, np.empty((len(left), 0))))
+            made = Completion.of(others, seen)
             errors = errors_of(atoms, m, made.on_grid, made.on_ball)
             found[case].append([float(getattr(errors, kind)) for kind in KINDS])
         print(name, found["exact"][-1], found["noisy"][-1], flush=True)

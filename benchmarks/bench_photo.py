@@ -30,10 +30,10 @@ from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.channels import srgb_responses, wiener_matrix
 from manifold.estimate.completion import Completion
+from manifold.estimate.expected import calibrate, errors_of_weights
 from manifold.estimate.outlines import Circle, Photograph
-from manifold.estimate.photo_material import PhotoMaterial, errors_of, find_material
-from manifold.estimate.photographs import srgb_responses, wiener_matrix
 from manifold.estimate.pixels import Camera, Environment, blocks_of
 from manifold.estimate.sightings import Sighting
 from manifold.formats.readings import Readings, geometry_ma_t12
@@ -115,11 +115,11 @@ def rendered(files: list[Path], light: Array) -> Iterator[Array]:
             )  # fmt: skip
 
 
-def found(atoms: LibraryAtoms, m: int, seen: Sighting, shot: Shot) -> PhotoMaterial:
+def found(atoms: LibraryAtoms, m: int, seen: Sighting, shot: Shot) -> Completion:
     """Material m, found by all others."""
     without = atoms.without(m)
     exposure = 1.0 if shot.is_exposure_known else None
-    return find_material(without, [seen], np.eye(3), exposure=exposure)
+    return Completion.of(without, [seen], exposure=exposure)
 
 
 def three(found: Errors[float]) -> tuple[float, float, float]:
@@ -131,7 +131,7 @@ def errors(atoms: LibraryAtoms, m: int, weights: Array) -> tuple[float, float, f
     """Of weights of the atoms without material m."""
     every = np.zeros((3, len(atoms)))
     every[:, atoms.material_of != m] = weights
-    return three(errors_of(atoms, 3 * m + np.arange(3), every))
+    return three(errors_of_weights(atoms, m, every))
 
 
 def nearest(atoms: LibraryAtoms, m: int) -> tuple[float, float, float]:
@@ -141,7 +141,7 @@ def nearest(atoms: LibraryAtoms, m: int) -> tuple[float, float, float]:
     for k in others:
         weights = np.zeros((3, len(atoms)))
         weights[np.arange(3), 3 * k + np.arange(3)] = 1.0
-        tried.append(three(errors_of(atoms, 3 * m + np.arange(3), weights)))
+        tried.append(three(errors_of_weights(atoms, m, weights)))
     return min(tried)
 
 
@@ -166,7 +166,7 @@ def together(
     readings = Readings("sample", "MA-T12", wi, wo, None, values)
     made = [
         Completion.of(replace(without, is_linear=False), readings).brdf,
-        *(find_material(without, observed, np.eye(3)).brdf for observed in ([seen], [seen, readings])),
+        *(Completion.of(without, observed).brdf for observed in ([seen], [seen, readings])),
     ]
     found = [brdf_errors(truth, brdf) for brdf in made]
     first, second, third = map(three, found)
@@ -249,7 +249,8 @@ def real(folder: Path, options: argparse.Namespace) -> None:
                     row += (plausibility_of_file(output_file(brdf, "found")[0]).max_albedo,)
                 rows.append(row)
                 if options.expected and shot is STANDARD:
-                    expected.append(list(three(material.expected)))
+                    calibration = calibrate(material.atoms, material.exposed)
+                    expected.append(list(three(calibration.expected(material))))
             others = expected_beside(rows, expected) if expected else {}
             seconds = round((time.perf_counter() - start) / len(rows), 1)
             table.add(f"{name}, {shot.name}{part}", rows, **others, seconds=seconds)

@@ -17,6 +17,7 @@ from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
 from manifold.estimate import Completion, LibraryAtoms, calibrate, suggest
+from manifold.estimate.evidence import Evidence
 from manifold.estimate.expected import errors_of
 from manifold.estimate.suggestions import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
@@ -44,7 +45,10 @@ def errors(
 ) -> Array:
     """Of material m completed from some of the directions."""
     left = at[atoms.material_of != m][:, chosen]
-    made = Completion.of(others, read(atoms, m, at, wi, wo, chosen), (left, np.empty((len(left), 0))))
+    seen = Evidence.of_instruments(
+        others, read(atoms, m, at, wi, wo, chosen), (left, np.empty((len(left), 0)))
+    )
+    made = Completion.of(others, seen)
     found = errors_of(atoms, m, made.on_grid, made.on_ball)
     return np.array([getattr(found, kind) for kind in KINDS])
 
@@ -66,9 +70,9 @@ def suggestions(atoms: LibraryAtoms) -> dict[str, object]:
             known = None
             if chosen:
                 left = at[~own][:, chosen]
-                known = Completion.of(
-                    others, read(atoms, m, at, wi, wo, np.array(chosen)), (left, np.empty((len(left), 0)))
-                )
+                now = read(atoms, m, at, wi, wo, np.array(chosen))
+                seen = Evidence.of_instruments(others, now, (left, np.empty((len(left), 0))))
+                known = Completion.of(others, seen)
             found = suggest(others, 1, known)
             chosen.append(int(np.argmin(np.sum((wi - found.wi) ** 2 + (wo - found.wo) ** 2, axis=1))))
 

@@ -29,9 +29,10 @@ _GPLVM = (
 )  # fmt: skip
 _BLEND = ("model/blend_fitting.py", "model/blend_space.py", "model/blending.py", "model/colour_paths.py")
 _COMPLETE = (
-    "estimate/atoms.py", "estimate/mixtures.py", "estimate/residual.py", "estimate/completion.py",
-    "estimate/coat.py", "estimate/gloss.py",
+    "estimate/atoms.py", "estimate/mixtures.py", "estimate/residual.py", "estimate/evidence.py", "estimate/solving.py",
+    "estimate/completion.py", "estimate/coat.py", "estimate/gloss.py",
 )  # fmt: skip
+_PICTURES = ("estimate/evidence.py", "estimate/solving.py", "estimate/pixel_mixtures.py")
 _LIGHTS = ("colour/panel.py", "colour/difference.py")
 
 
@@ -108,11 +109,11 @@ RESULTS = {
     "page_surfaces": Result("bench_page_surfaces.py MODEL SURFACES", ("page", "surface")),
     "compact": Result("bench_compact.py FILES", ("library/compacting.py", "library/compact.py")),
     "inspection": Result("bench_inspection.py --files FILES", ("brdf/consistency.py", "info.py")),
-    "photo": Result("bench_photo.py FILES", ("estimate/photo_material.py", "estimate/pixels.py")),
-    "together": Result("bench_photo.py FILES --together", ("estimate/photo_material.py", *_COMPLETE)),
+    "photo": Result("bench_photo.py FILES", (*_PICTURES, "estimate/pixels.py")),
+    "together": Result("bench_photo.py FILES --together", (*_PICTURES, *_COMPLETE)),
     "lamps": Result(
         "bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2",
-        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", "estimate/photo_material.py"),
+        ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", *_PICTURES),
     ),
     "surface": Result("bench_surface.py WORKBOOK_FOLDER LIBRARY", ("surface",)),
     "stability": Result("manifold stability", ("evaluate/stability", *_GPLVM, *_BLEND)),

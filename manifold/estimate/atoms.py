@@ -226,6 +226,10 @@ class LibraryAtoms:
         """Atoms of values times both cosines at the encoding grid, shape (n, P_g)."""
         return self._from_roots(self.directions[:, : self.n_grid], self.grid) * self.grid.cosines
 
+    def grid_values(self, weights: Array) -> Array:
+        """Return f of weights (B, n) of atoms of values at the encoding grid, shape (P_g, B)."""
+        return np.asarray((weights @ self.on_grid / self.grid.cosines).T)
+
     def grid_products(self, stride: int) -> Array:
         """Return the inner products of atoms of values over one in `stride` pairs of the grid, shape (n, n)."""
         kept: dict[int, Array] = self.__dict__.setdefault("_grid_products", {})

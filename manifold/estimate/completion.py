@@ -1,8 +1,8 @@
-"""Completion of readings in the bands of a library: the posterior over mixtures of atoms, and its uncertainty."""
+"""A material completed from observations: its BRDF, composition and uncertainty."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,15 +10,27 @@ import numpy as np
 
 from manifold.brdf.interface import BRDF
 from manifold.colour.difference import delta_e_2000_lab, lab_values
-from manifold.colour.narrow_bands import with_spectra
-from manifold.errors import BandMismatchError, UsageError
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
+from manifold.estimate.channels import Channels
+from manifold.estimate.evidence import Evidence, bands_of, beyond, in_all_bands
 from manifold.estimate.gloss import gloss_differences, gloss_units
-from manifold.estimate.mixtures import GlossReadings, Hypotheses, ReadingRoots, band_mixtures, posterior
-from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
+from manifold.estimate.mixtures import GlossReadings
+from manifold.estimate.pixel_mixtures import GRID_STRIDE
+from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates
+from manifold.estimate.solving import (
+    CONTRADICTION,
+    Seen,
+    Solution,
+    geometric_mean,
+    mean_roots,
+    observe,
+    ratio_of,
+    relative,
+    residuals_of,
+    solve,
+    solve_pictures,
+)
 from manifold.formats.readings import DAYLIGHT, Readings, Viewing
-from manifold.model.estimator import Observation, explain
-from manifold.pairs import cosine_weight
 from manifold.records import Array, Bands, Mask
 
 _SHOWN_ALTERNATIVES = 5
@@ -26,25 +38,24 @@ _NEAR_MIRROR_DEG = 5.0  # from a mirror direction, where readings measure all bu
 _DARK = 0.1  # share of the mean over readings, to which errors of darker ones are relative
 _GLOSS_MISSED = 0.1  # relative error of cube roots above which gloss is not met
 _UNEXPLAINED = 0.2  # residual of mixtures
+NOISY = 0.03
+"""Residual that the noise of pictures can make."""
+
+_MUCH_LESS = 0.7  # share of a residual
 _VISIBLE_NM = 550.0  # bands on both sides make a colour
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
-_KEEP = 0.1  # weight of changes over all directions against residuals at readings
-_FEW = (
-    12.0  # sum of the weights of readings, cosines included, up to which that holds; more readings weigh more
-)
-_FEW_BANDS = 3  # bands, other than blue, green and red, that are no colour
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """A mixture of materials that explains the readings.
+    """A mixture of materials that explains the observations.
 
     Attributes:
         like: names of its materials, and their weights.
         probability: of it and of mixtures that look alike.
-        misfit: relative error of the mean over bands at the readings, before they are adjusted to these, of it and of
-            those that look alike: root mean square.
-        difference: relative difference from the completion, in cube roots on the ball.
+        misfit: relative error of the mean over bands at the readings, or of the pixels, before the combination is
+            adjusted to these, of it and of those that look alike: root mean square.
+        difference: relative difference from the mean of all mixtures, in cube roots on the ball.
     """
 
     like: tuple[tuple[str, float], ...]
@@ -55,150 +66,139 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Completion:
-    """A material completed from readings.
+    """A material completed from readings, gloss and pictures, with the materials of a library as prior.
 
     Attributes:
-        atoms: of the library.
-        readings: in the bands that were compared.
-        at_readings: cube roots of atoms there, shape (n + 1, P).
-        hypotheses: mixtures of materials, and their probabilities.
-        weights: of atoms in the bands of the completion, see `bands_of`, shape (B, n + 1).
-        residual: factors near the readings, in these bands.
-        predicted: f at the readings, in 1/sr, shape (P, B_r).
-        gloss_misfits: relative error of cube roots at the readings of gloss, by angle in degrees.
+        atoms: of the library; of values if there are pictures.
+        evidence: what was observed.
+        solution: how atoms explain it, in the bands of the readings or the channels of the camera.
         written: the file's BRDF, of which these errors are; None where they are of the completion itself.
     """
 
     atoms: LibraryAtoms
-    readings: Readings
-    at_readings: Array
-    hypotheses: Hypotheses
-    weights: Array
-    residual: ResidualFactors
-    predicted: Array
-    gloss_misfits: Mapping[float, float]
+    evidence: Evidence
+    solution: Solution
     written: BRDF | None = None
 
     @classmethod
-    def of(cls, atoms: LibraryAtoms, readings: Readings, at: tuple[Array, Array] | None = None) -> Completion:
-        """Complete readings of a material to all directions, with the materials of a library as prior.
+    def of(
+        cls,
+        atoms: LibraryAtoms,
+        seen: Readings | Evidence | Sequence[Seen],
+        *,
+        exposure: float | None = 1.0,
+        each: bool = False,
+        channels: Channels | None = None,
+        usable: Mask | None = None,
+    ) -> Completion:
+        """Complete observations of a material to all directions.
 
         Args:
-            atoms: of the library.
-            readings: at P direction pairs, and G of gloss.
-            at: cube roots of atoms at these, shapes (n, P) and (n, G), where they are known and the readings are in
-                the bands of the library.
+            atoms: of the library; of values if there are pictures.
+            seen: readings; or pictures by one camera, readings and gloss by angle together; or these as evidence.
+            exposure: of pictures, relative to the light; None finds the one that the library's materials, and what else
+                was observed, make most probable.
+            each: whether every picture has its own exposure about this one.
+            channels: of the camera, if there are pictures; by default those of linear sRGB.
+            usable: atoms that are used, shape (n,); by default all.
 
         Raises:
             BandMismatchError: the bands of readings and library do not go together.
-            UsageError: no reading is left, or all are zero.
+            UsageError: no reading is left, or all are zero, or there are neither readings nor pictures.
         """
-        if at is None:
-            readings = _usable(for_library(readings, atoms.bands))
-            at = atoms.at(readings.wi, readings.wo), atoms.gloss(tuple(readings.gloss))
-        at_readings, at_gloss = at
-        where = coordinates(readings.wi, readings.wo)
-        weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
-        read = ReadingRoots(at_readings, np.cbrt(np.maximum(readings.values, 0.0)).T, weights, where)
-        gloss = GlossReadings.of(readings, at_gloss)
-        all_where, ones = np.vstack([where, gloss.where]), np.ones(len(gloss.roots))
-        of_mean = ReadingRoots(
-            np.hstack([at_readings, gloss.atoms]), np.append(_mean_roots(readings), gloss.roots)[None],
-            np.append(weights, ones), all_where,
-        )  # fmt: skip
-        mixtures = posterior(of_mean, atoms.gram, atoms.material_of, len(atoms.names))
-        hypotheses = band_mixtures(mixtures, read, atoms.gram, atoms.material_of, gloss, len(atoms.names))
-        combined = completion_weights(read, atoms.gram, hypotheses.mean, atoms.usable(hypotheses.mean))
-        mixed, glossy = combined @ at_readings, combined @ gloss.atoms
-        residual = residual_factors(
-            np.hstack([read.material, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), all_where,
-            np.append(readings.weights, ones), readings.repeatability,
-        )  # fmt: skip
-        differences = gloss.differences(glossy)
-        in_library = replace(residual, strength=in_all_bands(residual.strength, readings, atoms.bands))
-        return cls(
-            atoms, readings, at_readings, hypotheses, in_all_bands(combined, readings, atoms.bands), in_library,
-            (mixed * residual.at(where)).T ** 3, dict(zip(readings.gloss, differences.tolist(), strict=True)),
-        )  # fmt: skip
+        if not isinstance(seen, Evidence):
+            seen = [seen] if isinstance(seen, Readings) else seen
+            seen = observe(atoms, seen, exposure=exposure, each=each, channels=channels)
+        solution = solve(atoms, seen, usable)
+        return cls(atoms, solution.evidence, solution)
 
     def as_written(self, brdf: BRDF) -> Completion:
         """Return the completion with the errors of a file that it was written to."""
-        f, read, nm = (
-            brdf.eval(self.readings.wi, self.readings.wo),
-            self.readings.gloss,
-            self.readings.wavelengths_nm,
-        )
-        if nm is not None:
-            f = np.array([np.interp(nm, np.array(brdf.bands.wavelengths_nm), row) for row in f])
-        made = gloss_units(brdf, read)
-        off = gloss_differences(np.array(list(made.values())), np.array(list(read.values())))
-        return replace(
-            self, predicted=f, written=brdf, gloss_misfits=dict(zip(read, off.tolist(), strict=True))
-        )
+        return replace(self, written=brdf)
 
     def __repr__(self) -> str:
         like = ", ".join(f"{weight:.2f} {name}" for name, weight in self.made_of)
-        return f"<Completion: {self.readings.name} from {len(self.readings)} readings, {like}>"
+        return f"<Completion: {self.evidence}, {like}>"
+
+    @property
+    def readings(self) -> Readings:
+        """The readings, in the bands that were compared or, beside pictures, in their own."""
+        assert self.evidence.readings is not None, "the material was completed without readings"
+        return self.evidence.readings
 
     @property
     def bands(self) -> Bands:
-        """The spectral axis of the completion."""
-        return bands_of(self.readings, self.atoms.bands)
+        """The spectral axis: that of the library, or of spectra that an RGB library completes."""
+        readings = self.evidence.readings
+        return self.atoms.bands if readings is None else bands_of(readings, self.atoms.bands)
 
     @cached_property
-    def brdf(self) -> AdjustedBRDF:
-        """The completed BRDF, never negative."""
-        return AdjustedBRDF(self.atoms.predicted(self.weights, self.bands), self.residual)
+    def weights(self) -> Array:
+        """Weights of atoms in all bands, shape (B, n)."""
+        if self.evidence.to_bands is not None:
+            return np.asarray(self.evidence.to_bands @ self.solution.weights)
+        return in_all_bands(self.solution.weights, self.readings, self.atoms.bands)
+
+    @cached_property
+    def factors(self) -> ResidualFactors | None:
+        """Factors of cube roots near the readings, in all bands; None beside pictures."""
+        factors = self.solution.factors
+        if factors is None:
+            return None
+        return replace(factors, strength=in_all_bands(factors.strength, self.readings, self.atoms.bands))
+
+    @cached_property
+    def brdf(self) -> BRDF:
+        """The completed BRDF; from pictures slightly negative in spectral bands where colours are saturated."""
+        combined = self.atoms.predicted(self.weights, self.bands)
+        return combined if self.factors is None else AdjustedBRDF(combined, self.factors)
 
     @cached_property
     def on_grid(self) -> Array:
         """Values f at the encoding grid, shape (P_g, B)."""
+        if self.atoms.is_linear:
+            return self.atoms.grid_values(self.weights)
         return self._at(self.atoms.directions[:, : self.atoms.n_grid], grid_coordinates())
 
     @cached_property
     def on_ball(self) -> Array:
-        """Values f at all pairs that light a ball, shape (P_b, B)."""
+        """Values f at all pairs that light a ball, shape (P_b, B); of atoms of values its pixels, (K, B)."""
+        if self.atoms.is_linear:
+            return (self.weights @ self.atoms.on_ball).T
         return self._at(self.atoms.ball, ball_coordinates())
 
     def _at(self, roots: Array, where: Array) -> Array:
         """Return f at coordinates (P, 3), at which atoms have cube roots (n + 1, P)."""
-        return np.asarray((self.weights @ roots * self.residual.at(where)).T ** 3)
+        assert self.factors is not None
+        return np.asarray((self.weights @ roots * self.factors.at(where)).T ** 3)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Assumptions about the file, and bands and directions without readings, in sentences."""
-        notes = list(self.readings.notes)
-        reach = beyond(self.readings, self.atoms.bands)
-        if reach is not None and reach[0] == reach[1]:
-            notes.append(
-                f"read at {reach[0]:g} nm only, which does not determine colours: the result is the same in all bands, "
-                f"and the expected errors are those of coloured materials taken as grey"
+    # -- what was read ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Values f at the readings in their bands, of the file if it is written, shape (P, B_r)."""
+        read, solution, at = self.readings, self.solution, self.evidence.at
+        if self.written is None and solution.factors is not None and at is not None:
+            return np.asarray(
+                (solution.weights @ at[0] * solution.factors.at(coordinates(read.wi, read.wo))).T ** 3
             )
-        elif reach is not None:
-            notes.append(
-                f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm with the weights at these bands"
-            )
-        wi, wo = self.readings.wi, self.readings.wo
-        from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
-        if from_mirror.min() > _NEAR_MIRROR_DEG and not self.readings.gloss:
-            notes.append(
-                f"no reading within {from_mirror.min():.0f} degrees of a mirror direction: sharper highlights, "
-                f"such as those of mirrors and clear coats, are not measured, and expected errors do not include "
-                f"them; give their gloss, or measure such a direction"
-            )
-        notes += [
-            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units, "
-            f"{self.readings.gloss[angle]:.3g} read; no combination reproduces both it and the readings"
-            for angle, misfit in self.gloss_misfits.items()
-            if misfit > _GLOSS_MISSED
-        ]
-        if self.residual_of_mixtures > _UNEXPLAINED:
-            notes.append(
-                f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
-                f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
-                "after): the result follows them, and other directions are uncertain"
-            )
-        return tuple(notes)
+        brdf = self.written or self.brdf
+        f, nm = brdf.eval(read.wi, read.wo), read.wavelengths_nm
+        if nm is not None:
+            f = np.array([np.interp(nm, np.array(brdf.bands.wavelengths_nm), row) for row in f])
+        return f
+
+    @cached_property
+    def gloss_misfits(self) -> dict[float, float]:
+        """Relative error of cube roots at the readings of gloss, by angle in degrees."""
+        given, at = self.evidence.gloss, self.evidence.at
+        if self.written is None and at is not None:
+            gloss = GlossReadings.of(given, self.readings.bands, at[1])
+            off = gloss.differences(self.solution.weights @ at[1])
+        else:
+            units = gloss_units(self.written or self.brdf, given)
+            off = gloss_differences(np.array(list(units.values())), np.array(list(given.values())))
+        return dict(zip(given, off.tolist(), strict=True))
 
     @cached_property
     def gloss(self) -> dict[float, float]:
@@ -213,7 +213,7 @@ class Completion:
         """
         is_read = self.readings.measured
         read = np.cbrt(np.maximum(np.where(is_read, self.readings.values, 0.0), 0.0))
-        wrong = np.where(is_read, np.cbrt(self.predicted) - read, 0.0)
+        wrong = np.where(is_read, np.cbrt(np.maximum(self.predicted, 0.0)) - read, 0.0)
         norm = np.linalg.norm(read, axis=1)
         relative = np.linalg.norm(wrong, axis=1) / np.maximum(norm, _DARK * norm.mean())
         return np.hypot(relative, self.readings.scatter)
@@ -240,50 +240,133 @@ class Completion:
     @cached_property
     def residual_of_readings(self) -> float:
         """Root mean square of the relative errors of readings, or that of gloss if it is larger."""
-        return max(float(np.sqrt(np.mean(self.misfits**2))), *self.gloss_misfits.values(), 0.0)
+        of_readings = [] if self.evidence.readings is None else [float(np.sqrt(np.mean(self.misfits**2)))]
+        return max(*of_readings, *self.gloss_misfits.values(), 0.0)
 
     @cached_property
     def colour_error(self) -> float:
         """Expected CIEDE2000 of spectra that were estimated, and of the lightness of readings that were repeated."""
-        reflectance = np.clip(np.pi * np.nanmean(self.readings.values, axis=1), 0.0, 1.0)
-        lightness = 116.0 * np.cbrt(reflectance) * self.readings.scatter  # CIELAB: 116 cbrt(Y) - 16
-        return float(np.hypot(self.readings.colour_error, np.sqrt(np.mean(lightness**2))))
+        read = self.evidence.readings
+        if read is None or self.evidence.pictures:
+            return 0.0
+        reflectance = np.clip(np.pi * np.nanmean(read.values, axis=1), 0.0, 1.0)
+        lightness = 116.0 * np.cbrt(reflectance) * read.scatter  # CIELAB: 116 cbrt(Y) - 16
+        return float(np.hypot(read.colour_error, np.sqrt(np.mean(lightness**2))))
+
+    # -- what was photographed ----------------------------------------------------------------------------------------
+
+    @property
+    def exposures(self) -> Array:
+        """By which factor each picture is brighter than light and material predict, shape (P,)."""
+        return self.solution.exposures
+
+    @property
+    def exposure(self) -> float:
+        """The geometric mean of the exposures."""
+        return geometric_mean(self.exposures)
 
     @cached_property
-    def residual_of_mixtures(self) -> float:
-        """Relative error of the mean over bands at the readings, of mixtures before they are adjusted to them."""
-        return float(np.sqrt(self.hypotheses.probability @ self._squared_misfits))
+    def picture_errors(self) -> tuple[float, ...]:
+        """Relative errors of the cube roots of every picture if the other observations predict it.
+
+        Exposures are known then, but for that of the picture. There are none of a single picture.
+        """
+        known = replace(self.exposed, exposure=1.0, each=False)
+        if len(known.pictures) <= 1:
+            return ()
+        errors = []
+        for k, picture in enumerate(known.pictures):
+            others = replace(known, pictures=[*known.pictures[:k], *known.pictures[k + 1 :]])
+            weights = solve_pictures(self.atoms, others).weights
+            gain = np.array([ratio_of(picture, weights)])
+            errors.append(float(residuals_of(replace(others, pictures=[picture]), weights, gain)[0]))
+        return tuple(errors)
+
+    @property
+    def exposed(self) -> Evidence:
+        """The evidence with the exposures of pictures divided out; unknown ones stay unknown."""
+        return self.evidence.exposed(self.exposures)
+
+    # -- what is not known --------------------------------------------------------------------------------------------
 
     @cached_property
-    def _squared_misfits(self) -> Array:
-        """Squared relative errors of the mean over bands at the readings, of every hypothesis, (H,)."""
-        read = _mean_roots(self.readings)
-        wrong = np.sum((self.hypotheses.weights @ self.at_readings - read) ** 2, axis=1)
-        return np.asarray(wrong / (read @ read))
+    def residual(self) -> float:
+        """Relative error of the observations in cube roots; if there are pictures, of all pixels and readings.
+
+        That of readings alone is of the completion, root mean square, or of the mixtures that it was made from if they
+        differ more from what was read.
+        """
+        if self.evidence.pictures:
+            return float(np.sqrt(np.mean(self.solution.errors**2)))
+        return max(self.residual_of_readings, self.residual_of_mixtures)
 
     @cached_property
     def spread(self) -> float:
-        """Standard deviation of hypotheses over all directions and the ball, relative to their mean, in cube roots."""
-        return self.hypotheses.spread(self.hypotheses.weights @ self.atoms.directions, self.atoms.weights)
+        """Standard deviation of mixtures over directions, relative to their mean, in cube roots.
+
+        Directions are all, and those of the ball; or, beside pictures, all, and the mean square over channels is taken.
+        """
+        if self.atoms.is_linear:
+            grid = self.atoms.on_grid[:, ::GRID_STRIDE]
+            spreads = [of.spread(np.cbrt(of.weights @ grid)) for of in self.solution.hypotheses]
+        else:
+            directions, importance = self.atoms.directions, self.atoms.weights
+            spreads = [of.spread(of.weights @ directions, importance) for of in self.solution.hypotheses]
+        return float(np.sqrt(np.mean(np.square(spreads))))
+
+    @property
+    def indicators(self) -> Array:
+        """Residual and spread, from which errors are expected, shape (2,)."""
+        return np.array([self.residual, self.spread])
 
     def spread_at(self, wi: Array, wo: Array) -> Array:
-        """Return the relative standard deviation of hypotheses about f at direction pairs (P, 3), shape (P,)."""
-        probability, weights = self.hypotheses.probability, self.hypotheses.weights
-        curves = (weights @ self.atoms.at(wi, wo)) ** 3
-        mean = probability @ curves
-        variance = probability @ (curves - mean) ** 2
-        return np.sqrt(variance) / np.maximum(mean, np.finfo(float).tiny)
+        """Return the relative standard deviation of mixtures about f at direction pairs (P, 3), shape (P,)."""
+        at, power = self.atoms.at(wi, wo), 1 if self.atoms.is_linear else 3
+        squares = []
+        for of in self.solution.hypotheses:
+            curves = (of.weights @ at) ** power
+            mean = of.probability @ curves
+            variance = of.probability @ (curves - mean) ** 2
+            squares.append(variance / np.maximum(mean, np.finfo(float).tiny) ** 2)
+        return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+
+    @cached_property
+    def residual_of_mixtures(self) -> float:
+        """Relative error of mixtures before they are adjusted: of the mean over bands at the readings, or of pixels."""
+        return float(np.sqrt(self._mixtures[0] @ self._squared_misfits))
+
+    @cached_property
+    def _mixtures(self) -> tuple[Array, Array]:
+        """Probabilities of mixtures, (H,), and weights of atoms, (H, n), of all bands together or of any channel."""
+        several = self.solution.hypotheses
+        probability = np.concatenate([of.probability for of in several]) / len(several)
+        return probability, np.vstack([of.weights for of in several])
+
+    @cached_property
+    def _squared_misfits(self) -> Array:
+        """Squared relative errors of every mixture, (H,), see `residual_of_mixtures`."""
+        if self.evidence.pictures:
+            parts = zip(self.solution.channels, self.solution.hypotheses, strict=True)
+            return np.array([rows.pixels.relative.error(w) ** 2 for rows, of in parts for w in of.weights])
+        assert self.evidence.at is not None
+        read = mean_roots(self.readings)
+        wrong = np.sum((self._mixtures[1] @ self.evidence.at[0] - read) ** 2, axis=1)
+        return np.asarray(wrong / (read @ read))
 
     @cached_property
     def alternatives(self) -> tuple[Alternative, ...]:
-        """Hypotheses that look different from each other on the ball, most probable first."""
-        probability, weights = self.hypotheses.probability, self.hypotheses.weights
-        on_ball = slice(self.atoms.n_grid, None)
-        curves = weights @ self.atoms.directions[:, on_ball]
-        importance = self.atoms.weights[on_ball]
+        """Mixtures that look different from each other on the ball, most probable first."""
+        probability, weights = self._mixtures
+        order = np.argsort(-probability, kind="stable")
+        probability, weights, squares = probability[order], weights[order], self._squared_misfits[order]
+        if self.atoms.is_linear:
+            curves = np.asarray(np.cbrt(weights @ self.atoms.on_ball))
+            importance: Array = np.ones(curves.shape[1])
+        else:
+            on_ball = slice(self.atoms.n_grid, None)
+            curves, importance = weights @ self.atoms.directions[:, on_ball], self.atoms.weights[on_ball]
         mean = probability @ curves
         norm = max(float(mean**2 @ importance), np.finfo(float).tiny)
-        squares = self._squared_misfits
         heads: list[int] = []
         totals: list[float] = []
         wrong: list[float] = []
@@ -309,114 +392,121 @@ class Completion:
 
     @property
     def made_of(self) -> tuple[tuple[str, float], ...]:
-        """The materials of the completion and their shares, largest first."""
-        return self._materials(self.weights.mean(axis=0))
+        """The materials of the completion and their weights, or shares of the light of the ball; largest first."""
+        weights = self.solution.weights if self.atoms.is_linear else self.weights
+        return self._materials(weights.mean(axis=0))
 
     def _materials(self, weights: Array) -> tuple[tuple[str, float], ...]:
-        names = (*self.atoms.names, *self.atoms.coats, "Lambertian")
-        totals: Array = np.bincount(self.atoms.material_of, weights, len(names)).astype(np.float64)
-        return shown_shares(names, totals)
-
-
-def completion_weights(read: ReadingRoots, gram: Array, prior: Array, usable: Mask | None = None) -> Array:
-    """Return weights v >= 0 of atoms in every band that fit the readings and stay near prior weights: (B, n + 1).
-
-    They minimise `sum_p w (v g - t)^2 / |t|^2 + keep (v - s) G (v - s)`: cube roots g of atoms and t of the material at
-    readings of weights w, prior s (B, n + 1), and G (n + 1, n + 1), inner products of atoms averaged over all
-    directions; only of atoms that are usable (n + 1,).
-    """
-    is_read = np.isfinite(read.material)
-    known = np.where(is_read, read.material, 0.0)
-    norm = float(np.sum(read.weights * known**2)) / len(known)
-    if norm == 0.0:
-        return np.zeros(prior.shape)
-    gain = max(float(read.weights.sum()), 1.0) / _FEW
-    kept = _KEEP * gram * (read.weights.sum() / norm)
-    bands = [
-        Observation(read.atoms, row, gain * read.weights * mask / norm, np.zeros(len(row), bool), True)
-        for row, mask in zip(known, is_read, strict=True)
-    ]
-    return explain(bands, [kept] * len(bands), prior, usable)
-
-
-def _usable(readings: Readings) -> Readings:
-    """Return the measured readings of positive weight above the horizon."""
-    is_usable = (readings.wi[:, 2] > 1e-3) & (readings.wo[:, 2] > 1e-3)
-    is_usable &= readings.measured.any(axis=1) & (readings.weights > 0.0)
-    if not np.nansum(np.maximum(readings.values[is_usable], 0.0)) > 0.0:
-        raise UsageError(
-            f"{readings.name}: none of {len(readings)} readings is above zero and above the horizon, expected "
-            "one or more"
+        """Return the materials of weights (n,) of atoms: their weights, or shares of light for atoms of values."""
+        if self.atoms.is_linear:
+            light = weights * self.atoms.on_ball.sum(axis=1)
+            weights = light / max(light.sum(), np.finfo(float).tiny)
+        names = (
+            *self.atoms.names,
+            *self.atoms.coats,
+            "analytic lobes" if self.atoms.is_linear else "Lambertian",
         )
-    return readings.select_pairs(is_usable)
-
-
-def _mean_roots(readings: Readings) -> Array:
-    """Return cube roots of the mean over bands at every reading, shape (P,)."""
-    mean = np.nanmean(np.maximum(readings.values, 0.0), axis=1)
-    return np.asarray(np.cbrt(np.maximum(mean, 0.0)))
-
-
-def for_library(readings: Readings, bands: Bands) -> Readings:
-    """Return readings that a library of some bands can complete: linear sRGB for an RGB library, spectra for any.
-
-    Three narrow bands become spectra, see `colour.narrow_bands`.
-    """
-    readings = with_spectra(readings)
-    nm = readings.wavelengths_nm
-    if not bands.is_rgb and nm is None:
-        raise BandMismatchError(
-            f"{readings.name}: readings in linear sRGB, expected wavelengths for a library of {bands}; complete "
-            "them with an RGB library"
+        return shown_shares(
+            names, np.bincount(self.atoms.material_of, weights, len(names)).astype(np.float64)
         )
-    if bands.is_rgb and nm is not None and len(nm) <= _FEW_BANDS:
-        raise BandMismatchError(
-            f"{readings.name}: {readings.bands}, expected blue, green and red, or a spectrum, for an RGB library; "
-            "complete them with a spectral one"
-        )
-    return readings
 
+    # -- notes --------------------------------------------------------------------------------------------------------
 
-def bands_of(readings: Readings, bands: Bands) -> Bands:
-    """Return the bands of a completion: those of the library, or of the spectra that an RGB library completes."""
-    return readings.bands if bands.is_rgb else bands
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on the observations, and on directions, bands and highlights that they leave open."""
+        return (*self._notes_of_pictures(), *self._notes_of_readings())
 
+    def _notes_of_readings(self) -> list[str]:
+        """Return assumptions about the file, and bands, directions and values that are not read or not reproduced."""
+        if self.evidence.readings is None:
+            return []
+        notes = list(self.readings.notes)
+        if self.evidence.pictures:
+            return notes
+        reach = beyond(self.readings, self.atoms.bands)
+        if reach is not None and reach[0] == reach[1]:
+            notes.append(
+                f"read at {reach[0]:g} nm only, which does not determine colours: the result is the same in all bands, "
+                f"and the expected errors are those of coloured materials taken as grey"
+            )
+        elif reach is not None:
+            notes.append(
+                f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm with the weights at these bands"
+            )
+        wi, wo = self.readings.wi, self.readings.wo
+        from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
+        if from_mirror.min() > _NEAR_MIRROR_DEG and not self.evidence.gloss:
+            notes.append(
+                f"no reading within {from_mirror.min():.0f} degrees of a mirror direction: sharper highlights, "
+                f"such as those of mirrors and clear coats, are not measured, and expected errors do not include "
+                f"them; give their gloss, or measure such a direction"
+            )
+        notes += [
+            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units, "
+            f"{self.evidence.gloss[angle]:.3g} read; no combination reproduces both it and the readings"
+            for angle, misfit in self.gloss_misfits.items()
+            if misfit > _GLOSS_MISSED
+        ]
+        if self.residual_of_mixtures > _UNEXPLAINED:
+            notes.append(
+                f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
+                f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
+                "after): the result follows them, and other directions are uncertain"
+            )
+        return notes
 
-def in_channels(readings: Readings, responses: Array) -> Readings:
-    """Return spectra as a camera of some responses (3, B) to their bands sees them; RGB readings as they are."""
-    nm = readings.wavelengths_nm
-    if nm is None:
-        return readings
-    values = without_gaps(readings.values, nm) @ responses.T
-    return replace(readings, wavelengths_nm=None, values=values, viewing=DAYLIGHT)
+    def _notes_of_pictures(self) -> list[str]:
+        """Return sentences on missing light, and on the agreement of light, pictures and other observations."""
+        if not self.evidence.pictures:
+            return []
+        notes, readings = list(self.evidence.unlit), self.evidence.readings
+        if self.evidence.strength > 0.0:
+            notes.append(
+                f"the light is clipped: by the pixels its spots are {1.0 + self.evidence.strength:.3g} times as bright "
+                "as in its picture; expected errors take that as known"
+            )
+        notes += self._differing_exposures()
+        if self.evidence.exposure is None and readings is None:
+            notes.append(
+                "the exposure was estimated from how bright the library's materials are: lightness may be off by a "
+                "factor of two and more, which the expected errors include; a grey card in the picture (--grey) fixes "
+                "it"
+            )
+        if readings is not None:
+            alone, error = self.solution.contradiction, float(np.sqrt(np.mean(self.misfits**2)))
+            notes.append(
+                f"readings: cube roots differ by {100 * error:.1f} % (root mean square); predicted from the "
+                f"photographs alone, by {100 * alone:.1f} %"
+            )
+            if alone > CONTRADICTION:
+                notes.append(
+                    "readings and photographs contradict each other, and the photographs count less: check that both "
+                    "are of one material, and the light of the photographs"
+                )
+        given = self.evidence.gloss
+        for angle, units in gloss_units(self.brdf, given).items():
+            notes.append(f"gloss at {angle:g} degrees: {given[angle]:g} given, {units:.3g} found")
+        if readings is not None and not readings.bands.is_rgb:
+            notes.append(
+                "spectra follow the readings; photographs determine how three channels change with direction"
+            )
+        elif not self.bands.is_rgb:
+            notes.append(
+                "spectra are estimated from three channels: bands that no channel sees follow the library's"
+            )
+        return notes
 
-
-def without_gaps(values: Array, nm: Array) -> Array:
-    """Interpolate gaps between measured bands of spectra (P, B); unmeasured ends stay NaN."""
-    filled = values.copy()
-    for row in filled:
-        known = np.isfinite(row)
-        if known.any():
-            row[~known] = np.interp(nm[~known], nm[known], row[known], left=np.nan, right=np.nan)
-    return filled
-
-
-def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
-    """Interpolate weights (B_r, n) at the bands of readings to all B bands of a library; constant outside."""
-    if bands.wavelengths_nm is None or readings.wavelengths_nm is None:
-        return weights
-    used = np.flatnonzero(weights.any(axis=0))
-    spread = np.zeros((bands.count, weights.shape[1]))
-    at = np.array(bands.wavelengths_nm)
-    for k in used:
-        spread[:, k] = np.interp(at, readings.wavelengths_nm, weights[:, k])
-    return spread
-
-
-def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
-    """Return the first and last wavelength of the readings in nm if the library's range is larger; else None."""
-    nm, of_library = readings.wavelengths_nm, bands.wavelengths_nm
-    if nm is None or of_library is None:
-        return None
-    low, high = float(nm[0]), float(nm[-1])
-    return (low, high) if of_library[0] < low - 1.0 or of_library[-1] > high + 1.0 else None
+    def _differing_exposures(self) -> list[str]:
+        """Say that pictures which were taken as equally exposed agree better with an exposure each."""
+        if self.evidence.each or len(self.evidence.pictures) == 1 or self.residual <= NOISY:
+            return []
+        apart = solve_pictures(self.atoms, replace(self.evidence, each=True))
+        residual, gains = float(np.sqrt(np.mean(apart.errors**2))), relative(apart.exposures)
+        if residual > _MUCH_LESS * self.residual:
+            return []
+        return [
+            f"the pixels have a residual of {100.0 * self.residual:.2g} % with one exposure for all pictures, and of "
+            f"{100.0 * residual:.2g} % with {gains.min():.2g} to {gains.max():.2g} times their mean: if "
+            "the lamp or the camera's settings differed, give --exposure each"
+        ]

@@ -253,7 +253,7 @@ def complete(
     stages.begin("completing")
     completion = Completion.of(atoms, readings)
     stages.begin("expected error")
-    calibration = calibrate(atoms, completion.readings, opened)
+    calibration = calibrate(atoms, completion.evidence, opened)
     suggested = suggest(atoms, count, completion, instrument) if count else None
     expected = calibration.expected(completion)
     stages.begin("writing")

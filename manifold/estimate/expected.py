@@ -1,4 +1,4 @@
-"""Expected errors of a completion: those of the library's materials, completed from the same directions."""
+"""Expected errors of a completion: those of the library's materials, completed from the same observations."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from scipy.optimize import nnls
 
 from manifold import __version__
 from manifold.colour import panel
-from manifold.colour.conversion import luminance
+from manifold.colour.conversion import srgb_to_xyz
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import Completion
-from manifold.estimate.gloss import value_of_unit
-from manifold.formats.readings import MOST_GLOSS, Readings
+from manifold.estimate.completion import NOISY, Completion
+from manifold.estimate.evidence import Evidence, channel_atoms, clipping
+from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.metrics import Errors
 from manifold.model.expected_error import BELOW_TWICE
-from manifold.records import Array, Bands, Mask
+from manifold.records import Array, evenly_spaced
 
 _KINDS = ("ball", "cube_root", "linear", "near_mirror", "elsewhere")  # of which some may be unknown
 _NEAR_MIRROR_DEG = 10.0  # from the mirror direction
+_LEFT_OUT = 16  # materials by which errors of estimates from pictures are calibrated
 _MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
 _PRIOR = 0.1  # strength of the prior that errors do not depend on an indicator, in units of its variance
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """Errors of left-out materials of a library, completed from the directions of some readings.
+    """Errors of left-out materials of a library, completed from the same observations.
 
     Attributes:
         errors: of every material, those of `_KINDS` that are known, each (N,).
-        indicators: residual of the readings and spread of hypotheses, from which errors are predicted, shape (N, 2).
+        indicators: residual of the observations and spread of mixtures, from which errors are predicted, shape (N, 2).
     """
 
     errors: Errors[Array]
@@ -54,14 +55,14 @@ class Calibration:
         return f"<Calibration: {len(self.indicators)} materials left out, medians: {medians}>"
 
     def expected(self, completion: Completion) -> Errors[float]:
-        """Return the expected errors of a completion from these directions.
+        """Return the expected errors of a completion from these observations.
 
         Logarithms of errors are linear in those of the indicators, with non-negative slopes. As for predictions, at
         least half of the left-out errors are below the expected one, and 90 % below twice that. Where the residual is
         larger than that of any left-out material, errors grow in proportion to it. The error of colours that were
         estimated from three bands, or that repeated readings leave open, is added to that of the ball.
         """
-        return self.at(indicators_of(completion)).beside(Errors(ball=completion.colour_error))
+        return self.at(completion.indicators).beside(Errors(ball=completion.colour_error))
 
     def at(self, indicators: Array) -> Errors[float]:
         """Return the expected errors for some indicators (2,)."""
@@ -69,14 +70,20 @@ class Calibration:
         return Errors(**dict(zip(self._kinds, line.tolist(), strict=True)))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
-        """Return a note if the residual of the readings is larger than that of every left-out material."""
-        residual = float(indicators_of(completion)[0])
-        if not self.is_beyond(residual):
+        """Return a note if the residual is larger than that of every left-out material, and than noise makes it."""
+        residual, has_pictures = float(completion.indicators[0]), bool(completion.evidence.pictures)
+        if not self.is_beyond(residual) or (has_pictures and residual <= NOISY):
             return ()
+        what, check = "readings", "they may be of two samples, in other units or directions"
+        if has_pictures:
+            what, check = (
+                "pixels",
+                "check the light, its turn and exposure, and the circle; they may be of two materials",
+            )
         return (
-            f"the residual of the readings is {100.0 * residual:.3g} %, that of left-out materials at most "
-            f"{100.0 * self.largest_residual:.3g} %: they may be of two samples, in other units or directions, or of a "
-            "kind of material that the library lacks; errors may be larger than expected",
+            f"the residual of the {what} is {100.0 * residual:.3g} %, that of left-out materials at most "
+            f"{100.0 * self.largest_residual:.3g} %: {check}, or of a kind of material that the library lacks; errors "
+            "may be larger than expected",
         )
 
     @property
@@ -118,28 +125,21 @@ class Calibration:
         return np.asarray(np.exp(level + slopes @ at + beyond + np.maximum(np.median(above, axis=0), enough)))
 
 
-def indicators_of(completion: Completion) -> Array:
-    """Return the indicators of its error, shape (2,): residual of readings, spread of hypotheses.
+def calibrate(atoms: LibraryAtoms, seen: Readings | Evidence, library: Library | None = None) -> Calibration:
+    """Complete every material of a library from the others, with the same observations.
 
-    The residual is that of the completion, root mean square, or of the mixtures that it was made from if they differ
-    more from what was read.
-    """
-    return np.array(
-        [max(completion.residual_of_readings, completion.residual_of_mixtures), completion.spread]
-    )
-
-
-def calibrate(atoms: LibraryAtoms, readings: Readings, library: Library | None = None) -> Calibration:
-    """Complete every material of a library from the others, at the directions and in the bands of some readings.
+    Beside pictures some of the materials, evenly chosen, stand for all.
 
     Args:
         atoms: of the library.
-        readings: of which only directions, bands, weights and angles of gloss are used.
+        seen: of which only directions, bands, weights and angles of gloss, light and clipping are used, and what is
+            known of the exposures; pictures under these, see `Completion.exposed`.
         library: in whose cache the result is kept for these, and from which it is taken if it is there.
     """
+    evidence = seen if isinstance(seen, Evidence) else Evidence.of_instruments(atoms, seen)
     if library is None:
-        return _calibrated(atoms, readings)
-    return cached(library, _cache_key(atoms, readings, library), lambda: _calibrated(atoms, readings))
+        return _calibrated(atoms, evidence)
+    return cached(library, _cache_key(atoms, evidence, library), lambda: _calibrated(atoms, evidence))
 
 
 def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> Calibration:
@@ -162,76 +162,78 @@ def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> 
     return calibration
 
 
-def _cache_key(atoms: LibraryAtoms, readings: Readings, library: Library) -> str:
-    """Return a hash of all that a calibration depends on: library, geometry and bands of the instrument, program."""
-    axes = (
-        atoms.names,
-        atoms.coats,
-        atoms.bands.wavelengths_nm,
-        readings.bands.wavelengths_nm,
-        tuple(readings.gloss),
-        readings.repeatability,
-    )
-    digest = hashlib.sha256(
-        f"completion in lights and regions {__version__} {library.content_hash} {axes}".encode()
-    )
-    for array in (readings.wi, readings.wo, readings.weights):
+def _cache_key(atoms: LibraryAtoms, evidence: Evidence, library: Library) -> str:
+    """Return a hash of all that a calibration depends on: library, program, and observations but for their values."""
+    axes: tuple[object, ...] = (atoms.names, atoms.coats, atoms.bands.wavelengths_nm, tuple(evidence.gloss))
+    arrays: list[Array] = []
+    readings = evidence.readings
+    if readings is not None and not evidence.pictures:
+        axes += (readings.bands.wavelengths_nm, readings.repeatability)
+        arrays += [readings.wi, readings.wo, readings.weights]
+    if evidence.pictures:
+        axes += (evidence.exposure is None, evidence.has_gains)
+    for picture in evidence.pictures:
+        for rows in picture:
+            arrays += [rows.atoms, rows.weights, np.array(clipping(rows))]
+    for rows in (*evidence.of_readings, *evidence.of_gloss):
+        arrays += [rows.atoms, rows.weights]
+    digest = hashlib.sha256(f"completion {__version__} {library.content_hash} {axes}".encode())
+    for array in arrays:
         digest.update(array.tobytes())
     return digest.hexdigest()
 
 
-def _calibrated(atoms: LibraryAtoms, readings: Readings) -> Calibration:
-    at_readings, at_gloss = atoms.at(readings.wi, readings.wo), atoms.gloss(tuple(readings.gloss))
+def _calibrated(atoms: LibraryAtoms, evidence: Evidence) -> Calibration:
+    N = len(atoms.names)
 
     def method(m: int) -> tuple[Errors[float], Array]:
-        completion = leave_out(atoms, m, at_readings, readings, at_gloss)
-        return errors_of(atoms, m, completion.on_grid, completion.on_ball), indicators_of(completion)
+        made = leave_out(atoms, m, evidence)
+        return errors_of_completion(atoms, m, made), made.indicators
 
-    return Calibration.leave_out(method, range(len(atoms.names)))
+    return Calibration.leave_out(
+        method, evenly_spaced(N, _LEFT_OUT).tolist() if evidence.pictures else range(N)
+    )
 
 
-def leave_out(
-    atoms: LibraryAtoms, m: int, at_readings: Array, readings: Readings, at_gloss: Array | None = None
-) -> Completion:
-    """Complete material m from all others in the bands of the atoms, from readings without noise.
+def leave_out(atoms: LibraryAtoms, m: int, seen: Readings | Evidence) -> Completion:
+    """Complete material m from all others, in the bands of the atoms or the channels of the camera, without noise.
 
-    It is read in those of these bands that are nearest to the readings' only, so that errors of extrapolation to other
-    bands count. Cube roots of atoms at the readings have shape (n + 1, P), at their gloss (n + 1, G); of the readings,
-    directions, bands, weights and angles of gloss are used.
+    For what is used of the observations see `calibrate`.
     """
-    own, axis = atoms.material_of == m, atoms.band_axis
-    glossy = np.empty((len(own), 0)) if at_gloss is None else at_gloss
-    is_read = _nearest(axis, readings.bands)
-    gloss = {
-        angle: min(float(mean) / value_of_unit(angle), MOST_GLOSS[angle])
-        for angle, mean in zip(readings.gloss, luminance(glossy[own].T ** 3, axis), strict=True)
-    }
-    read = Readings(
-        atoms.names[m], "library", readings.wi, readings.wo,
-        None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm)[is_read],
-        at_readings[own].T[:, is_read] ** 3, readings.weights, gloss=gloss, repeatability=readings.repeatability,
-    )  # fmt: skip
-    return Completion.of(atoms.without(m).in_atom_bands(), read, (at_readings[~own], glossy[~own]))
+    evidence = seen if isinstance(seen, Evidence) else Evidence.of_instruments(atoms, seen)
+    others = atoms if evidence.pictures else atoms.in_atom_bands()
+    return Completion.of(others, evidence.of_material(others, m), usable=atoms.material_of != m)
 
 
-def _nearest(bands: Bands, to: Bands) -> Mask:
-    """Return a mask of the bands (B,) that are nearest to one of others; all if either is linear sRGB."""
-    if bands.wavelengths_nm is None or to.wavelengths_nm is None:
-        return np.ones(bands.count, bool)
-    apart = np.abs(np.subtract.outer(to.wavelengths_nm, bands.wavelengths_nm))
-    return np.isin(np.arange(bands.count), apart.argmin(axis=1))
+def errors_of_completion(atoms: LibraryAtoms, m: int, made: Completion) -> Errors[float]:
+    """Return errors of a completion of material m in the bands of the atoms, or in the channels of the camera."""
+    if atoms.is_linear:
+        return errors_of_weights(atoms, m, made.solution.weights)
+    return errors_of(atoms, m, made.on_grid, made.on_ball)
+
+
+def errors_of_weights(atoms: LibraryAtoms, m: int, weights: Array) -> Errors[float]:
+    """Return errors of weights (3, n) of atoms of values, in the channels of a camera, for material m."""
+    return errors_of(atoms, m, atoms.grid_values(weights), (weights @ atoms.on_ball).T)
 
 
 def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Errors[float]:
     """Return errors of f predicted for material m in the bands of the atoms; unknown if f is not finite.
 
-    f is predicted on the grid, shape (P_g, B_s), and at the pairs that light a ball in the judged lights, (P_b, B_s).
+    f is predicted on the grid, shape (P_g, B_s), and at the pairs that light a ball in the judged lights, (P_b, B_s);
+    for atoms of values in the channels of a camera: on the grid, (P_g, 3), and in the pixels of the ball, (K, 3).
     """
     if not np.all(np.isfinite(on_ball)):
         return Errors()
-    own, n = atoms.material_of == m, atoms.n_grid
+    lights, n = panel.judged(), atoms.n_grid
+    if atoms.is_linear:
+        own = channel_atoms(atoms, m)
+        balls = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in (atoms.on_ball[own].T, on_ball))
+        look = lights.compare(*balls)
+    else:
+        own = np.flatnonzero(atoms.material_of == m)
+        look = lights.errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
     truth, cosines = atoms.directions[own, :n].T ** 3, atoms.weights[:n] ** 1.5
-    look = panel.judged().errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
     wi, wo = atoms.grid.wi, atoms.grid.wo
     is_near = np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1) > np.cos(np.deg2rad(_NEAR_MIRROR_DEG))
     near, elsewhere = (

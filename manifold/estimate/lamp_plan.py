@@ -17,10 +17,12 @@ import numpy as np
 from manifold import progress
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.evidence import Evidence, channel_atoms
+from manifold.estimate.expected import errors_of_weights
 from manifold.estimate.gloss import gloss_meter
 from manifold.estimate.lamps import Lamp, lamp_pairs
-from manifold.estimate.photo_material import channel_atoms, errors_of, estimate, seen_instead
 from manifold.estimate.pixels import Blocks, Camera, block_sums
+from manifold.estimate.solving import estimate
 from manifold.formats.readings import aspecular_pair
 from manifold.library.store import Library
 from manifold.model.estimator import Observation
@@ -104,19 +106,16 @@ def determined(
     pairs = [aspecular_pair(45.0, aspecular) for aspecular in (45.0, 15.0, 110.0)]
     wi, wo = (np.array(ends) for ends in zip(*pairs, strict=True))
     at, shine = atoms.at(wi, wo), meter.of(atoms.at(meter.wi, meter.wo).T)[0]
-    errors = []
+    errors, evidence = [], Evidence(pictures=pictures)
     for m in evenly_spaced(len(atoms.names), _LEFT_OUT):
         own = channel_atoms(atoms, m)
-        rows = [  # each picture is clipped at its own level
-            Observation.joined([seen_instead(part[c], part[c].atoms[k]) for part in pictures])
-            for c, k in enumerate(own)
-        ]
+        rows = evidence.of_material(atoms, m).under(np.ones(len(pictures)))
         weights, _ = estimate(atoms, rows, atoms.material_of != m)
         lab, found = (lab_values(values.T, _RGB) for values in (at[own], weights @ at))
         units, made = (float(np.mean(of)) for of in (shine[own], weights @ shine))
         errors.append(
             (
-                errors_of(atoms, own, weights).ball,
+                errors_of_weights(atoms, m, weights).ball,
                 float(delta_e_2000_lab(lab[0], found[0])),
                 float(np.expm1(abs(np.log(max(made, 1e-9) / max(units, 1e-9))))),
                 abs(float(np.ptp(lab[1:, 0]) - np.ptp(found[1:, 0]))),

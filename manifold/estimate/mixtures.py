@@ -6,6 +6,7 @@ where nothing was seen: many mixtures fit. All are evaluated, and averaged by th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -17,9 +18,8 @@ from manifold.colour.conversion import luminance
 from manifold.directions import from_spherical
 from manifold.estimate.gloss import gloss_differences, value_of_unit
 from manifold.estimate.residual import cells, coordinates, covariance
-from manifold.formats.readings import Readings
 from manifold.gp.nonnegative import nonnegative_weights
-from manifold.records import Array, Indices, Mask
+from manifold.records import Array, Bands, Indices, Mask
 
 SHARES = (0.5, 0.2, 0.8)  # shares of the first atom of two; one alone has 1
 _MOST_PAIRS = 40_000  # pairs of atoms of two materials; of larger libraries as many at random
@@ -165,6 +165,12 @@ class Hypotheses:
     probability: Array
     weights: Array
     mean: Array
+
+    def among(self, index: Indices, n: int) -> Hypotheses:
+        """Return the hypotheses with weights of n atoms, of which theirs are some, by index."""
+        weights, mean = np.zeros((len(self.weights), n)), np.zeros((len(self.mean), n))
+        weights[:, index], mean[:, index] = self.weights, self.mean
+        return replace(self, weights=weights, mean=mean)
 
     def spread(self, roots: Array, importance: Array | float = 1.0) -> float:
         """Return the standard deviation over directions, relative to the mean, from cube roots there (H, P).
@@ -328,13 +334,13 @@ class GlossReadings:
     unit: Array
 
     @classmethod
-    def of(cls, readings: Readings, atoms: Array) -> GlossReadings:
-        """Return the gloss of a material, with that of atoms as cube roots (n + 1, G)."""
-        unit = np.array([value_of_unit(angle) for angle in readings.gloss])
-        mean = unit * list(readings.gloss.values())
-        theta = np.deg2rad(list(readings.gloss), dtype=float)
+    def of(cls, gloss: Mapping[float, float], bands: Bands, atoms: Array) -> GlossReadings:
+        """Return gloss units by angle, beside readings in some bands, with cube roots of atoms there (n + 1, G)."""
+        unit = np.array([value_of_unit(angle) for angle in gloss])
+        mean = unit * list(gloss.values())
+        theta = np.deg2rad(list(gloss), dtype=float)
         where = coordinates(from_spherical(theta, np.pi), from_spherical(theta, 0.0))
-        return cls(atoms, np.cbrt(mean), luminance(np.eye(readings.bands.count), readings.bands), where, unit)
+        return cls(atoms, np.cbrt(mean), luminance(np.eye(bands.count), bands), where, unit)
 
     def misfit(self, weights: Array, level: float) -> float:
         """Return the squared error of weights (B, n + 1) over its variance.

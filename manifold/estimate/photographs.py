@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -16,21 +15,19 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
-from manifold.colour.conversion import encode_srgb, interpolation_matrix, to_srgb, xyz_to_srgb, xyz_weights
-from manifold.colour.illuminants import Illuminant
-from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
-from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, FileFormatError, UsageError
+from manifold.colour.conversion import encode_srgb, to_srgb
+from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import bands_of, for_library, in_channels, without_gaps
+from manifold.estimate.channels import Channels
+from manifold.estimate.completion import Completion
+from manifold.estimate.expected import calibrate
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.lamps import lamp_picture
 from manifold.estimate.outlines import Circle
-from manifold.estimate.photo_material import CONTRADICTION, PhotoMaterial, Seen, find_material
 from manifold.estimate.sightings import PhotoRequest, SeenBall, see
+from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.formats.readings import Readings
-from manifold.formats.spectra import read_spectrum
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.metrics import Errors
@@ -42,7 +39,7 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_b
 from manifold.model.prediction import ClippedBRDF
 from manifold.plots import figures
 from manifold.progress import Stages
-from manifold.records import Array, Bands
+from manifold.records import Array
 from manifold.render import images
 from manifold.render.render import render_floating_ball
 from manifold.results import Result, derived, entry
@@ -53,10 +50,6 @@ if TYPE_CHECKING:
 _ODD = 2.0  # least ratio of the error of a picture that contradicts the others to the median one
 _MARGIN = 0.05  # width around the ball in pictures of residuals, in radii
 _SIZE, _SAMPLES = 256, 32  # pixels a side, and samples per pixel, of predicted pictures
-_NOISE = 0.02  # standard deviation of channels, relative to their mean
-_UNLIKE = 0.1  # standard deviation of how a material's matrix from channels to bands differs from the prior's
-_STEP_NM = 5.0
-_VIEWS_DEG = ((45.0, 0.0), (30.0, -50.0), (60.0, 10.0))  # incidence and viewing elevation, off the highlight
 _LARGEST_ERROR = 10.0  # CIEDE2000 of the brightest colour
 
 
@@ -73,7 +66,10 @@ class FromPhotographs(Result):
     """
 
     balls: tuple[SeenBall, ...]
-    material: PhotoMaterial
+    material: Completion
+    expected: Errors[float] = field(
+        metadata=entry(row="expected error", words=lambda result: result.expected.words)
+    )
 
     @property
     @derived(
@@ -118,12 +114,6 @@ class FromPhotographs(Result):
     located: Located | None = field(
         metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
     )
-
-    @property
-    @derived(row="expected error", words=lambda result: result.expected.words)
-    def expected(self) -> Errors[float]:
-        """Expected errors."""
-        return self.material.expected
 
     @property
     @derived(row="residual of pixels", words=lambda result: f"{100 * result.residual:.1f} % in cube roots")
@@ -182,7 +172,7 @@ class FromPhotographs(Result):
         """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
         residuals = self.material.solution.residuals.tolist()
         return list(
-            zip(self.balls, residuals, self.material.predicted or [None] * len(residuals), strict=True)
+            zip(self.balls, residuals, self.material.picture_errors or [None] * len(residuals), strict=True)
         )
 
 
@@ -205,7 +195,7 @@ def complete(
     start = time.perf_counter()
     require_bsdf_output(output)
     stages = _stages(picture, request)
-    balls, material, notes = _found(request, Library(library), readings, gloss, stages)
+    balls, material, expected, notes = _found(request, Library(library), readings, gloss, stages)
     stages.begin("writing")
     description = (
         f"Found in {len(balls)} photograph{'s' * (len(balls) > 1)} of a ball through "
@@ -228,10 +218,11 @@ def complete(
     plan = None
     if count:
         stages.begin("suggesting")
-        plan = plan_lamps(material.atoms, count, [rows.pixels for rows in material.channels])
+        plan = plan_lamps(material.atoms, count, [rows.pixels for rows in material.solution.channels])
     return FromPhotographs(
-        balls=balls, material=material, located=None, output=output, plausibility=written.plausibility, picture=picture,
-        diagnostics=notes, seconds=time.perf_counter() - start, plan=plan,
+        balls=balls, material=material, expected=expected, located=None, output=output,
+        plausibility=written.plausibility, picture=picture, diagnostics=notes, plan=plan,
+        seconds=time.perf_counter() - start,
     )  # fmt: skip
 
 
@@ -253,7 +244,7 @@ def locate(
         require_bsdf_output(output)
     stages = _stages(picture, request)
     loaded = load_model(model, library)
-    balls, material, notes = _found(request, loaded.library, None, {}, stages)
+    balls, material, expected, notes = _found(request, loaded.library, None, {}, stages)
     seen = ClippedBRDF(material.brdf)
     place = location.locate_brdf(loaded, seen)
     notes += (
@@ -280,8 +271,8 @@ def locate(
             stages.begin("rendering")
             draw_residuals(balls, shown, material, request.exposure, picture)
     return FromPhotographs(
-        balls=balls, material=material, located=place, output=output, plausibility=plausibility, picture=picture,
-        diagnostics=notes, seconds=time.perf_counter() - start,
+        balls=balls, material=material, expected=expected, located=place, output=output,
+        plausibility=plausibility, picture=picture, diagnostics=notes, seconds=time.perf_counter() - start,
     )  # fmt: skip
 
 
@@ -310,76 +301,27 @@ def _found(
     readings: Readings | None,
     gloss: Mapping[float, float],
     stages: Stages,
-) -> tuple[tuple[SeenBall, ...], PhotoMaterial, tuple[str, ...]]:
-    """Return the observations, the material, and notes."""
+) -> tuple[tuple[SeenBall, ...], Completion, Errors[float], tuple[str, ...]]:
+    """Return the balls, the material, its expected errors, and notes."""
     stages.begin("reading pictures")
     balls = see(request)
-    responses = (
-        srgb_responses(library.bands)
-        if request.responses is None
-        else read_responses(request.responses, library.bands)
-    )
     stages.begin("reading materials")
     atoms = LibraryAtoms.of_library(library).in_values
+    channels = Channels.of_library(library, atoms.names, request.responses)
     stages.begin("comparing pixels")
     seen: list[Seen] = [ball.sighting for ball in balls]
-    bands, to_bands = library.bands, band_matrix(library, atoms.names, responses)
-    if readings is not None:
-        readings = for_library(readings, library.bands)
-        bands = bands_of(readings, library.bands)
-        channels, to_bands = matrix_of_readings(readings, library.bands, responses, to_bands)
-        seen.append(channels)
-    if gloss:
-        seen.append(gloss)
-    material = find_material(
-        atoms, seen, to_bands,
-        exposure=request.exposure, each=request.each, bands=bands, library=library,
+    seen += [] if readings is None else [readings]
+    material = Completion.of(
+        atoms, [*seen, gloss], exposure=request.exposure, each=request.each, channels=channels
     )  # fmt: skip
-    notes = [note for ball in balls for note in ball.notes] + list(material.notes)
-    if request.exposure is None and readings is None:
-        notes.append(
-            "the exposure was estimated from how bright the library's materials are: lightness may be off by a factor "
-            "of two and more, which the expected errors include; a grey card in the picture (--grey) fixes it"
-        )
-    if readings is not None:
-        notes += readings.notes
-    notes += _agreement(material, readings, gloss)
-    notes += _odd_pictures([ball.photograph.path.name for ball in balls], material.predicted)
-    if readings is not None and not readings.bands.is_rgb:
-        notes.append(
-            "spectra follow the readings; photographs determine how three channels change with direction"
-        )
-    elif not library.bands.is_rgb:
-        notes.append(
-            "spectra are estimated from three channels: bands that no channel sees follow the library's"
-        )
-    return balls, material, tuple(dict.fromkeys(notes))
-
-
-def _agreement(material: PhotoMaterial, readings: Readings | None, gloss: Mapping[float, float]) -> list[str]:
-    """Return sentences on a material's distance from the values given beside its photographs."""
-    notes, brdf = [], material.brdf
-    if readings is not None:
-        made, seen = brdf.eval(readings.wi, readings.wo), np.cbrt(np.maximum(readings.values, 0.0))
-        if (nm := readings.wavelengths_nm) is not None:
-            made = made @ interpolation_matrix(np.array(brdf.bands.wavelengths_nm), nm).T
-        made = np.cbrt(made)
-        is_read = np.isfinite(seen)
-        error = float(np.linalg.norm((made - seen)[is_read]) / np.linalg.norm(seen[is_read]))
-        alone = material.solution.contradiction
-        notes.append(
-            f"readings: cube roots differ by {100 * error:.1f} % (root mean square); predicted from the "
-            f"photographs alone, by {100 * alone:.1f} %"
-        )
-        if alone > CONTRADICTION:
-            notes.append(
-                "readings and photographs contradict each other, and the photographs count less: check that both are "
-                "of one material, and the light of the photographs"
-            )
-    given = {**(readings.gloss if readings is not None else {}), **gloss}
-    for angle, units in gloss_units(brdf, given).items():
-        notes.append(f"gloss at {angle:g} degrees: {given[angle]:g} given, {units:.3g} found")
-    return notes
+    calibration = calibrate(atoms, material.exposed, library)
+    notes = [
+        *(note for ball in balls for note in ball.notes),
+        *calibration.notes(material),
+        *material.notes,
+        *_odd_pictures([ball.photograph.path.name for ball in balls], material.picture_errors),
+    ]
+    return balls, material, calibration.expected(material), tuple(dict.fromkeys(notes))
 
 
 def _odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:
@@ -399,7 +341,7 @@ def _odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]
 
 
 def draw_residuals(
-    balls: Sequence[SeenBall], file: Path, material: PhotoMaterial, exposure: float | None, picture: Path
+    balls: Sequence[SeenBall], file: Path, material: Completion, exposure: float | None, picture: Path
 ) -> None:
     """Draw photographs beside renders of a file, with their differences.
 
@@ -464,97 +406,3 @@ def residual_figure(
             axis.set_title(title, fontsize=9)
             axis.set_axis_off()
     return figure
-
-
-def srgb_responses(bands: Bands) -> Array:
-    """Return responses (3, B) of linear sRGB to reflectances in B bands under D65; the identity for RGB bands."""
-    return np.eye(3) if bands.is_rgb else xyz_to_srgb(xyz_weights(bands)).T
-
-
-def read_responses(path: Path, bands: Bands) -> Array:
-    """Read the responses (3, B) of a camera to reflectances under D65, 1 for a perfect diffuser.
-
-    The file is text of wavelengths and three sensitivities, see `formats.spectra.read_spectrum`.
-    """
-    if bands.is_rgb:
-        raise BandMismatchError(
-            f"{path}: sensitivities of a camera need a spectral library, found {bands}; leave them out"
-        )
-    nm, sensitivities = read_spectrum(path, "sensitivity")
-    nodes = np.arange(nm[0], nm[-1], 1.0)
-    seen = interpolation_matrix(nm, nodes) @ np.maximum(sensitivities, 0.0)
-    seen *= Illuminant.named("D65").at(nodes)[:, None]
-    responses = interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ seen
-    if not np.all(responses.sum(axis=0) > 0.0):
-        raise FileFormatError(f"{path}: a channel sees nothing of {bands}, expected sensitivities above 0")
-    return np.asarray((responses / responses.sum(axis=0)).T)
-
-
-def band_matrix(library: Library, names: tuple[str, ...], responses: Array) -> Array:
-    """Return the matrix (B, 3) from channels of a camera to the bands of a library, by Wiener estimation.
-
-    Deviations from a flat spectrum are linear in those of the channels, both relative to the mean of these: a neutral
-    colour stays neutral. Learned from the library's named materials, off their highlights, and from measured
-    reflectances; for responses see `srgb_responses`.
-
-    Source: Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of art paintings".
-    """
-    if library.bands.is_rgb:
-        return np.eye(3)
-    spectra = np.vstack([_of_materials(library, names), _measured(library.bands)])
-    return wiener_matrix(spectra, responses)
-
-
-def wiener_matrix(spectra: Array, responses: Array) -> Array:
-    """Return the Wiener matrix (B, 3) from spectra (n, B) and responses (3, B)."""
-    seen = spectra @ responses.T
-    level = np.maximum(seen.mean(axis=1, keepdims=True), 1e-4)
-    x, y = seen / level - 1.0, spectra / level - 1.0
-    covariance = x.T @ x / len(x) + _NOISE**2 * np.eye(3)
-    deviations = np.linalg.solve(covariance, x.T @ y / len(x)).T  # [B, 3]
-    return np.asarray(deviations @ (np.eye(3) - 1.0 / 3.0) + 1.0 / 3.0)
-
-
-def _of_materials(library: Library, names: tuple[str, ...]) -> Array:
-    wi, wo = (
-        from_spherical(np.deg2rad([view[k] for view in _VIEWS_DEG]), azimuth)
-        for k, azimuth in ((0, 0.0), (1, np.pi))
-    )
-    return np.pi * np.vstack(
-        [np.maximum(MeasuredBRDF(library.read(name)).eval(wi, wo), 0.0) for name in names]
-    )
-
-
-def matrix_of_readings(
-    readings: Readings, of_library: Bands, responses: Array, prior: Array
-) -> tuple[Readings, Array]:
-    """Return readings in the channels of a camera, and the matrix (B, 3) from channels to the bands of the result.
-
-    The matrix reproduces the spectra of the readings from their channels as closely as its prior allows: with an RGB
-    library the Wiener estimate of their bands, with a spectral one `prior` (B, 3). For bands see `bands_of`, for
-    responses (3, B) to the library's bands `srgb_responses`.
-    """
-    read_nm = readings.wavelengths_nm
-    if read_nm is None:
-        return readings, prior
-    nm = read_nm if of_library.is_rgb else np.array(of_library.wavelengths_nm)
-    to_read, to_result = interpolation_matrix(nm, read_nm), interpolation_matrix(read_nm, nm)
-    if of_library.is_rgb:
-        responses = srgb_responses(readings.bands)
-        prior = wiener_matrix(_measured(readings.bands), responses)
-    channels = in_channels(readings, responses @ to_result)
-    spectra = without_gaps(readings.values, read_nm)
-    known = np.isfinite(spectra).all(axis=1)
-    level = np.maximum(np.abs(spectra[known]).mean(axis=1, keepdims=True), np.finfo(float).tiny)
-    x, y = channels.values[known] / level, spectra[known] / level
-    precision = x.T @ x + (_NOISE / _UNLIKE) ** 2 * np.eye(3)
-    change = np.linalg.solve(precision, x.T @ (y - x @ (to_read @ prior).T)).T
-    return channels, to_result @ (to_read @ prior + change)
-
-
-@cache
-def _measured(bands: Bands) -> Array:
-    at = np.asarray(bands.wavelengths_nm)
-    nm = np.arange(400.0, 701.0, _STEP_NM)
-    to_bands = interpolation_matrix(nm, at)
-    return np.array([to_bands @ diffuse_reflectance(name, nm) for name in diffuse_reflectance_names()])

@@ -166,8 +166,10 @@ def readings_to_take(
         taken: Array = np.zeros((n + 1, 0))
         centres: Array = np.zeros((0, 3))
     else:
-        probability, weights = known.hypotheses.probability, known.hypotheses.weights
-        taken, centres = known.at_readings, known.residual.centres
+        (of,), at_known, factors = known.solution.hypotheses, known.evidence.at, known.factors
+        assert at_known is not None
+        assert factors is not None
+        probability, weights, taken, centres = of.probability, of.weights, at_known[0], factors.centres
     square = probability @ (weights @ at) ** 2
     return next_readings(
         (

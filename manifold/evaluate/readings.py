@@ -14,6 +14,7 @@ from manifold.colour import panel
 from manifold.errors import UsageError
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import Completion
+from manifold.estimate.evidence import Evidence
 from manifold.estimate.expected import calibrate, errors_of
 from manifold.estimate.residual import coordinates
 from manifold.estimate.suggestions import all_directions, readings_to_take
@@ -85,9 +86,8 @@ def _own_order(task: Task, count: int) -> Indices:
 
 
 def _completed(task: Task, chosen: Indices) -> Predicted:
-    made = Completion.of(
-        task.others.in_atom_bands(), task.readings(chosen), (task.at[:, chosen], np.empty((len(task.at), 0)))
-    )
+    others, at = task.others.in_atom_bands(), (task.at[:, chosen], np.empty((len(task.at), 0)))
+    made = Completion.of(others, Evidence.of_instruments(others, task.readings(chosen), at))
     return made.on_grid, made.on_ball
 
 

@@ -25,9 +25,10 @@ from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.estimate import Completion, calibrate, expected, suggest
 from manifold.estimate.atoms import LibraryAtoms
-from manifold.estimate.completion import completion_weights, for_library, in_all_bands, in_channels
+from manifold.estimate.channels import in_channels, srgb_responses
 from manifold.estimate.completions import _of_unit as of_unit
-from manifold.estimate.expected import Calibration, errors_of, indicators_of, leave_out
+from manifold.estimate.evidence import Evidence, for_library, in_all_bands
+from manifold.estimate.expected import Calibration, errors_of, leave_out
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
@@ -37,8 +38,8 @@ from manifold.estimate.mixtures import (
     material_prior,
     posterior,
 )
-from manifold.estimate.photographs import srgb_responses
 from manifold.estimate.residual import coordinates, covariance, residual_factors
+from manifold.estimate.solving import completion_weights
 from manifold.estimate.suggestions import DIRECTIONS as INSTRUMENTS
 from manifold.estimate.suggestions import Deviations, _residual, next_readings
 from manifold.formats import csv_table
@@ -314,8 +315,7 @@ def test_a_completion_is_never_negative_meets_its_readings_and_grows_better_with
     for count in (2, 40):
         found = suggest(atoms, count)
         directions = (found.wi, found.wo)
-        at = atoms.at(*directions)
-        made = leave_out(atoms, material, at, readings(np.ones((count, 3)), directions))
+        made = leave_out(atoms, material, readings(np.ones((count, 3)), directions))
         errors.append(errors_of(atoms, material, made.on_grid, made.on_ball).cube_root)
         assert made.weights.min() >= 0.0
     assert errors[1] < errors[0]
@@ -423,12 +423,11 @@ def test_errors_near_the_mirror_direction_are_apart_from_those_elsewhere(atoms, 
 
 
 def test_expected_errors_are_learned_from_the_other_materials(atoms, calibration):
-    at = atoms.at(*DIRECTIONS)
     for m in (0, 5):
-        made = leave_out(atoms, m, at, readings(np.ones((12, 3))))
+        made = leave_out(atoms, m, readings(np.ones((12, 3))))
         found = errors_of(atoms, m, made.on_grid, made.on_ball)
         np.testing.assert_allclose(three(calibration.errors)[:, m], three(found))
-        np.testing.assert_allclose(calibration.indicators[m], indicators_of(made))
+        np.testing.assert_allclose(calibration.indicators[m], made.indicators)
         others = np.arange(len(NAMES)) != m
         known = Calibration(Errors(*three(calibration.errors)[:, others]), calibration.indicators[others])
         np.testing.assert_allclose(three(calibration.left_out)[:, m], three(known.expected(made)))
@@ -442,8 +441,8 @@ def test_a_calibration_is_kept_in_the_library_for_its_instrument(
     opened = Library.open(path)
     computed = []
 
-    def fake(atoms, readings):
-        computed.append(readings.gloss)
+    def fake(atoms, evidence):
+        computed.append(evidence.gloss)
         return calibration
 
     monkeypatch.setattr(expected, "_calibrated", fake)
@@ -486,12 +485,11 @@ def read_only(path):
 def test_errors_of_bands_that_are_not_read_are_expected(atoms):
     """Calibrated on colours that were read, a completion from one band expected the error of a known colour."""
     spectral = replace(atoms, bands=Bands((450.0, 550.0, 650.0)))
-    at = atoms.at(*DIRECTIONS)
     every, one = (
         readings(np.ones((12, len(nm))), nm=np.array(nm)) for nm in ([440.0, 560.0, 700.0], [540.0])
     )
     for m in range(len(atoms.names)):
-        grey = leave_out(spectral, m, at, one)
+        grey = leave_out(spectral, m, one)
         np.testing.assert_array_equal(grey.weights, grey.weights[:1].repeat(3, axis=0))
     coloured = calibrate(spectral, every).errors
     np.testing.assert_allclose(three(coloured), three(calibrate(spectral, readings(np.ones((12, 3)))).errors))
@@ -502,7 +500,7 @@ def test_errors_of_bands_that_are_not_read_are_expected(atoms):
 
 def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibration, rng):
     most = int(calibration.indicators[:, 0].argmax())
-    own = leave_out(atoms, most, atoms.at(*DIRECTIONS), readings(np.ones((12, 3))))
+    own = leave_out(atoms, most, readings(np.ones((12, 3))))
     assert calibration.notes(own) == ()
     (note,) = calibration.notes(Completion.of(atoms, readings(np.exp(2.0 * rng.standard_normal((12, 3))))))
     assert "other units or directions" in note
@@ -513,7 +511,7 @@ def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibra
 )
 def test_a_residual_that_is_the_largest_but_for_rounding_is_not_noted(excess, words):
     calibration = Calibration(Errors(*np.ones((3, 4))), np.array([[0.02, 0.1]] * 3 + [[0.1, 0.1]]))
-    read = SimpleNamespace(residual_of_readings=0.1 * (1.0 + excess), residual_of_mixtures=0.0, spread=0.1)
+    read = SimpleNamespace(indicators=np.array([0.1 * (1.0 + excess), 0.1]), evidence=Evidence())
     notes = calibration.notes(read)
     assert re.search(words, notes[0]) if words else notes == ()
 
@@ -529,26 +527,12 @@ def test_expected_errors_are_the_line_of_their_logarithms(rng):
     # Twice the expected is enough for 90 %: only the third kind, which no sign tells, needs more than the median.
     raised = np.maximum(np.median(above, axis=0), np.quantile(above, 0.9, axis=0) - np.log(2.0))
     assert raised[2] > np.median(above[:, 2])
-    found = held.expected(
-        SimpleNamespace(
-            residual_of_readings=np.exp(1.0),
-            residual_of_mixtures=0.1,
-            spread=np.exp(0.5),
-            colour_error=0.0,
-        )
-    )
+    found = held.expected(SimpleNamespace(indicators=np.exp([1.0, 0.5]), colour_error=0.0))
     want = np.exp(1.0 + np.array([1.0, 0.5]) @ line + raised)
     np.testing.assert_allclose(three(found), want, rtol=1e-6)  # 1e-6 is added to deviations
     largest = np.exp(x[:, 0].max())
     at_most, beyond = (
-        held.expected(
-            SimpleNamespace(
-                residual_of_readings=0.1,
-                residual_of_mixtures=k * largest,
-                spread=1.0,
-                colour_error=0.0,
-            )
-        )
+        held.expected(SimpleNamespace(indicators=np.array([k * largest, 1.0]), colour_error=0.0))
         for k in (1.0, 5.0)
     )
     np.testing.assert_allclose(three(beyond), 5.0 * three(at_most))
@@ -585,7 +569,7 @@ def test_no_expected_error_is_nan(atoms, calibration):
 def test_notes_name_bands_and_highlights_that_were_not_read(atoms):
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
     red = readings(np.full((12, 1), 0.1), nm=np.array([650.0]))
-    spectral = replace(made, atoms=SimpleNamespace(bands=Bands((450.0, 550.0, 650.0))), readings=red)
+    spectral = Completion.of(replace(atoms, bands=Bands((450.0, 550.0, 650.0))), red)
     assert "read at 650 nm only" in spectral.notes[0]
     assert any("no reading within 15 degrees of a mirror direction" in note for note in made.notes)
     at = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(28.0), 0.0)
@@ -604,7 +588,7 @@ def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(atoms):
     first = suggest(atoms, 12, instrument="ma-t12")
     assert len({tuple(row) for row in first.angles_deg.round()}) == 12
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
-    part = replace(made, readings=made.readings.select_pairs(np.arange(10)))
+    part = replace(made, evidence=replace(made.evidence, readings=made.readings.select_pairs(np.arange(10))))
     for count, known, left in ((1, made, 0), (3, part, 2)):
         with pytest.raises(UsageError, match=f"only {left} of 12 directions of ma-t12 are left"):
             suggest(atoms, count, known, "ma-t12")
@@ -622,11 +606,12 @@ def test_no_reading_is_suggested_where_the_receiver_hides_the_light(atoms):
 def test_alternatives_have_names_and_the_residual_that_the_note_has(atoms):
     """A hypothesis without light was a row without a name; of others that look alike, one's residual was shown."""
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1)))
-    weights = np.zeros_like(made.hypotheses.weights[:3])
-    weights[1] = made.hypotheses.weights[0]
+    (of,) = made.solution.hypotheses
+    weights = np.zeros_like(of.weights[:3])
+    weights[1] = of.weights[0]
     weights[2] = 1.01 * weights[1]  # looks like the second
-    hypotheses = replace(made.hypotheses, probability=np.array([0.7, 0.2, 0.1]), weights=weights)
-    black = replace(made, hypotheses=hypotheses)
+    hypotheses = replace(of, probability=np.array([0.7, 0.2, 0.1]), weights=weights)
+    black = replace(made, solution=replace(made.solution, hypotheses=(hypotheses,)))
     first, second = black.alternatives
     assert first.like == (("black", 1.0),)
     assert (first.probability, second.probability) == pytest.approx((0.7, 0.3))
@@ -681,7 +666,8 @@ def test_the_error_of_estimated_colours_is_part_of_the_expected_one(atoms, calib
     made = Completion.of(atoms, readings(np.full((12, 3), 0.1), nm=np.array([465.0, 525.0, 630.0])))
     assert made.readings.colour_error > 1.0
     assert any("spectra are estimated from three bands at 465, 525, 630 nm" in note for note in made.notes)
-    known = replace(made, readings=replace(made.readings, colour_error=0.0))
+    measured = replace(made.readings, colour_error=0.0)
+    known = replace(made, evidence=replace(made.evidence, readings=measured))
     measured, estimated = (calibration.expected(one).ball for one in (known, made))
     assert estimated == pytest.approx(np.hypot(measured, made.readings.colour_error))
 

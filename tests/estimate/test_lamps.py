@@ -15,7 +15,7 @@ from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
-from manifold.estimate import lamp_plan
+from manifold.estimate import Completion, lamp_plan
 from manifold.estimate.lamp_plan import plan_lamps
 from manifold.estimate.lamps import (
     Lamp,
@@ -28,12 +28,13 @@ from manifold.estimate.lamps import (
 )
 from manifold.estimate.light_probe import encoding_notes, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
-from manifold.estimate.photo_material import CONTRADICTION, find_material, strength_of_spots
 from manifold.estimate.photographs import FromPhotographs, _odd_pictures
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, see
+from manifold.estimate.solving import CONTRADICTION, strength_of_spots
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf
+from manifold.metrics import Errors
 from manifold.records import Bands
 
 PAINT = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))
@@ -277,7 +278,7 @@ def sightings_of(directions, gains):
 def test_strengths_of_lamps_are_estimated_with_the_material(photo_atoms):
     gains = [1.0, 0.25, 0.5]
     seen = sightings_of(DIRECTIONS, gains)
-    found = find_material(photo_atoms, seen, np.eye(3), exposure=None, each=True)
+    found = Completion.of(photo_atoms, seen, exposure=None, each=True)
     np.testing.assert_allclose(found.exposures / found.exposures[0], gains, rtol=0.1)
     assert found.residual < 0.02  # 0.1 if they share an exposure
 
@@ -285,7 +286,7 @@ def test_strengths_of_lamps_are_estimated_with_the_material(photo_atoms):
 def test_pictures_of_differing_exposures_that_are_taken_as_equal_are_noted(photo_atoms):
     for gains, is_noted in (([1.0, 0.25, 0.5], True), ([1.0, 1.0, 1.0], False)):
         seen = sightings_of(DIRECTIONS, gains)
-        notes = find_material(photo_atoms, seen, np.eye(3), exposure=None).notes
+        notes = Completion.of(photo_atoms, seen, exposure=None).notes
         assert any("give --exposure each" in note for note in notes) == is_noted
 
 
@@ -297,18 +298,18 @@ def test_a_picture_of_another_material_contradicts_the_others(photo_atoms):
         made = lamp_picture(last, Camera(), [Lamp.towards(DIRECTIONS[2])], SIZE, MARGIN).astype(np.float32)
         picture = Photograph(Path("c.png"), np.minimum(made, 1.0), (made > 1.0).any(axis=2))
         seen.append(Sighting(blocks_of(picture, CIRCLE), Camera(), (Lamp.towards(DIRECTIONS[2]),)))
-        found = find_material(photo_atoms, seen, np.eye(3), exposure=None, each=True)
-        assert len(found.predicted) == 3
-        assert [note.partition(":")[0] for note in _odd_pictures(names, found.predicted)] == odd
+        found = Completion.of(photo_atoms, seen, exposure=None, each=True)
+        assert len(found.picture_errors) == 3
+        assert [note.partition(":")[0] for note in _odd_pictures(names, found.picture_errors)] == odd
         balls = [SeenBall(picture, CIRCLE, None, sighting) for sighting in seen]
         made = FromPhotographs(
-            balls=tuple(balls), material=found, located=None, output=None, plausibility=None, picture=None,
-            diagnostics=(), seconds=0.0,
+            balls=tuple(balls), material=found, expected=Errors(), located=None, output=None, plausibility=None,
+            picture=None, diagnostics=(), seconds=0.0,
         )  # fmt: skip
-        assert [row["predicted"] for row in made.photographs] == list(found.predicted)
+        assert [row["predicted"] for row in made.photographs] == list(found.picture_errors)
         assert made.rows["photographs"][0].endswith("% predicted from the others")
-    one = find_material(photo_atoms, sightings_of(DIRECTIONS[:1], [1.0]), np.eye(3))
-    assert one.predicted == ()
+    one = Completion.of(photo_atoms, sightings_of(DIRECTIONS[:1], [1.0]))
+    assert one.picture_errors == ()
     assert _odd_pictures(names[:2], (0.3, 0.3)) == []
 
 
@@ -319,7 +320,7 @@ def readings_of(brdf):
 
 def test_readings_fix_an_unknown_exposure(photo_atoms):
     seen = [*sightings_of(DIRECTIONS[:1], [0.4]), readings_of(PAINT)]
-    found = find_material(photo_atoms, seen, np.eye(3), exposure=None, each=True)
+    found = Completion.of(photo_atoms, seen, exposure=None, each=True)
     # The library has coats of this kind: what is left is the noise of 24 points of a block.
     assert found.exposure == pytest.approx(0.4, rel=0.1)
 
@@ -328,7 +329,7 @@ def test_a_picture_that_contradicts_readings_counts_less(photo_atoms):
     other = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.05, 0.04, 0.5]), Bands(None))
     readings = readings_of(other)
     right, wrong = (
-        find_material(photo_atoms, [*sightings_of(DIRECTIONS[:1], [1.0]), readings_of(brdf)], np.eye(3))
+        Completion.of(photo_atoms, [*sightings_of(DIRECTIONS[:1], [1.0]), readings_of(brdf)])
         for brdf in (PAINT, other)
     )
     assert right.solution.contradiction < CONTRADICTION < wrong.solution.contradiction

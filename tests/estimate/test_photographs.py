@@ -20,8 +20,8 @@ from manifold.colour.pictures import read_picture
 from manifold.directions import from_spherical
 from manifold.estimate import photographs, sightings
 from manifold.estimate.attributes import lab_of
+from manifold.estimate.channels import read_responses
 from manifold.estimate.gloss import gloss_units
-from manifold.estimate.photographs import read_responses
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
@@ -64,7 +64,7 @@ def test_a_photograph_is_completed(run, folder, library):
     assert document["photographs"][0]["circle"] == pytest.approx([64, 64, 64 / 1.3], abs=1.0)
     assert document["photographs"][0]["predicted"] is None  # there are no others
     assert document["plausibility"]["max_albedo"] <= 1.05
-    assert set(document["expected"]) == {"ball", "cube_root", "linear"}
+    assert set(document["expected"]) == {"ball", "cube_root", "linear", "near_mirror", "elsewhere"}
     assert "expected error" in out
     page = (folder / "found.html").read_text()
     assert page.count("data:image/png;base64") == 3  # two balls, and the photograph beside its prediction

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from helpers.readings import DIRECTIONS, readings
+from helpers.readings import readings
 
 from manifold import progress
 from manifold.errors import UsageError
@@ -20,7 +20,7 @@ from manifold.metrics import Errors
 def test_curves_of_readings_are_those_of_completions(atoms):
     curves = measure_curves(atoms, (1, 6), ("completion", "nearest"))
     assert [curve.key for curve in curves] == ["completion", "nearest", "ma_t12", "ma_t12_gloss"]
-    made = leave_out(atoms, 2, atoms.at(*DIRECTIONS), readings(np.ones((12, 3))))
+    made = leave_out(atoms, 2, readings(np.ones((12, 3))))
     own = errors_of(atoms, 2, made.on_grid, made.on_ball)
     for name in ("ball", "cube_root", "linear"):
         assert getattr(curves[-2].errors[0], name)[2] == pytest.approx(getattr(own, name), rel=1e-9)

@@ -1,0 +1,111 @@
+"""Mixtures of atoms that explain the pixels of one channel, with posterior probabilities under several exposures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.mixtures import LAMBERTIAN_SPREAD, Hypotheses, Mixtures, atom_pairs, products
+from manifold.model.estimator import LEAST, Observation
+from manifold.records import Array, Indices, Mask
+
+GRID_STRIDE = 7
+"""One in this many directions of the encoding grid is enough to compare mixtures."""
+
+MODEL_ERROR = 0.05
+"""Standard deviation of cube roots of pixels about the best mixture, relative."""
+
+INDEPENDENT = 30.0
+"""Number of pixels of a picture whose errors are independent."""
+
+_EXPONENT = 2.0  # power of the norm of mixtures by which their likelihood is divided
+_COUNT = 200  # mixtures of which the mean is taken
+
+
+@dataclass(frozen=True, eq=False)
+class PixelPosterior:
+    """Posterior probabilities of mixtures of two usable atoms, given one channel's pixels, under several exposures.
+
+    As `posterior` has it for readings; mixtures and errors are of values, and those of bounds that hold are none.
+    Pixels brighter than `LEAST` have a noise in proportion to them, others one noise. Their inner products scale with
+    the exposure and are summed once.
+
+    Attributes:
+        exposures: divisors of the observed values, ascending, shape (E,).
+        material_of: of the Q usable atoms that are mixed, shape (Q,).
+        n_library: how many of the materials are measured.
+        bright, dark: inner products of atoms under every exposure, over its square and as they are, (E, Q, Q).
+        with_bright, with_dark: likewise with what was seen, over the exposure and times it, (E, Q).
+        square_bright, square_dark: likewise of what was seen, as they are and times the exposure squared, (E,).
+        bounds: atoms (Q, b), observed values (b,) and roots of weights (b,) of clipped pixels.
+        of_grid: products of mixtures over all directions, see `mixtures.products`.
+    """
+
+    exposures: Array
+    material_of: Indices
+    n_library: int
+    bright: Array
+    dark: Array
+    with_bright: Array
+    with_dark: Array
+    square_bright: Array
+    square_dark: Array
+    bounds: tuple[Array, Array, Array]
+    of_grid: tuple[Array, Array, float]
+
+    @classmethod
+    def of(cls, atoms: LibraryAtoms, rows: Observation, usable: Mask, exposures: Array) -> PixelPosterior:
+        """Sum the products of pixels of usable atoms (n,)."""
+        index = atoms.mixed[usable[atoms.mixed]]
+        _, material_of = np.unique(atoms.material_of[index], return_inverse=True)
+        A, is_seen = rows.atoms[index], ~rows.is_bound
+        roots = np.sqrt(INDEPENDENT * rows.weights / rows.weights.sum()) / (3.0 * MODEL_ERROR)
+        B, seen, b = A[:, is_seen], np.maximum(rows.seen[is_seen], 0.0), roots[is_seen]
+        E, Q = len(exposures), len(index)
+        inner, with_seen, square = np.zeros((2, E, Q, Q)), np.zeros((2, E, Q)), np.zeros((2, E))
+        n_bright = np.searchsorted(LEAST * exposures, seen)  # exposures under which a pixel is brighter
+        for count in np.unique(n_bright).tolist():
+            own = n_bright == count
+            some, s = B[:, own], seen[own]
+            for k, at in enumerate((slice(count), slice(count, None))):
+                if exposures[at].size:
+                    noise = LEAST if k else s
+                    X, y = some * (b[own] / noise), s * b[own] / noise
+                    inner[k, at] += X @ X.T
+                    with_seen[k, at] += X @ y
+                    square[k, at] += y @ y
+        n = int(material_of[-1])
+        on_grid = atoms.grid_products(GRID_STRIDE)[np.ix_(index, index)]
+        bounds = A[:, rows.is_bound], rows.seen[rows.is_bound], roots[rows.is_bound]
+        return cls(
+            exposures, material_of, n - len(atoms.coats), inner[0], inner[1], with_seen[0], with_seen[1], square[0],
+            square[1], bounds, products(on_grid, *atom_pairs(n, (Q - 1) // n)),
+        )  # fmt: skip
+
+    def at(self, e: int) -> Mixtures:
+        """Return the mixtures under one of the exposures, by index."""
+        t = float(self.exposures[e])
+        inner = t * t * self.bright[e] + self.dark[e]
+        with_seen = t * self.with_bright[e] + self.with_dark[e] / t
+        square = float(self.square_bright[e] + self.square_dark[e] / t**2)
+        mixtures = Mixtures.of_products(inner, with_seen, square, self.material_of, self.n_library)
+        misfit, (A, seen, roots) = mixtures.misfit, self.bounds
+        scale = roots / np.maximum(seen / t, LEAST)
+        for row, bound in zip((A * scale).T, seen / t * scale, strict=True):
+            misfit = misfit + np.maximum(bound - mixtures.of(row), 0.0) ** 2
+        # A Lambertian as bright as what was seen, or black to the eye.
+        albedo = max(float(with_seen[-1]) / (float(inner[-1, -1]) + LAMBERTIAN_SPREAD**-2), LEAST)
+        relative = np.maximum(mixtures.norm_of(self.of_grid) / (albedo**2 * self.of_grid[2]), 1.0)
+        return replace(mixtures, misfit=misfit).weighed(INDEPENDENT, relative, _EXPONENT)
+
+
+def pixel_mixtures(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Hypotheses:
+    """Return the most probable of the mixtures under one exposure, in one channel."""
+    mixtures = PixelPosterior.of(atoms, rows, usable, np.ones(1)).at(0)
+    best = mixtures.most_probable(_COUNT)
+    probability = mixtures.probability[best] / mixtures.probability[best].sum()
+    weights = np.zeros((len(best), len(atoms)))
+    weights[:, atoms.mixed[usable[atoms.mixed]]] = mixtures.weights(best)
+    return Hypotheses(probability, weights, (probability @ weights)[None])

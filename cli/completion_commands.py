@@ -178,6 +178,8 @@ def complete(
 
             if report is not None:
                 raise UsageError("--report goes with readings or one colour, found a list; leave it out")
+            if suggest:
+                raise UsageError("--suggest goes with readings or one colour, found a list; leave it out")
             colours = coat.read_colours(Path(lab), units, options.given_viewing(illuminant, observer))
             make_many(
                 results, many.coats(library, is_mixture=mixture, options=written), colours, output,
@@ -185,16 +187,20 @@ def complete(
                 then=None if into is None else partial(many.import_outputs, library=into),
             )  # fmt: skip
             return
-        if units and not mixture and not suggest:
+        if units and not mixture:
             L, a, b = parsed(lab).tolist()
             one = coat.ColourSample(f"L {L:.4g}, a {a:.4g}, b {b:.4g}", (L, a, b), units)
             target = or_default(output, "completed.bsdf")
             with progress.shown("Completing"):
                 ball = checked(target.with_suffix(".png"), "picture") if picture else None
-                coated = coat.complete(library, one, target, picture=ball, options=written)
+                coated = coat.complete(
+                    library, one, target, picture=ball, count=suggest, instrument=instrument, options=written
+                )
             if report is not None:
                 reports.write_coat(report, coated)
             _show_completed(results, coated, coated.rows, report)
+            if coated.suggested is not None:
+                _show_suggested(results, coated.suggested, "\nMeasure next", instrument)
             results.document(coated)
             return
     if readings and sample is None and not merge and unit is None:

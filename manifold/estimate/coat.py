@@ -35,12 +35,15 @@ from manifold.estimate.attributes import (
     factor_of,
     lab_of,
     lab_of_factor,
+    readings_of_colour,
     tinted,
 )
+from manifold.estimate.completion import Completion
 from manifold.estimate.completions import atoms_of, colour_under_d65, draw_ball
 from manifold.estimate.expected import Calibration, cached, errors_of
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
+from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats import column_heads
 from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import DAYLIGHT, Viewing, gloss_fault
@@ -90,6 +93,7 @@ class Coated(Result):
         gloss: of the written file, gloss units by angle in degrees.
         expected: expected errors of what the colour and gloss leave open.
         plausibility: of the written file, read back.
+        suggested: the readings to take next; None where none were asked for.
         diagnostics: what a user should know, in sentences.
     """
 
@@ -130,6 +134,14 @@ class Coated(Result):
         )
     )  # fmt: skip
     plausibility: Plausibility = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))
+    suggested: Suggested | None
+
+    @property
+    @derived()
+    def suggested_deg(self) -> Array | None:
+        """Angles of the next readings to take, in degrees."""
+        return None if self.suggested is None else self.suggested.angles_deg
+
     diagnostics: tuple[str, ...] = field(metadata=entry())
     seconds: float = field(metadata=entry())
 
@@ -193,12 +205,14 @@ def complete(
     output: Path,
     *,
     picture: Path | None = None,
+    count: int = 0,
+    instrument: str | None = None,
     options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Coated:
     """Write a coat over a Lambertian of a colour and gloss as an RGL file, whose name becomes the material's.
 
     The library has the bands of the file, and the materials on which the expected error is measured; `picture` is of
-    the ball.
+    the ball. `count` directions, of an instrument or of any, are suggested to be read next.
     """
     start = time.perf_counter()
     require_bsdf_output(output)
@@ -207,6 +221,9 @@ def complete(
             raise UsageError(fault)
     stages = Stages({"reading materials": 4, "expected error": 2, "writing": 1, "rendering": 2})
     opened = Library(library)
+    readings = readings_of_colour(np.array(sample.lab), sample.gloss, opened.bands)
+    if count:
+        directions_left(count, readings, instrument)
     stages.begin("reading materials")
     atoms = atoms_of(opened)
     coat, alpha = coat_of(np.array(sample.lab), sample.gloss, atoms.bands)
@@ -225,8 +242,10 @@ def complete(
         draw_ball(output, picture)
     brdf = coat if written.file is None else MeasuredBRDF(written.file)
     lab, gloss = lab_of(brdf), gloss_units(brdf)
+    # The mixtures that explain colour and gloss differ most where the next readings decide between them.
+    suggested = suggest(atoms, count, Completion.of(atoms, readings), instrument) if count else None
     return Coated(
-        output, sample, alpha, index, lab, gloss, expected, written.plausibility,
+        output, sample, alpha, index, lab, gloss, expected, written.plausibility, suggested,
         (*_missed(sample, lab, gloss), *written.notes),
         time.perf_counter() - start,
     )  # fmt: skip

@@ -182,6 +182,24 @@ def test_a_colour_and_gloss_are_reached_by_a_coat(run, model, tmp_path):
     assert "made_of" in json.loads(out)
 
 
+def test_suggestions_of_a_colour_and_gloss_leave_the_coat_as_it_is(run, model, tmp_path):
+    """A mixture of library materials, which completes readings, would miss the gloss."""
+    common = ["complete", "--lab", "45,30,15", "--gloss", "60=12", "-L", model.library.path]
+    assert run(*common, "-o", "plain.bsdf", cwd=tmp_path)[0] == 0
+    code, out, _ = run(*common, "-o", "next.bsdf", "--suggest", "2", "--json", "next.json", cwd=tmp_path)
+    assert code == 0
+    assert "a dielectric coat" in out
+    assert "Measure next" in out
+    plain, following = (read_bsdf(tmp_path / f"{name}.bsdf") for name in ("plain", "next"))
+    np.testing.assert_array_equal(following.spectra, plain.spectra)
+    suggested = json.loads((tmp_path / "next.json").read_text())["suggested_deg"]
+    assert np.shape(suggested) == (2, 3)
+    (tmp_path / "colours.txt").write_text("red,50,60,40\n")
+    code, _, err = run("complete", "--lab", "colours.txt", "--suggest", "2", "-L", model.library.path, cwd=tmp_path)
+    assert code == 2
+    assert "--suggest goes with readings or one colour" in err
+
+
 @pytest.mark.parametrize(("before", "after"), [(0.08, 0.3), (0.3, 0.08)])
 def test_another_gloss_is_another_coat_over_the_same_base(before, after, rng):
     def paint(alpha):

@@ -11,6 +11,7 @@ import typer
 
 from manifold import progress
 from manifold.errors import LibraryError, UsageError
+from manifold.names import percent
 
 from . import options, terminal
 from .application import app
@@ -244,7 +245,7 @@ def compact(
     if errors:
         rows["largest errors"] = [
             f"{max(e.ball for e in errors):.2f} {BALL}",
-            f"{max(e.cube_root for e in errors):.2%} cube-root error",
+            f"{percent(max(e.cube_root for e in errors), 2)} cube-root error",
         ]
     rows["unchanged"] = len(result.failed)
     rows["size"] = f"{terminal.megabytes(after)}, before {terminal.megabytes(before)}"

@@ -10,6 +10,7 @@ import typer
 
 from manifold import progress
 from manifold.errors import ManifoldError, UsageError
+from manifold.names import percent
 
 from . import options, photograph_commands, terminal
 from .application import app
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
+_SHOWN_WEIGHT = 0.005  # smallest weight that is printed, with two decimals
 
 
 Kind = Literal["blend", "gplvm", "material"]
@@ -201,10 +203,12 @@ def embed(
             auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=executor,
         )  # fmt: skip
     settings = fitted.settings
+    is_blend = settings.kind == "blend"  # a blend has no Gaussian process
+    start = "coordinates" if is_blend else "components"
     if candidates:
         results.text(
             "Held-out errors, median / 90th percentile; the first, a mean, makes the choice;\n"
-            f"more dimensions have to lower it by {PAYS:.0%}:\n"
+            f"more dimensions have to lower it by {percent(PAYS)}:\n"
         )
         results.table(
             ("mapping", "dimensions", "error", "linear", "cube root", BALL_COLUMN, "seconds", "chosen"),
@@ -225,10 +229,10 @@ def embed(
             "kind": settings.kind + ", as published" * settings.as_published,
             "latent dimensions": settings.latent_dim,
             "mapping": settings.mapping,
-            "kernel": settings.kernel,
+            **({} if is_blend else {"kernel": settings.kernel}),
             "objective": f"{fitted.statistics['objective']:.6g}, from "
-            f"{fitted.statistics['objective_start']:.6g} at the principal components",
-            **({} if settings.kind == "blend" else {"condition of K": f"{fitted.gp.condition:.3g}"}),
+            f"{fitted.statistics['objective_start']:.6g} at the principal {start}",
+            **({} if is_blend else {"condition of K": f"{fitted.gp.condition:.3g}"}),
             **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )
@@ -350,9 +354,12 @@ def show_prediction(results: terminal.Results, prediction: DiagnosedPrediction) 
     if prediction.colour is not None:
         rows["colour"] = prediction.colour
     if prediction.weights:
-        rows["largest weights"] = [f"{name} ({weight:+.2f})" for name, weight in prediction.weights]
+        shown = [pair for pair in prediction.weights if abs(pair[1]) >= _SHOWN_WEIGHT] or prediction.weights[
+            :1
+        ]
+        rows["largest weights"] = [f"{name} {weight:.2f}" for name, weight in shown]
     rows |= {
-        "negative values": f"{prediction.clipped_share:.2%}, zero in the file"
+        "negative values": f"{percent(prediction.clipped_share, 2)}, zero in the file"
         if prediction.clipped_share
         else "none",
         "time": f"{prediction.seconds:.2f} s after loading",

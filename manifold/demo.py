@@ -27,6 +27,7 @@ from manifold.model.diagnostics import DiagnosedPrediction
 from manifold.model.manifold import Manifold
 from manifold.model.places import on_line
 from manifold.model.settings import Settings
+from manifold.names import percent
 from manifold.page.explore import write_page
 from manifold.pictures import maps, renders
 from manifold.pictures.maps import slices, sources
@@ -323,7 +324,7 @@ def _numbers(predicted: DiagnosedPrediction, report: Report) -> list[tuple[str, 
             "Largest directional albedo of the prediction; more than 1 would create energy.",
         ),
         (
-            f"{physical.reciprocity_error:.1%}",
+            percent(physical.reciprocity_error, 1),
             "Reciprocity error of the prediction: the change of its values if light and view are exchanged.",
         ),
     ]

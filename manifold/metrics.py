@@ -10,6 +10,7 @@ import numpy as np
 
 from manifold.errors import ShapeError
 from manifold.judged_lights import BALL, BALL_COLUMN, LIGHTS
+from manifold.names import percent
 from manifold.records import Array, plain
 
 _LEAST_SQUARED_NORM = 1e-200  # smallest squared norm of values that counts as non-black
@@ -155,13 +156,17 @@ class Errors(Generic[Number]):
     @property
     def words(self) -> list[str]:
         """Return the errors of one BRDF in words, for a terminal."""
+        parts = {
+            "near_mirror": f"{percent(self.near_mirror)} within 10 degrees of the mirror direction",
+            "elsewhere": f"{percent(self.elsewhere)} elsewhere",
+        }
+        of_parts = ", ".join(words for name, words in parts.items() if name in self.known)
         of_all = {
             "ball": f"{self.ball:.1f} {BALL}",
             "worst": f"{self.worst:.1f} in the worst light ({self.worst_light})",
-            "cube_root": f"{self.cube_root:.0%} cube-root error",
-            "linear": f"{self.linear:.0%} linear",
-            "near_mirror": f"{self.near_mirror:.0%} cube-root error within 10 degrees of the mirror direction",
-            "elsewhere": f"{self.elsewhere:.0%} cube-root error elsewhere",
+            "cube_root": f"{percent(self.cube_root)} cube-root error"
+            + (f" ({of_parts})" if of_parts else ""),
+            "linear": f"{percent(self.linear)} linear error",
         }
         return [words for name, words in of_all.items() if name in self.known]
 

@@ -61,3 +61,12 @@ def in_words(count: int) -> str:
 def counted(count: int, what: str) -> str:
     """Return a count with its noun: `1 material`, `2 materials`."""
     return f"{count} {what}{'s' * (count != 1)}"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """Return a share in per cent, with a number of decimal digits.
+
+    >>> percent(0.045, 1)
+    '4.5 %'
+    """
+    return f"{100.0 * share:.{digits}f} %"

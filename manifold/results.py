@@ -24,7 +24,7 @@ class Entry:
     Attributes:
         row: label of its row in the printed table and the report; None for no row. A value that is None or empty has
             none.
-        words: text of the row: a format of the value, such as `{:.1%}`, or a function of the result; by default the
+        words: text of the row: a format of the value, such as `{:.2f}`, or a function of the result; by default the
             value itself, or a number with three digits.
         unit: of the value, which follows its format.
         columns: of the table of a batch, by title: keys that lead from the value in JSON to the cell, or a function of

@@ -20,7 +20,7 @@ from manifold.colour.colour_science import frozen
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant
 from manifold.directions import HORIZON, from_spherical
-from manifold.names import counted, first_few
+from manifold.names import counted, first_few, percent
 from manifold.records import Array, BsdfFile, Indices, Mask, evenly_spaced
 
 # Limits, and in brackets what 20 measured files and the corpus reach.
@@ -362,7 +362,9 @@ def _of_bands(file: BsdfFile, albedo: Array, negative_share: Array) -> list[str]
     labels, sentences = file.bands.labels, []
     negative = negative_share.max(axis=(0, 1))
     if np.any(negative > _MOST_NEGATIVE):
-        named = [f"{share:.0%} at {labels[b]}" for b, share in enumerate(negative) if share > _MOST_NEGATIVE]
+        named = [
+            f"{percent(share)} at {labels[b]}" for b, share in enumerate(negative) if share > _MOST_NEGATIVE
+        ]
         sentences.append(f"negative values: {first_few(named, 3)}")
     nm = np.asarray(file.bands.wavelengths_nm)
     is_close = np.maximum(nm[1:-1] - nm[:-2], nm[2:] - nm[1:-1]) <= _BROAD_NM

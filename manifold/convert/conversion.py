@@ -33,6 +33,7 @@ from manifold.formats.readings import Readings
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import Errors
 from manifold.model.diagnostics import DiagnosedPrediction
+from manifold.names import percent
 from manifold.pairs import cosine_weight
 from manifold.plots import html_page
 from manifold.records import Array, Bands, BsdfFile
@@ -65,12 +66,13 @@ class Conversion(Result):
     nodes: int = field(metadata=entry(row="nodes compared"))
     errors: Errors[float] = field(
         metadata=entry(
-            row="error, linear", words="{.linear:.2%}", columns={"cube root": ("cube_root",), "linear": ("linear",)}
+            row="error, linear", words=lambda result: percent(result.errors.linear, 2),
+            columns={"cube root": ("cube_root",), "linear": ("linear",)},
         )
     )  # fmt: skip
 
     @property
-    @derived(row="error, cube root", words="{:.2%}", json=False)
+    @derived(row="error, cube root", words=lambda result: percent(result.cube_root_error, 2), json=False)
     def cube_root_error(self) -> float:
         """See `Errors`."""
         return self.errors.cube_root
@@ -79,7 +81,7 @@ class Conversion(Result):
         metadata=entry(
             row="deviation",
             words=lambda result: (
-                f"median {result.median:.2%}, 95 % of values within {result.percentile_95:.2%}"
+                f"median {percent(result.median, 2)}, 95 % of values within {percent(result.percentile_95, 2)}"
             ),
         )
     )

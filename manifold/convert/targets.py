@@ -17,6 +17,7 @@ from manifold.formats import astm, bird, csv_table, fred, lighttools, merl, open
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
+from manifold.names import percent
 from manifold.pairs import LEVEL, RusinkiewiczGrid
 from manifold.records import Array
 from manifold.registries import CONVERTED, CONVERTED_IN_WORDS, CONVERTED_SUFFIXES
@@ -142,7 +143,7 @@ def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
     utia.write(path, _sampled(source, utia.axes()))
     lowest = np.cos(utia.axes()[0][-1]) - 1e-6
     beyond = (np.minimum(source.nodes.wi[:, 2], source.nodes.wo[:, 2]) < lowest).mean()
-    note = f"UTIA ends at 75 degrees: {beyond:.0%} of the nodes lie beyond and take its last values"
+    note = f"UTIA ends at 75 degrees: {percent(beyond)} of the nodes lie beyond and take its last values"
     return [note] if beyond else []
 
 

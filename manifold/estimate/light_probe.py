@@ -17,6 +17,7 @@ from manifold.colour.conversion import encode_srgb
 from manifold.errors import UsageError
 from manifold.estimate.lamps import Lamp
 from manifold.estimate.outlines import Circle, Outline, Photograph, outlines_in
+from manifold.names import percent
 from manifold.records import Array, Indices, Mask, evenly_spaced
 
 _SIDES = (24, 48)  # pixels across a ball that are compared, to choose a start and to refine it
@@ -166,8 +167,8 @@ def encoding_notes(photographs: Sequence[Photograph], probe: Probe) -> tuple[str
     if linear > _LINEAR_RESIDUAL or residual < least * linear:
         return ()
     return (
-        f"the pictures were read as sRGB, and one lamp explains the ball to {residual:.1%}; read as linear, to "
-        f"{linear:.1%}: if their values are linear, add --linear, else the lamps are wrong",
+        f"the pictures were read as sRGB, and one lamp explains the ball to {percent(residual, 1)}; read as linear, to "
+        f"{percent(linear, 1)}: if their values are linear, add --linear, else the lamps are wrong",
     )
 
 
@@ -512,10 +513,9 @@ class _Pixels:
         if lost:
             is_encoded = any(one.is_encoded for one in photographs)
             raise UsageError(
-                f"{', '.join(lost)}: no single lamp explains the ball (residual {residual.max():.0%}, expected at most "
-                f"{_LARGEST_RESIDUAL:.0%}); give its --circle, or the lamp by --lamp X,Y,Z or the light by --light"
-                + "; add --linear if its values are linear"
-                * is_encoded
+                f"{', '.join(lost)}: no single lamp explains the ball (residual {percent(residual.max())}, expected at "
+                f"most {percent(_LARGEST_RESIDUAL)}); give its --circle, or the lamp by --lamp X,Y,Z or the light "
+                "by --light" + "; add --linear if its values are linear" * is_encoded
             )
         covariance = np.linalg.pinv(fit.curvature)
         deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))

@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.pictures import read_picture
 from manifold.errors import FileFormatError, UsageError
+from manifold.names import percent
 from manifold.records import Array, Mask
 
 _LEAST_SIZE = 16
@@ -173,7 +174,7 @@ class Outline(NamedTuple):
         if self.share >= _LEAST_SHARE:
             return ()
         return (
-            f"outline {self.circle}: {self.share:.0%} of the edges near it lie on it; on a ball lit from one "
+            f"outline {self.circle}: {percent(self.share)} of the edges near it lie on it; on a ball lit from one "
             "side the others may be its terminator; give its --circle, or pictures under other lamps",
         )
 
@@ -203,8 +204,8 @@ def given_outline_notes(photographs: Sequence[Photograph], circle: Circle) -> tu
     if off < _DIFFERENT * given.radius or share < max(_LEAST_SHARE, _share_of_edges(grey, given)):
         return ()
     return (
-        f"the circle {circle} was given, but {share:.0%} of the edges near it lie on {edges.scaled(factor)}, "
-        f"{off / given.radius:.0%} of its radius away: is it the ball's outline?",
+        f"the circle {circle} was given, but {percent(share)} of the edges near it lie on {edges.scaled(factor)}, "
+        f"{percent(off / given.radius)} of its radius away: is it the ball's outline?",
     )
 
 
@@ -256,8 +257,8 @@ def find_outlines(display: Array, where: str) -> list[Outline]:
     support, circle = max(refined, key=lambda pair: pair[0], default=(0.0, Circle(0.0, 0.0, 0.0)))
     if support < _LEAST_SUPPORT:
         raise UsageError(
-            f"{where}: no ball found (the best circle is an edge over {support:.0%} of its length, expected "
-            f"{_LEAST_SUPPORT:.0%}); give its circle"
+            f"{where}: no ball found (the best circle is an edge over {percent(support)} of its length, expected "
+            f"{percent(_LEAST_SUPPORT)}); give its circle"
         )
     both = [Outline(one, _share_of_edges(smooth, one)) for one in (circle, _through_edges(smooth, circle))]
     return sorted(both, key=lambda one: -one.share)

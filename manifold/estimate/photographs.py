@@ -37,6 +37,7 @@ from manifold.model.location import Located
 from manifold.model.manifold import Manifold, load_model
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_checked
 from manifold.model.prediction import ClippedBRDF
+from manifold.names import percent
 from manifold.plots import figures
 from manifold.progress import Stages
 from manifold.records import Array
@@ -333,8 +334,8 @@ def _odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]
         return []
     usual = float(np.median(predicted))
     return [
-        f"{name}: cube roots differ by {error:.0%} if the other pictures predict them, which contradict it: check that "
-        "it shows the same material, its lamp and its outline"
+        f"{name}: cube roots differ by {percent(error)} if the other pictures predict them, which contradict it: check "
+        "that it shows the same material, its lamp and its outline"
         for name, error in zip(names, predicted, strict=False)
         if error > max(CONTRADICTION, _ODD * usual)
     ]

@@ -21,6 +21,7 @@ from manifold.colour import lights
 from manifold.directions import from_spherical, normalize, rotate_z
 from manifold.errors import UsageError
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, reduced
+from manifold.names import percent
 from manifold.records import Array, Indices, Mask
 
 _ROWS, _PARTS = 64, 8  # rows of cells, twice as many columns; parts of a cell along a side
@@ -188,8 +189,9 @@ def blocks_of(photograph: Photograph, circle: Circle, pictures: int = 1) -> Bloc
     seen = inside & np.isfinite(values).all(axis=2) & ~is_clipped
     if not seen.sum() >= max(_LEAST_SHARE * inside.sum(), 1.0):
         raise UsageError(
-            f"{path}: {clipped.sum() / max(inside.sum(), 1):.0%} of the ball at {circle} is clipped and "
-            f"{seen.sum() / max(inside.sum(), 1):.0%} was seen, expected at least {_LEAST_SHARE:.0%}; expose it less"
+            f"{path}: {percent(clipped.sum() / max(inside.sum(), 1))} of the ball at {circle} is clipped and "
+            f"{percent(seen.sum() / max(inside.sum(), 1))} was seen, expected at least {percent(_LEAST_SHARE)}; "
+            "expose it less"
         )
     if not values[seen].max() > 0.0:
         raise UsageError(f"{path}: the ball at {circle} is black, expected some light")

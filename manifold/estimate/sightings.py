@@ -44,6 +44,7 @@ from manifold.estimate.pixels import (
     direction_pairs,
 )
 from manifold.model.estimator import Observation
+from manifold.names import percent
 from manifold.records import Array, Mask
 
 _BRIGHT = 0.9  # share of a light's largest value; most pixels above it are clipped where the camera clipped
@@ -353,7 +354,7 @@ def _around(
     circle, doubts = _outline_of([photograph], given if name else "")
     if (beside := outside(photograph, circle)) > _MOST_OUTSIDE:
         raise UsageError(
-            f"{path}: {beside:.0%} of the mirror ball at {circle} lies outside, expected all of it"
+            f"{path}: {percent(beside)} of the mirror ball at {circle} lies outside, expected all of it"
         )
     image = unwrapped(photograph, circle, camera)
     notes = (*photograph.notes, *doubts, f"{path.name}: taken as a perfect mirror, its outline at {circle}")

@@ -24,7 +24,7 @@ from manifold.evaluate.stopwatch import REFERENCE, REFERENCE_PAIRS, RelativeTime
 from manifold.judged_lights import BALL, LIGHTS
 from manifold.library.store import Library
 from manifold.metrics import Errors
-from manifold.names import counted
+from manifold.names import counted, percent
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, plain
 from manifold.registries import Registry
@@ -89,7 +89,7 @@ def conclusion(made: Chart) -> str:
     fast = min(near, key=lambda row: row.predict.median)
     most_accurate = f"Most accurate for left-out materials: {best.title}, {best.median.ball:.2f} {BALL}."
     if fast is best:
-        return f"{most_accurate} Choose it: nothing faster comes within {_NEAR_BEST - 1:.0%} of it."
+        return f"{most_accurate} Choose it: nothing faster comes within {percent(_NEAR_BEST - 1)} of it."
     times = best.predict.median / fast.predict.median
     return (
         f"{most_accurate} Where speed counts, choose {fast.title}: {fast.median.ball:.2f}, and {times:.2g} times as "

@@ -24,6 +24,7 @@ from manifold.fit.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fit.identifiability import ParameterIdentifiability, TriedDefaults
 from manifold.judged_lights import BALL, BALL_COLUMN
 from manifold.metrics import Errors
+from manifold.names import percent
 from manifold.records import Array, Bands, BsdfFile
 from manifold.registries import FITTERS
 from manifold.render import backend
@@ -146,7 +147,7 @@ class FitResult(Result):
         return FittedBRDF.of(self.family, self.values, self.bands, self.spectra, self.rotation_deg)
 
     def __repr__(self) -> str:
-        residual = f"{self.metric} residual {self.residuals[self.metric]:.2%}"
+        residual = f"{self.metric} residual {percent(self.residuals[self.metric], 2)}"
         return (
             f"<FitResult: {self.family.type}, {residual}, minima: {len(self.minima)}, values {self.values}>"
         )
@@ -233,7 +234,8 @@ def _fit_or_diffuse(
     plain = _fit(samples, diffuse(wide_colours=wide_colours), method, metric, noise, options)
     if plain.residuals[metric] >= found.residuals[metric]:  # no reflectance that a surface can have
         return found
-    note = f"diffuse: principled fits worse ({found.residuals[metric]:.2%} against {plain.residuals[metric]:.2%})"
+    worse, better = (percent(each.residuals[metric], 2) for each in (found, plain))
+    note = f"diffuse: principled fits worse ({worse} against {better})"
     return replace(plain, notes=(note, *plain.notes), seconds=found.seconds + plain.seconds)
 
 

@@ -29,6 +29,7 @@ from manifold.library.layout import COEFFICIENTS, TABLES, read_attributes
 from manifold.library.staging import write_material
 from manifold.library.store import Library, read_material
 from manifold.metrics import cube_root_error
+from manifold.names import percent
 from manifold.pairs import Pairs, RusinkiewiczGrid
 from manifold.records import AnyArray, Array, BsdfFile
 
@@ -105,8 +106,9 @@ def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
             return Compact(coefficients, tables, Accuracy(tolerance, ball, cube_root))
         step *= min(max(0.8 / excess, 0.25), 0.8)
     raise LibraryError(
-        f"{file.name}: its compact form differs by {ball:.2g} {BALL} and {cube_root:.2%} in cube roots at the "
-        f"finest step, expected at most {most.ball:.2g} and {most.cube_root:.2%}; allow more, or keep it as it is"
+        f"{file.name}: its compact form differs by {ball:.2g} {BALL} and {percent(cube_root, 2)} in cube roots at the "
+        f"finest step, expected at most {most.ball:.2g} and {percent(most.cube_root, 2)}; allow more, "
+        "or keep it as it is"
     )
 
 

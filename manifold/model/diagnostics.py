@@ -13,13 +13,17 @@ from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
 from manifold.judged_lights import BALL
 from manifold.metrics import EXPECTED_BALL, Errors
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
-from manifold.model.expected_error import COARSE_BELOW, NOT_CALIBRATED
+from manifold.model.expected_error import BELOW_TWICE, COARSE_BELOW, NOT_CALIBRATED
+from manifold.names import percent
 from manifold.records import Array
 from manifold.results import Result, derived, entry
 
 if TYPE_CHECKING:
     from manifold.model.manifold import Manifold
     from manifold.model.places import Place, PlaceLike
+
+AT_A_MATERIAL = "none, because a measured material lies there"
+"""Words for the expected error at a material."""
 
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
@@ -71,12 +75,12 @@ class DiagnosedPrediction(Result):
 
     @property
     @derived(row="expected error", json=False)
-    def expected_in_words(self) -> list[str]:
+    def expected_in_words(self) -> tuple[str | list[str], ...]:
         """Expected errors, or why there are none."""
         if self.walk is not None:
-            return ["none: a step of a walk has no place on the map"]
+            return ("none: a step of a walk has no place on the map",)
         if self.is_extrapolation:
-            return ["none: not supported by the data"]
+            return ("none: not supported by the data",)
         return in_words(self.expected, self.materials, self.expected_in_chosen_colour)
 
     nearest: list[tuple[str, float]] = field(
@@ -91,7 +95,7 @@ class DiagnosedPrediction(Result):
     is_extrapolation: bool = field(metadata=entry())
 
     @property
-    @derived(row="reciprocity error", words="{:.2%}", json=False)
+    @derived(row="reciprocity error", words=lambda result: percent(result.reciprocity_error, 2), json=False)
     def reciprocity_error(self) -> float:
         """See `Plausibility`."""
         return self.plausibility.reciprocity_error
@@ -105,7 +109,10 @@ class DiagnosedPrediction(Result):
         default=None,
         metadata=entry(
             row="file",
-            words="differs from the prediction by at most {:.1%} within 5 degrees of mirror directions",
+            words=lambda result: (
+                f"differs from the prediction by at most {percent(result.mirror_difference, 1)} "
+                "within 5 degrees of mirror directions"
+            ),
         ),
     )
     diagnostics: tuple[str, ...] = field(metadata=entry(row="diagnostics"))
@@ -184,22 +191,23 @@ def _reason(model: Manifold, place: Place) -> str:
 
 def in_words(
     expected: Errors[Array] | None, materials: int, in_chosen_colour: Errors[Array] | None = None
-) -> list[str]:
-    """Describe an expected error for a terminal, of a model of `materials` materials.
+) -> tuple[str | list[str], ...]:
+    """Describe an expected error for a terminal, as lines, of a model of `materials` materials.
 
     A prediction in blended colours adds the error in a chosen colour.
     """
     if expected is None:
-        return [f"unknown: {NOT_CALIBRATED[0]}", NOT_CALIBRATED[1]]
+        return (f"unknown: {'; '.join(NOT_CALIBRATED)}",)
     if expected.ball < 0.05 and expected.cube_root < 0.005:  # both are printed as 0
-        return ["none: a measured material"]
-    words = [*expected.words, "90 % of errors below twice these"]
+        return (AT_A_MATERIAL,)
+    lines: list[str | list[str]] = [expected.words]
     if in_chosen_colour is not None:
-        words.append(
-            f"{in_chosen_colour.ball:.1f} and {in_chosen_colour.cube_root:.0%} if the colour is chosen: this one is "
-            "blended from the surrounding materials"
-        )
-    return words + [f"coarse: known from {materials} materials"] * (materials < COARSE_BELOW)
+        ball, cube_root = in_chosen_colour.ball, percent(in_chosen_colour.cube_root)
+        lines.append(f"with a chosen colour: {ball:.1f}, {cube_root} cube-root error")
+    lines.append(f"{percent(BELOW_TWICE)} of the errors are below twice the expected")
+    if materials < COARSE_BELOW:
+        lines.append(f"uncertain by a factor of three: the model has only {materials} materials")
+    return tuple(lines)
 
 
 def of_prediction(

@@ -66,7 +66,7 @@ export const facts = {
 
   errorText(error) {
     const { unit } = this.data.error ?? {}, colour = this.hasBlendedColour() ? "; its colour is blended" : "";
-    return error === 0 ? "none: a measured material" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit}${colour})`;
+    return error === 0 ? "none, because a measured material lies there" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit}${colour})`;
   },
 
   showFacts() {

@@ -327,7 +327,7 @@ def test_names_stay_on_their_line_of_a_text_file(form, tmp_path):
 def test_a_material_of_a_library_comes_back_byte_for_byte(tmp_path, library, run, name):
     status, out, _ = run("convert", name, "--library", library, "-o", "back_rgb.bsdf", cwd=tmp_path)
     assert status == 0
-    assert "error, linear     0.00%" in out
+    assert "error, linear     0.00 %" in out
     imported = library.parent / "files" / f"{name}_rgb.bsdf"
     assert (tmp_path / "back_rgb.bsdf").read_bytes() == imported.read_bytes()
     assert run("convert", imported, "--resolution", "8", "-o", "coarse.bsdf", cwd=tmp_path)[0] == 0

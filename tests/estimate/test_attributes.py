@@ -195,7 +195,9 @@ def test_suggestions_of_a_colour_and_gloss_leave_the_coat_as_it_is(run, model, t
     suggested = json.loads((tmp_path / "next.json").read_text())["suggested_deg"]
     assert np.shape(suggested) == (2, 3)
     (tmp_path / "colours.txt").write_text("red,50,60,40\n")
-    code, _, err = run("complete", "--lab", "colours.txt", "--suggest", "2", "-L", model.library.path, cwd=tmp_path)
+    code, _, err = run(
+        "complete", "--lab", "colours.txt", "--suggest", "2", "-L", model.library.path, cwd=tmp_path
+    )
     assert code == 2
     assert "--suggest goes with readings or one colour" in err
 

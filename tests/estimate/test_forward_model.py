@@ -112,7 +112,7 @@ def test_clipped_pixels_are_lower_bounds_and_transparent_ones_are_left_out():
 
 @pytest.mark.parametrize(
     ("values", "is_clipped", "words"),
-    [(1.0, True, "100% of the ball.*is clipped"), (np.nan, False, "0% was seen"), (0.0, False, "black")],
+    [(1.0, True, "100 % of the ball.*is clipped"), (np.nan, False, "0 % was seen"), (0.0, False, "black")],
 )
 def test_balls_of_which_nothing_is_seen_are_refused(values, is_clipped, words):
     picture = Photograph(

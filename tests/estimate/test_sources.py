@@ -31,6 +31,7 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.settings import Settings
+from manifold.names import percent
 from manifold.pictures.renders import ball_material
 from manifold.plots import map_figure
 
@@ -275,7 +276,8 @@ def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run
     assert np.abs(file.eval(read.wi, read.wo) / expected - 1.0).max() > 0.01
     assert made.mirror_difference == pytest.approx(mirror_difference(predicted, file))
     out = run("predict", "0.1,0.2", "-o", "place.bsdf", cwd=folder)[1]
-    words = f"differs from the prediction by at most {made.mirror_difference:.1%} within 5 degrees of mirror directions"
+    most = percent(made.mirror_difference, 1)
+    words = f"differs from the prediction by at most {most} within 5 degrees of mirror directions"
     assert words in " ".join(out.split())
     for made_for_it in (source_file, ball_material):  # of other commands, and of renders
         with made_for_it(PlaceSource(folder / "model.h5", "0.1,0.2")) as found:

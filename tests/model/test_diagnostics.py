@@ -49,6 +49,20 @@ def test_a_material_outside_the_manifold_is_diagnosed():
         assert f"error {error:.2f}, {ball} {BALL}: outside the manifold" in sentence
 
 
+def test_an_expected_error_in_blended_colours_has_a_line_for_a_chosen_colour():
+    own, chosen = Errors(ball=28.1, cube_root=0.39), Errors(ball=1.6, cube_root=0.04)
+    assert diagnostics.in_words(own, 20, chosen) == (
+        [f"28.1 {BALL}", "39 % cube-root error"],
+        "with a chosen colour: 1.6, 4 % cube-root error",
+        "90 % of the errors are below twice the expected",
+    )
+    assert (
+        diagnostics.in_words(own, 5)[-1] == "uncertain by a factor of three: the model has only 5 materials"
+    )
+    assert diagnostics.in_words(Errors(ball=0.01, cube_root=0.001), 20) == (diagnostics.AT_A_MATERIAL,)
+    assert diagnostics.in_words(None, 3)[0].startswith("unknown: ")
+
+
 def test_unmeasured_cells_are_diagnosed_from_one_percent_on():
     assert diagnostics.of_unmeasured(0.005) == ()
     (sentence,) = diagnostics.of_unmeasured(0.12)

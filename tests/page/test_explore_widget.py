@@ -87,7 +87,9 @@ def test_what_is_set_in_python_is_shown_in_every_view(page, widget):
     for view in ("a", "b"):
         page.locator(f"#{view} #tab-here").click()
         page.locator(f"#{view} #nearest tr").first.get_by_text(NAMES[1]).wait_for()
-        page.locator(f"#{view} #error-value", has_text="none: a measured material").wait_for()
+        page.locator(
+            f"#{view} #error-value", has_text="none, because a measured material lies there"
+        ).wait_for()
     assert page.evaluate("model.get('link')").startswith(
         f"x={NAMES[1]}"
     )  # a view that is opened later is there, too

@@ -25,6 +25,7 @@ from manifold.judged_lights import BALL
 from manifold.metrics import Errors
 from manifold.model.expected_error import NOT_CALIBRATED
 from manifold.model.model_file import read_model
+from manifold.names import percent
 from manifold.recognition import Kind, kind_of
 from manifold.records import Array, Bands, BsdfFile, plain
 
@@ -77,7 +78,7 @@ def _of_readings(readings: Readings) -> dict[str, object]:
         "bands": _bands(readings.bands),
         "theta_i in degrees": [f"{t:g}" for t in incidences[:12]] + (["..."] if incidences.size > 12 else []),
         "theta_o in degrees": f"{theta_o.min():.1f} to {theta_o.max():.1f}",
-        "measured values": f"{readings.measured.mean():.1%}",
+        "measured values": percent(readings.measured.mean(), 1),
         **(
             {"gloss": [f"{u:g} at {a:g} degrees" for a, u in readings.gloss.items()]}
             if readings.gloss
@@ -91,7 +92,7 @@ def _of_table(table: DenseTable) -> dict[str, object]:
         "table": " x ".join(str(a.size) for a in table.axes) + f", {table.coordinates} angles",
         "kind": "isotropic" if table.is_isotropic else "anisotropic",
         "bands": _bands(table.bands),
-        "measured nodes": f"{table.measured.mean():.1%}",
+        "measured nodes": percent(table.measured.mean(), 1),
     }
 
 
@@ -239,7 +240,11 @@ def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> In
     mask = file.measured_mask
     share = unmeasured_share(file, unmeasured_cells(file))
     checked = check_consistency(file, has_exact_luminance=not is_compact)
-    unit = "times ndf / (4 sigma): f cos(theta_o) in 1/sr" if file.jacobian else "f cos(theta_o) in 1/sr"
+    unit = (
+        "; times ndf / (4 sigma) they are f cos(theta_o) in 1/sr"
+        if file.jacobian
+        else ", f cos(theta_o) in 1/sr"
+    )
     rows: dict[str, object] = {
         "description": file.description,
         "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
@@ -249,10 +254,10 @@ def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> In
         "ndf": f"{' x '.join(str(n) for n in file.ndf.shape)} nodes",
         "vndf": f"{' x '.join(str(n) for n in file.vndf.shape[2:])} nodes",
         "pipeline version": ".".join(str(v) for v in file.version),
-        "measured cells": f"{mask.mean():.1%}",
-        "exact zeros": f"{np.mean(file.spectra == 0):.1%}",
-        "unmeasured cells above the horizon": f"{share:.1%}",
-        "stored values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g} ({unit})",
+        "valid cells": f"{percent(mask.mean(), 1)} of all cells",
+        "zeros": f"{percent(np.mean(file.spectra == 0), 1)} of all values",
+        "unmeasured cells above the horizon": percent(share, 1),
+        "stored values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g}{unit}",
         "size": f"{path.stat().st_size / 1e6:.1f} MB",
         "findings": checked.findings or "none",
     }
@@ -289,10 +294,10 @@ def _incidence_table(file: BsdfFile, checked: Consistency) -> Table:
     for t, theta in enumerate(np.rad2deg(file.theta_i_rad)):
         row = [f"{theta:.1f}"]
         if file.bands.is_rgb:
-            row += [f"{a:#.3g}" for a in albedo[t]] + [f"{share:.1%}" for share in negative[t]]
+            row += [f"{a:#.3g}" for a in albedo[t]] + [percent(share, 1) for share in negative[t]]
         else:
             row += [f"{albedo[t].mean():#.3g}", f"{albedo[t].max():#.3g}", labels[albedo[t].argmax()]]
-            row += [f"{negative[t].mean():.1%}"]
+            row += [percent(negative[t].mean(), 1)]
         rows.append([*row, "" if np.isnan(ratio[t]) else f"{ratio[t]:.2f}"])
     return [*heads, "f(wi, wo) / f(wo, wi), median"], rows
 
@@ -337,13 +342,13 @@ def _inspect_fit(path: Path) -> Inspection:
     )
 
 
-def _quantiles(errors: Errors[Array]) -> list[str]:
-    """Return the medians and 90th percentiles of errors of several materials."""
+def _quantiles(errors: Errors[Array]) -> tuple[str, ...]:
+    """Return the medians and 90th percentiles of errors of several materials, a line each."""
     median, p90 = errors.median, errors.p90
-    return [
+    return (
         f"median {median.ball:.1f}, 90th percentile {p90.ball:.1f} {BALL}",
-        f"{median.cube_root:.0%}, {p90.cube_root:.0%} cube-root error",
-    ]
+        f"cube-root error: median {percent(median.cube_root)}, 90th percentile {percent(p90.cube_root)}",
+    )
 
 
 def _words(value: float | list[float]) -> str:
@@ -373,7 +378,7 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
         rows["compact"] = [
             f"{len(errors)} of the materials",
             f"largest errors {max(e.ball for e in errors):.2f} {BALL}, "
-            f"{max(e.cube_root for e in errors):.2%} cube-root error",
+            f"{percent(max(e.cube_root for e in errors), 2)} cube-root error",
         ]
     problems = library.verify() if verify else []
     if verify:
@@ -387,7 +392,7 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
             ".".join(str(v) for v in m.pipeline_version),
             f"{m.bytes / 1e6:.1f}",
             *(
-                ["-" if m.accuracy is None else f"{m.accuracy.ball:.2f}, {m.accuracy.cube_root:.2%}"]
+                ["-" if m.accuracy is None else f"{m.accuracy.ball:.2f}, {percent(m.accuracy.cube_root, 2)}"]
                 if errors
                 else []
             ),
@@ -422,6 +427,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         if library is not None:
             raise
         missing = str(error)
+    kernel = f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}"
     rows: dict[str, object] = {
         "materials": space.materials_in_words,
         "library": f"{missing}; predictions, renders and reports need it" if found is None else found.path,
@@ -429,7 +435,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "kind": _KINDS[s.kind],
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
-        "kernel": f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
+        **({} if s.kind == "blend" else {"kernel": kernel}),  # blends have no Gaussian process
         "optimizer": s.optimizer,
         "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
@@ -442,15 +448,15 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
     if left_out is None:
         rows["left-out errors"] = list(NOT_CALIBRATED)
     else:
-        kept = "with the latents of the others fixed (`manifold report` refits them)"
-        rows["left-out errors"] = [*_quantiles(left_out.errors), kept]
+        kept = "latents of the others kept; `manifold report` refits them"
+        rows["left-out errors"] = (*_quantiles(left_out.errors), kept)
         if left_out.blended is not None:
             rows["in blended colours"] = _quantiles(left_out.blended)
         columns += ["left out: ball", "cube root"]
         both = left_out.errors.ball.tolist(), left_out.errors.cube_root.tolist()
         each = zip(left_out.materials.tolist(), *both, strict=True)
         errors = {stored.names[i]: {"ball": ball, "cube_root": root} for i, ball, root in each}
-        words = {name: (f"{e['ball']:.1f}", f"{e['cube_root']:.0%}") for name, e in errors.items()}
+        words = {name: (f"{e['ball']:.1f}", percent(e["cube_root"])) for name, e in errors.items()}
         table = [(*row, *words.get(str(row[0]), ("", ""))) for row in table]
     document = {
         "path": str(path),

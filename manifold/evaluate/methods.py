@@ -45,10 +45,10 @@ def baseline_methods() -> list[Method]:
     return [
         Method("nearest", "nearest material", lambda B: 1, fit_nearest),
         Method("linear", "linear, two nearest", lambda B: 3, fit_linear),
-        Method("oracle", "best mix of two (an oracle)", lambda B: 3, fit_oracle),
-        _pca("pca_6_identity", "PCA, 6, identity", "identity", 6),
-        _pca("pca_6_cube_root", "PCA, 6, cube root", "cube-root", 6),
-        _pca("pca_6_log_relative", "PCA, 6, log-relative", "log-relative", 6),
+        Method("oracle", "best mix of two (oracle)", lambda B: 3, fit_oracle),
+        _pca("pca_6_identity", "PCA 6, identity", "identity", 6),
+        _pca("pca_6_cube_root", "PCA 6, cube root", "cube-root", 6),
+        _pca("pca_6_log_relative", "PCA 6, log-relative", "log-relative", 6),
         Method(PUBLISHED, AFTER_PUBLISHED, lambda B: 2, fit_after_published, fits_model=True),
         _nonnegative("non-negative least squares", SAMPLE_BANDS),
     ]
@@ -57,8 +57,8 @@ def baseline_methods() -> list[Method]:
 def gplvm_methods() -> list[Method]:
     """Return the models of this package at settings of their own."""
     titles = {
-        "gplvm_2": "GPLVM, 2, cube root", "gplvm_6": "GPLVM, 6, cube root",
-        "blend_2": "blend, 2 + 2 per band", "blend_3": "blend, 3 + 2 per band",
+        "gplvm_2": "GPLVM 2, cube root", "gplvm_6": "GPLVM 6, cube root",
+        "blend_2": "blend 2 + 2 per band", "blend_3": "blend 3 + 2 per band",
     }  # fmt: skip
     models = {key: _model(key, title, STANDARD[key]) for key, title in titles.items()}
     blends = [models.pop("blend_2"), models.pop("blend_3")]

@@ -70,22 +70,27 @@ def model_methods(model: Manifold) -> list[Method]:
         return lambda i: search(i)[1]
 
     reconstruction = Method(
-        "reconstruction", "reconstruction", space.numbers, fit_reconstruction, is_held_out=False, refits=False
+        "reconstruction",
+        "at its own latent",
+        space.numbers,
+        fit_reconstruction,
+        is_held_out=False,
+        refits=False,
     )
     pca = Method(
-        "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
+        "pca_log_relative", f"PCA {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
     )
     if s.kind == "blend":  # places of blends are found in one way
         own = [
-            method("blend_encoded", "blend, encoded, others kept", fit_blend_encoded, refits=False),
-            method("blend_refitted", "blend, refitted without it", fit_settings(s)),
+            method("blend_encoded", "blend, latents kept", fit_blend_encoded, refits=False),
+            method("blend_refitted", "blend, refitted", fit_settings(s)),
         ]
     else:
         own = [
-            method("smooth", "reconstruction, smooth", fit_smooth, is_held_out=False, refits=False),
+            method("smooth", "without delta", fit_smooth, is_held_out=False, refits=False),
             method("gp_latents_kept", "GP, latents kept", fit_latents_kept, refits=False),
-            method("gp_encoded", "GP, encoded, others kept", fit_encoded),
-            method("gp_refitted", "GP, refitted without it", fit_settings(s)),
+            method("gp_encoded", "GP, others' latents kept", fit_encoded),
+            method("gp_refitted", "GP, refitted", fit_settings(s)),
         ]
     return [reconstruction, *own, pca]
 

@@ -10,7 +10,7 @@ import numpy as np
 from manifold.evaluate.report import MethodResult, Report
 from manifold.judged_lights import BALL, JUDGED, LIGHTS
 from manifold.model.expected_error import GUARANTEED, LEVEL, NOT_CALIBRATED
-from manifold.names import counted
+from manifold.names import counted, percent
 from manifold.text_tables import table_lines
 
 _WIDTH = 80
@@ -18,21 +18,40 @@ _SHOWN_COORDINATES = 2  # coordinates of a latent, so that a row fits 80 columns
 # Methods whose errors every material shows: column title per key, most honest first, as many as fit.
 _MATERIAL_COLUMNS = {
     "blend_refitted": "refitted",
-    "blend_encoded": "encoded",
+    "blend_encoded": "kept",
     "gp_refitted": "refitted",
-    "gp_encoded": "encoded",
+    "gp_encoded": "others kept",
     "gp_latents_kept": "kept",
     "linear": "linear",
     "nearest": "nearest",
 }
 _SHOWN_METHODS = 4
+_PCA, _BEFORE_PCA = "pca_", ("nearest", "linear", "oracle")  # keys
 _OWN_METHODS = ("blend_refitted", "gp_refitted", "blend_encoded", "gp_encoded")  # most honest first
 _LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # root mean squares between which a method counts as calibrated
 _MANY_DIGITS = 1e5
 _KINDS = {
-    "blend": "Blends of materials: {}, and two colours per band",
+    "blend": "Blends of materials: {}, and a colour coordinate and a gain per band",
     "gplvm": "GPLVM of whole materials: {}",
 }
+_LEGEND = {
+    "reconstruction": "at its own latent: of a library material, predicted as measured (training error).",
+    "smooth": "without delta: at its own latent, by the posterior mean without the kernel's delta.",
+    "gp_latents_kept": "latents kept: the latents were fitted with the material; only its values are left out of the "
+    "prediction (optimistic).",
+    "gp_encoded": "others' latents kept: likewise, but the material is located from its values.",
+    "blend_encoded": "latents kept: the map was fitted with the material, which is then located from its values and "
+    "predicted from the others (optimistic).",
+    "blend_refitted": "refitted: the model is fitted to the other materials; the left-out one is then located from its "
+    "values.",
+    "gp_refitted": "refitted: the model is fitted to the other materials; the left-out one is then located from its "
+    "values.",
+    "oracle": "oracle: the left-out material decides which two are mixed.",
+    "nonnegative": "non-negative least squares: `manifold reconstruct` from the other materials.",
+    "blend_2": "Q + 2 per band: Q coordinates for all bands, and a colour coordinate and a gain per band.",
+    "principled": "principled: fitted to the material itself.",
+}
+"""Explanations of methods, by key; one is printed only if a row needs it."""
 
 Columns = Sequence[tuple[str, Callable[[MethodResult], str]]]
 """Titles of columns, and the values of a method in them."""
@@ -45,25 +64,23 @@ _ERRORS: Columns = (
     ("CIEDE2000", lambda m: f"{m.median.ball:.2f}"),
     ("p90", lambda m: f"{m.p90.ball:.2f}"),
 )
-_ERROR_NOTE = f"""\
-Reconstructions use the material they predict; the mix of two uses it to choose
-the two. Latents kept, others kept: the latents (and colours of blends) are
-fitted with the material, which is then predicted without its own data. All
-other methods are fitted without the material.
-a + b per band: a coordinates that all bands share, and b of every band.
-Medians and 90th percentiles over materials. linear: relative, cosine-weighted,
-dominated by highlights; cube root: the same of cube roots, closer to perceived
-differences; CIEDE2000: of the ball, mean of the {LIGHTS} below."""
+_ERROR_NOTE = (
+    "Medians and 90th percentiles (p90) over materials.",
+    "linear: relative error of cosine-weighted values, dominated by highlights.",
+    "cube root: that of their cube roots, closer to perceived differences.",
+    f"CIEDE2000: of the ball, mean of the {LIGHTS} below.",
+)
 
 _LIGHTS: Columns = (
     *((name.removesuffix(" 0"), lambda m, name=name: f"{m.median.lights[name]:.2f}") for name in JUDGED),
     ("worst", lambda m: f"{m.median.worst:.1f}"),
     ("p90", lambda m: f"{m.p90.worst:.1f}"),
 )
-_LIGHTS_NOTE = """\
-Median CIEDE2000 of the ball in lights that no fit uses: the studio, uniform
-light, suns at the given degrees beside the view; worst: in the light where it
-is largest for each material, median and 90th percentile."""
+_LIGHTS_NOTE = (
+    "Median CIEDE2000 of the ball in lights that no fit uses: studio, uniform white, suns at these angles from the "
+    "view, in degrees.",
+    "worst: in each material's worst light, median and 90th percentile.",
+)
 
 
 def _short(error: float) -> str:
@@ -74,84 +91,89 @@ def _short(error: float) -> str:
 _PLAUSIBILITY: Columns = (
     ("RMSE", lambda m: _short(m.median.rmse)),
     ("RMSE 80", lambda m: _short(m.median.rmse_80)),
-    ("negative", lambda m: f"{m.negative_share:.2%}"),
+    ("negative", lambda m: percent(m.negative_share, 2)),
     ("recip.", lambda m: f"{m.reciprocity_error:.3f}"),
     ("albedo", lambda m: f"{m.max_albedo:.2f}"),
     ("ball ITP", lambda m: f"{m.median.ball_itp:.1f}"),
 )
-_PLAUSIBILITY_NOTE = f"""\
-RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, dominated by a few directions at
-the horizon; RMSE 80: within 80 degrees, weighted by both cosines. negative:
-share of values, before they are cut to 0; measured files have some. recip.,
-albedo: error of reciprocity and largest albedo of the worst material. ball ITP:
-Delta E_ITP of the ball (ITU-R BT.2124), mean of {LIGHTS}, on a display whose
-white has 100 cd/m2, median."""
+_PLAUSIBILITY_NOTE = (
+    "RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr, dominated by a few directions at the horizon.",
+    "RMSE 80: within 80 degrees, weighted by both cosines.",
+    "negative: predicted values below 0, before they are cut; measured files have some, which combinations inherit.",
+    "recip., albedo: the worst material's relative difference of f(wi, wo) and f(wo, wi), and largest albedo.",
+    f"ball ITP: Delta E_ITP of the ball (ITU-R BT.2124), mean of {LIGHTS}, display white 100 cd/m2, median.",
+)
 
-_COLOUR_NOTE = """\
-dE: CIEDE2000 of the radiance factor pi f. angle: spectral angle in degrees
-between the spectra of the reflected light. Means over six directions of a
-multi-angle instrument (light at 45 degrees; aspecular -15, 15, 25, 45, 75,
-110); medians of materials."""
+_COLOUR_NOTE = (
+    "dE: CIEDE2000 of the radiance factor pi f in this light.",
+    "angle: spectral angle in degrees between the spectra of the reflected light.",
+    "Means over six directions of a multi-angle instrument (light at 45 degrees; aspecular -15, 15, 25, 45, 75, 110); "
+    "medians over materials.",
+)
 
 _COSTS: Columns = (
     ("numbers", lambda m: str(m.numbers)),
     ("MB kept", lambda m: f"{m.bytes / 1e6:.1f}"),
     ("fit s", lambda m: f"{m.fit_seconds:.3f}"),
-    ("encode ms", lambda m: f"{1e3 * m.encode_seconds:.1f}"),
+    ("locate ms", lambda m: f"{1e3 * m.encode_seconds:.1f}"),
     ("predict ms", lambda m: f"{1e3 * m.predict_seconds:.0f}"),
 )
-_COST_NOTE = """\
-numbers: per material. MB kept: numbers and measured values that predictions
-need, of all materials. Wall-clock times: of one fit, of encoding one material,
-and of predicting it wherever errors are measured."""
+_COST_NOTE = (
+    "numbers: per material.",
+    "MB kept: numbers and measured values that predictions need, of all materials.",
+    "Wall-clock times: of one fit, of locating one material, and of predicting it in all directions in which errors "
+    "are measured.",
+)
 
 _CALIBRATION: Columns = (
     ("rms z", lambda m: f"{m.rms_standardised_error:.2f}"),
     ("median z", lambda m: f"{np.median(m.standardised_error or 0.0):.2f}"),
     ("calibrated", lambda m: _calibrated(m.rms_standardised_error or 0.0)),
 )
-_CALIBRATION_NOTE = f"""\
-z: error of the mapped values in the standard deviations the method expected;
-calibrated: root mean square from {_LOWEST_RMS} to {_HIGHEST_RMS:g}."""
+_CALIBRATION_NOTE = (
+    "z: error of the mapped values over the standard deviation that the method predicts.",
+    f"calibrated: root mean square of z from {_LOWEST_RMS} to {_HIGHEST_RMS:g}.",
+)
 
 _EXPECTED_NAMES = {
     "ball": "ball", "cube_root": "cube root",
     "blended_ball": "ball, blended", "blended_cube_root": "cube root, blended",
 }  # fmt: skip
-_EXPECTED_NOTE = f"""\
-Each material is left out of the map; the latents of the others are kept. Its
-expected errors are computed without it, in its own colours or in colours
-blended from the surrounding materials. ball: {BALL};
-rank corr.: rank correlation of expected and true errors; below 2x: share of
-true errors below twice the expected."""
+_EXPECTED_NOTE = (
+    "Each material is left out of the map; the latents of the others are kept. Its expected errors are computed "
+    "without it, in its own colours or in colours blended from the surrounding materials.",
+    f"ball: {BALL}.",
+    "rank corr.: rank correlation of expected and true errors.",
+    "below 2x: share of true errors below twice the expected.",
+)
 
 
 def lead(report: Report) -> str:
-    """Return three sentences on the errors of left-out materials.
+    """Return sentences on the errors of left-out materials.
 
     They give the model's own error, that of baselines, and whether it is expected.
     """
     by_key = {m.key: m for m in report.methods}
     own = next(by_key[key] for key in _OWN_METHODS if key in by_key)
     nearest, linear = by_key["nearest"], by_key["linear"]
-    how = "a model fitted without it" if "refitted" in own.key else "the map of the others"
+    how = "a map fitted to the others" if "refitted" in own.key else "the map, whose latents stay as they are"
     expected = report.expected_errors and report.expected_errors["ball"]
     last = (
         "The model is not calibrated: it has no expected errors."
         if not expected
-        else f"For {expected.below_twice:.0%} of the materials the error is less than twice the expected one."
+        else f"For {percent(expected.below_twice)} of the materials the error is below twice the expected one."
     )
     return (
-        f"A left-out material, found by {how} from its own data, differs from the measured one by "
-        f"{own.median.ball:.1f} {BALL} in the median, nine in ten by less than "
-        f"{own.p90.ball:.1f}. The most similar other material differs by {nearest.median.ball:.1f} in "
-        f"the median, a linear mix of the two nearest by {linear.median.ball:.1f}. {last}"
+        f"Each material was left out and located from its own values on {how}. The prediction there "
+        f"differs from the measurement by {own.median.ball:.1f} {BALL} in the median and {own.p90.ball:.1f} at the "
+        f"90th percentile. The most similar other material differs by {nearest.median.ball:.1f} in the median, a "
+        f"linear mix of the two nearest by {linear.median.ball:.1f}. {last}"
     )
 
 
 def format_report(report: Report) -> str:
     """Format short tables of all methods, then the materials, then times, as plain text that ends in a newline."""
-    methods = report.methods
+    methods = _in_order(report.methods)
     illuminants = list(methods[0].errors.colours)
     colours: Columns = (
         *((f"dE {name}", lambda m, name=name: f"{m.median.colours[name]:.2f}") for name in illuminants),
@@ -163,12 +185,12 @@ def format_report(report: Report) -> str:
         "",
         *textwrap.wrap(lead(report), _WIDTH, break_on_hyphens=False),
         "",
-        *_section("method", methods, _ERRORS, _ERROR_NOTE),
-        *_section("light", methods, _LIGHTS, _LIGHTS_NOTE),
-        *_section("values", methods, _PLAUSIBILITY, _PLAUSIBILITY_NOTE + _uncertainty(report)),
-        *_section("colour", methods, colours, _COLOUR_NOTE),
-        *_section("cost", methods, _COSTS, _COST_NOTE),
-        *(_section("calibration", calibrated, _CALIBRATION, _CALIBRATION_NOTE) if calibrated else []),
+        *_section(methods, _ERRORS, (*_legend(methods), *_ERROR_NOTE)),
+        *_section(methods, _LIGHTS, _LIGHTS_NOTE),
+        *_section(methods, _PLAUSIBILITY, (*_PLAUSIBILITY_NOTE, *_uncertainty(report))),
+        *_section(methods, colours, _COLOUR_NOTE),
+        *_section(methods, _COSTS, _COST_NOTE),
+        *(_section(calibrated, _CALIBRATION, _CALIBRATION_NOTE) if calibrated else []),
         *_expected_errors(report),
         *_materials(report),
         *_closing(report),
@@ -176,27 +198,45 @@ def format_report(report: Report) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _uncertainty(report: Report) -> str:
+def _uncertainty(report: Report) -> list[str]:
     """Return a sentence on how well the measured bands determine the RMSE of all bands."""
     if report.n_error_bands == report.n_bands:
-        return ""
+        return []
     most = max(m.rmse_uncertainty for m in report.methods)
-    return (
-        f"\nBoth RMSE are estimated from {report.n_error_bands} of {report.n_bands} bands, with an error of up to "
-        f"about {most:.0%};\n--all-bands computes them."
-    )
+    return [
+        f"Both RMSE are estimated from {report.n_error_bands} of {report.n_bands} bands, with an error of up to about "
+        f"{percent(most)}; --all-bands computes them."
+    ]
 
 
-def _section(title: str, methods: Sequence[MethodResult], columns: Columns, note: str) -> list[str]:
+def _in_order(methods: Sequence[MethodResult]) -> list[MethodResult]:
+    """Return the methods with all principal components one below the other."""
+    components = [m for m in methods if m.key.startswith(_PCA)]
+    others = [m for m in methods if not m.key.startswith(_PCA)]
+    at = max((others.index(m) for m in others if m.key in _BEFORE_PCA), default=len(others) - 1) + 1
+    return others[:at] + components + others[at:]
+
+
+def _legend(methods: Sequence[MethodResult]) -> list[str]:
+    """Return explanations of the methods that have a row; all others are fitted to the other materials."""
+    lines = dict.fromkeys(_LEGEND[m.key] for m in methods if m.key in _LEGEND)
+    return [*lines, "All other methods are fitted without the left-out material."]
+
+
+def _section(methods: Sequence[MethodResult], columns: Columns, note: Sequence[str]) -> list[str]:
     """Return a section with a row per method."""
     rows = [(m.title, *(show(m) for _, show in columns)) for m in methods]
-    return _table((title, *(head for head, _ in columns)), rows, note)
+    return _table(("method", *(head for head, _ in columns)), rows, note)
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], note: str) -> list[str]:
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], note: Sequence[str]) -> list[str]:
     """Return a table, the first column to the left and the others to the right, and its explanation."""
     head, *body = table_lines(columns, rows, numeric=[k > 0 for k in range(len(columns))])
-    return [head, "-" * len(head), *body, "", *note.splitlines(), ""]
+    lines = [
+        line for words in note
+        for line in textwrap.wrap(words, _WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    ]  # fmt: skip
+    return [head, "-" * len(head), *body, "", *lines, ""]
 
 
 def _calibrated(rms: float) -> str:
@@ -211,11 +251,14 @@ def _heading(report: Report) -> list[str]:
     in_bands = "" if report.n_error_bands == report.n_bands else f", in {report.n_error_bands} bands"
     s = report.settings
     dimensions = counted(s["latent_dim"], "dimension")
+    process = (
+        f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
+        f"condition of K {report.condition:.3g}"
+    )
     return [
         f"{len(report.names)} materials{kind}, {report.bands}",
-        f"{_KINDS[s['kind']].format(dimensions)}; mapping {s['mapping']}",
-        f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
-        f"condition of K {report.condition:.3g}",
+        *textwrap.wrap(f"{_KINDS[s['kind']].format(dimensions)}; mapping {s['mapping']}", _WIDTH),
+        *([process] if s["kind"] == "gplvm" else []),  # blends have no Gaussian process
         f"Errors over {report.n_pairs:,} direction pairs (grid '{report.grid}'){in_bands}",
     ]
 
@@ -234,7 +277,7 @@ def _expected_errors(report: Report) -> list[str]:
             _EXPECTED_NAMES[name],
             *(f"{value:.{2 if name.endswith('ball') else 3}f}" for value in (*c.true, *c.expected)),
             f"{c.rank_correlation:.2f}",
-            f"{c.below_twice:.0%}",
+            percent(c.below_twice),
             "-" if c.bound is None else f"{c.bound:.1f}",
         )
         for name, c in report.expected_errors.items()
@@ -242,11 +285,11 @@ def _expected_errors(report: Report) -> list[str]:
     columns = ("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x", "bound")
     most = next(iter(report.expected_errors.values())).most_level
     guarantee = (
-        f"bound: the factor on the expected error below which {LEVEL:.0%} of left-out materials lie;\n"
-        f"for new materials drawn like these, {GUARANTEED:.0%} are guaranteed\n"
-        f"(jackknife+, Barber et al. 2021). This many materials allow levels up to {most:.0%}."
+        f"bound: the factor on the expected error below which {percent(LEVEL)} of left-out materials lie; for new "
+        f"materials drawn like these, {percent(GUARANTEED)} are guaranteed (jackknife+, Barber et al. 2021). This many "
+        f"materials allow levels up to {percent(most)}."
     )
-    return _table(columns, rows, f"{_EXPECTED_NOTE}\n{guarantee}")
+    return _table(columns, rows, (*_EXPECTED_NOTE, guarantee))
 
 
 def _materials(report: Report) -> list[str]:
@@ -265,8 +308,8 @@ def _materials(report: Report) -> list[str]:
         for k, name in enumerate(report.names)
     ]
     note = (
-        f"CIEDE2000: of '{first.title}', mean of {LIGHTS}.\n"
-        f"The columns to its right are linear errors, of this method in '{_MATERIAL_COLUMNS[shown[0]]}'."
+        f"CIEDE2000: of the ball, mean of {LIGHTS}, by '{first.title}'.",
+        f"The other columns are linear errors; '{_MATERIAL_COLUMNS[shown[0]]}' is the same method.",
     )
     return _table(head, rows, note)
 
@@ -275,12 +318,12 @@ def _closing(report: Report) -> list[str]:
     """Return lines on times and on methods that were not run."""
     s = report.seconds
     lines = textwrap.wrap(
-        f"Loading {s['load']:.1f} s, tabulating {s['tabulate']:.1f} s, fitting and encoding "
+        f"Loading {s['load']:.1f} s, tabulating {s['tabulate']:.1f} s, fitting and locating "
         f"{s['encode']:.1f} s, evaluating {s['evaluate']:.1f} s.",
         _WIDTH,
     )
     if report.left_out:
-        lines.append(f"{len(report.left_out)} more methods take long: a comparison runs them too.")
+        lines.append(f"Not run, because they take long: {len(report.left_out)} more methods (--compare).")
     return lines
 
 

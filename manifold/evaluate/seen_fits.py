@@ -64,7 +64,7 @@ def seen_principled() -> Method:
 
     return Method(
         "principled",
-        "principled, fitted to it",
+        "principled",
         lambda B: B + 6,
         fit_principled,
         is_held_out=False,

@@ -298,11 +298,23 @@ def test_a_report_leads_with_the_models_own_error_for_left_out_materials(models,
         own.errors.ball, blend.left_out.errors.ball, rtol=0.05, atol=0.05
     )  # of fewer bands
     sentences = lead(made).split(". ")
-    assert len(sentences) == 3
-    assert f"{own.median.ball:.1f} CIEDE2000" in sentences[0]
-    assert f"{nearest.median.ball:.1f}" in sentences[1]
+    assert len(sentences) == 4
+    assert f"{own.median.ball:.1f} CIEDE2000" in sentences[1]
+    assert f"{nearest.median.ball:.1f}" in sentences[2]
     text = format_report(made)
-    assert text.index("A left-out material") < text.index("reconstruction")
+    assert text.index("Each material was left out") < text.index("at its own latent")
+
+
+def test_legends_are_printed_only_for_methods_that_have_a_row(models, reports, monkeypatch):
+    monkeypatch.setattr(report, "LONGEST_REFITS", 0.0)
+    blend = Manifold.fit(models["material"].library, Settings(kind="blend"), calibrate=False)
+    of_gplvm, of_blend = format_report(reports["material"]), format_report(report.make_report(blend))
+    for words in ("Kernel: ", "condition of K", "others' latents kept: ", "without delta: "):
+        assert words in of_gplvm
+        assert words not in of_blend  # it has no Gaussian process
+    assert "Q + 2 per band: " not in of_blend
+    titles = [line.split("  ")[0] for line in of_blend.splitlines()]
+    assert titles.index("PCA 6, identity") - titles.index("PCA 2, log-relative") == 1
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import unicodedata
 from collections.abc import Iterable, Sequence
+from typing import SupportsFloat
 
 _SHOWN = 5
 
@@ -63,10 +64,10 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
-def percent(share: float, digits: int = 0) -> str:
+def percent(share: SupportsFloat, digits: int = 0) -> str:
     """Return a share in per cent, with a number of decimal digits.
 
     >>> percent(0.045, 1)
     '4.5 %'
     """
-    return f"{100.0 * share:.{digits}f} %"
+    return f"{100.0 * float(share):.{digits}f} %"

@@ -91,8 +91,8 @@ FIGURE = re.compile(
     r"|\d[\d,.]* ?(?:%|m?s|[kMG]?B|seconds|minutes|times|CIEDE2000))(?!\w)"
 )
 NOT_FIGURES = re.compile(
-    r"^---\n.*?\n---\n|```.*?```|\$\$.*?\$\$|\$[^$]+\$|`[^`\n]+`|\]\([^)]*\)|<!--.*?-->"
-    r"|[A-Z]\w* \d+\.\d+(?:\.\d+)*|^ {4}[^\n]*",
+    r"^---\n.*?\n---\n|<!-- results -->.*?<!-- end of results -->|```.*?```|\$\$.*?\$\$|\$[^$]+\$"
+    r"|`[^`\n]+`|\]\([^)]*\)|<!--.*?-->|[A-Z]\w* \d+\.\d+(?:\.\d+)*|^ {4}[^\n]*",
     flags=re.DOTALL | re.MULTILINE,
 )
 

@@ -96,7 +96,8 @@ RESULTS = {
         + " ".join(HELD_OUT), (*_GPLVM, *_BLEND, *_LIGHTS, "model/reconstruction.py", "evaluate/baselines.py"),
     ),
     "chart": Result(
-        "manifold chart --library LIBRARY " + " ".join(f"--only {key}" for key in CHARTED), ("evaluate/chart.py",)
+        "manifold chart --library LIBRARY -o CHART " + " ".join(f"--only {key}" for key in CHARTED),
+        (*_GPLVM, *_BLEND, *_LIGHTS, "model/reconstruction.py", "evaluate/baselines.py", "evaluate/chart.py"),
     ),
     "readings": Result("bench_readings.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/expected.py")),
     "lights": Result("bench_lights.py FILES", (*_LIGHTS, "model/reconstruction.py", "fit/principled.py")),

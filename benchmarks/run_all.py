@@ -22,7 +22,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from evidence import FOLDER, RESULTS, data_hash, minutes, stamp
+from evidence import FOLDER, REPOSITORY, RESULTS, data_hash, minutes, stamp
 
 HERE = Path(__file__).resolve().parent
 MEASURED = {"FILES": "rgl", "NEURAL": "neural.zip", "WORKBOOKS": "ma-t12", "SPECTRAL": "spectral"}
@@ -31,6 +31,8 @@ MADE_OF = {"LIBRARY": "FILES", "MODEL": "FILES", "WORKBOOK_FOLDER": "WORKBOOKS",
 """What is made of other data for the commands that name it."""
 SURFACES = ("PEN_PW_EB_PB_2", "PAR_PW_CN_MC_2", "PAR_PW_GE_MC_2")
 """Workbooks whose surfaces a page shows: one with flakes, two without."""
+CHART = REPOSITORY / "docs" / "images" / "chart-real.png"
+"""The picture that the run of `chart` draws beside its figures."""
 
 
 class Places:
@@ -53,6 +55,8 @@ class Places:
             return [str(self._given["WORKBOOKS"].resolve())]
         if word == "SURFACES":
             return [str(self._surface(name)) for name in SURFACES]
+        if word == "CHART":
+            return [str(CHART)]
         if word in self._given:
             return [str(self._given[word].resolve())]
         files = {"LIBRARY": "library.zarr", "MODEL": "model.h5", "CORPUS": "corpus"}

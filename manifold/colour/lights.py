@@ -52,7 +52,13 @@ def soft_box(
 
     The box has its place and size in degrees.
     """
-    x, y = _angles_from(direction, np.deg2rad(azimuth), np.deg2rad(elevation))
+    forward = from_spherical(np.pi / 2 - np.deg2rad(elevation), np.deg2rad(azimuth))
+    right = from_spherical(np.pi / 2, np.deg2rad(azimuth) + np.pi / 2)
+    up = np.cross(forward, right)
+    ahead = direction @ forward
+    behind = np.where(ahead > 0, 0.0, np.pi)
+    x = np.arctan2(direction @ right, np.abs(ahead)) + behind
+    y = np.arcsin(np.clip(direction @ up, -1, 1))
     return _plateau(np.rad2deg(x), half_width) * _plateau(np.rad2deg(y), half_height)
 
 
@@ -88,16 +94,6 @@ def require_light(environment: Array) -> None:
         )
     if not environment.max() > 0.0:
         raise UsageError("an environment that is black, expected light")
-
-
-def _angles_from(direction: Array, azimuth: float, elevation: float) -> tuple[Array, Array]:
-    """Return horizontal and vertical angles of directions (..., 3), as seen when facing a point."""
-    forward = from_spherical(np.pi / 2 - elevation, azimuth)
-    right = from_spherical(np.pi / 2, azimuth + np.pi / 2)
-    up = np.cross(forward, right)
-    ahead = direction @ forward
-    behind = np.where(ahead > 0, 0.0, np.pi)
-    return np.arctan2(direction @ right, np.abs(ahead)) + behind, np.arcsin(np.clip(direction @ up, -1, 1))
 
 
 def _plateau(angle_deg: Array, half_width: float) -> Array:

@@ -520,26 +520,23 @@ def find(
 
 def _difference_from(sought: BRDF | Readings) -> Callable[[BRDF], float]:
     """Return a function for the CIEDE2000 of BRDFs from another, as balls, or from readings at their geometries."""
-    if isinstance(sought, Readings):
-        return _from_readings(sought)
-    lights = panel.judged()
+    if not isinstance(sought, Readings):
+        lights = panel.judged()
 
-    def xyz(brdf: BRDF) -> Array:
-        return lights.xyz(np.maximum(values_at(brdf, lights), 0.0), brdf.bands)
+        def xyz(brdf: BRDF) -> Array:
+            return lights.xyz(np.maximum(values_at(brdf, lights), 0.0), brdf.bands)
 
-    own = xyz(sought)
-    return lambda brdf: lights.compare(own, xyz(brdf)).ball
+        of_sought = xyz(sought)
+        return lambda brdf: lights.compare(of_sought, xyz(brdf)).ball
 
-
-def _from_readings(sought: Readings) -> Callable[[BRDF], float]:
-    white, sought = srgb_to_xyz(np.ones(3)), with_spectra(sought)
+    sought = with_spectra(sought)
     whole = sought.measured.all(axis=1)
     if sought.bands.count < 3 or not whole.any():
         raise UsageError(
             f"{sought.name}: {sought.bands}, expected readings with colours to compare materials by"
         )
     wi, wo = sought.wi[whole], sought.wo[whole]
-    own = to_xyz(np.pi * np.maximum(sought.values[whole], 0.0), sought.bands)
+    white, own = srgb_to_xyz(np.ones(3)), to_xyz(np.pi * np.maximum(sought.values[whole], 0.0), sought.bands)
     return lambda brdf: float(
         delta_e_2000(own, to_xyz(np.pi * np.maximum(brdf.eval(wi, wo), 0.0), brdf.bands), white).mean()
     )

@@ -72,23 +72,19 @@ def next_readings(unknowns: Sequence[Deviations], count: int) -> Indices:
     left = list(unknowns)
     chosen: list[int] = []
     for _ in range(count):
-        cost = _log_errors(left)
+        # The logarithm of the product of both errors after each reading, shape (D,).
+        all_variance = sum(
+            np.sum(u.everywhere**2) - u.variance_reduction(u.everywhere).sum(axis=1) for u in left
+        )
+        on_ball = sum(np.sum(u.on_ball**2, axis=0) - u.variance_reduction(u.on_ball) for u in left)
+        deviation = np.sqrt(np.maximum(on_ball, 0.0)) + _LEAST  # [D, K]
+        all_variance = np.maximum(all_variance, np.finfo(float).tiny)
+        cost = np.asarray(0.5 * np.log(all_variance) + _BALL * np.log(deviation.mean(axis=1)))
         cost[chosen] = np.inf
         best = int(np.argmin(cost))
         chosen.append(best)
         left = [u.after(u.at_candidates[:, best], float(u.noise[best])) for u in left]
     return np.array(chosen, dtype=np.intp)
-
-
-def _log_errors(unknowns: Sequence[Deviations]) -> Array:
-    """Return the logarithm of the product of both errors after each reading, shape (D,)."""
-    all_variance = sum(
-        np.sum(u.everywhere**2) - u.variance_reduction(u.everywhere).sum(axis=1) for u in unknowns
-    )
-    on_ball = sum(np.sum(u.on_ball**2, axis=0) - u.variance_reduction(u.on_ball) for u in unknowns)
-    deviation = np.sqrt(np.maximum(on_ball, 0.0)) + _LEAST  # [D, K]
-    tiny = np.finfo(float).tiny
-    return np.asarray(0.5 * np.log(np.maximum(all_variance, tiny)) + _BALL * np.log(deviation.mean(axis=1)))
 
 
 _SAME_DEG = 2.0  # a reading this near in both directions was taken

@@ -137,19 +137,30 @@ def make_chart(
     tasks: list[list[str]]
     if workers is None:
         measure = _Measuring(files, how).measure
-        tasks = [[key] for key in sorted(todo, key=lambda key: _storage_key(known[key]))]
+
+        def storage(key: str) -> tuple[bool, str]:
+            method = known[key]
+            return (False, method.storage.key) if isinstance(method, Method) else (True, "")
+
+        # Settings with equal storage follow each other: one set of stored files is in memory. Fits come last.
+        tasks = [[key] for key in sorted(todo, key=storage)]
     else:
         if library is None:
             raise UsageError("found no library, expected that of the files, from which workers read them")
         measure = partial(_measure_there, library=library.path, names=names, how=how)
-        tasks = _that_share_fits(todo, known)
+        of_fits: dict[Hashable, list[str]] = {}  # settings that share a fit are one task
+        for key in todo:
+            method = known[key]
+            of_fits.setdefault(method.fit if isinstance(method, Method) else method, []).append(key)
+        tasks = list(of_fits.values())
     reference_seconds, scaled = 0.0, dict[str, float]()
     for _, measured, failure in work.run(measure, tasks, workers):
         if measured is None:
             raise ManifoldError(failure)
         for row in measured.rows:
             rows[row.key] = row
-            kept.put(_to_arrays(rows))
+            content = json.dumps([done.to_json() for done in rows.values()]).encode()
+            kept.put({"rows": np.frombuffer(content, np.uint8)})
             progress.report(len(rows), len(only or known), row.title)
         reference_seconds, scaled = measured.reference_seconds, measured.scaled
     measured_rows = tuple(rows[key] for key in known if key in rows)
@@ -213,27 +224,6 @@ def _known_settings(n_bands: int) -> Registry[Method | str]:
     known = Registry[Method | str]("setting", ((s.key, s) for s in chart_methods(n_bands)))
     known.update({f"fit_{method}": method for method in seen_fits.METHODS})
     return known
-
-
-def _storage_key(method: Method | str) -> tuple[bool, str]:
-    """Return a sort key by which settings with equal storage are adjacent; fits come last.
-
-    Only one set of stored files is in memory.
-    """
-    return (False, method.storage.key) if isinstance(method, Method) else (True, "")
-
-
-def _that_share_fits(keys: Sequence[str], known: Mapping[str, Method | str]) -> list[list[str]]:
-    groups: dict[Hashable, list[str]] = {}
-    for key in keys:
-        method = known[key]
-        groups.setdefault(method.fit if isinstance(method, Method) else method, []).append(key)
-    return list(groups.values())
-
-
-def _to_arrays(rows: Mapping[str, ChartRow]) -> dict[str, Array]:
-    content = json.dumps([row.to_json() for row in rows.values()])
-    return {"rows": np.frombuffer(content.encode(), np.uint8)}
 
 
 def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:

@@ -198,7 +198,12 @@ def _predictor(
 ) -> Callable[[], object]:
     """Return a function that predicts values at the direction pairs of a block, in all bands, as the package does."""
     if is_dense:
-        return _from_table(np.stack([m.eval_at(block) for m in stored.brdfs]), combination.weights)
+        # Tabulated values, streamed from memory like those of the whole table.
+        f = np.stack([m.eval_at(block) for m in stored.brdfs])  # [N, P, B]
+        copies = max(_STREAMED_BYTES // (4 * f.size), 1)
+        tables = np.repeat(f.astype(np.float32)[None], copies, axis=0)
+        turn, share = itertools.count(), combination.weights.astype(np.float32)
+        return lambda: np.tensordot(share, tables[next(turn) % copies], axes=1)
     if combination.sample_bands is not None:
         bands = combination.sample_bands.tolist()
         samples = [m.select_bands(bands) for m in stored.brdfs]
@@ -209,15 +214,6 @@ def _predictor(
         back = stored.back.T
         return lambda: whole.eval(block.wi, block.wo) @ back
     return lambda: whole.eval(block.wi, block.wo)
-
-
-def _from_table(f: Array, weights: Array) -> Callable[[], object]:
-    """Return a function that sums tabulated values (N, P, B), streamed from memory like those of the whole table."""
-    copies = max(_STREAMED_BYTES // (4 * f.size), 1)
-    tables = np.repeat(f.astype(np.float32)[None], copies, axis=0)
-    turn = itertools.count()
-    share = weights.astype(np.float32)
-    return lambda: np.tensordot(share, tables[next(turn) % copies], axes=1)
 
 
 def without_small_weights(combination: Combination, threshold: float) -> Combination:

@@ -187,7 +187,10 @@ def fit_bsdf(
         RendererError: the BSDF is neither `principled` nor `diffuse`, and Mitsuba or its LLVM backend is missing.
         ShapeError: the samples have wrong shapes or values that are no numbers.
     """
-    options = _options(method, options)
+    if options is None:
+        options = FITTERS[method]()
+    elif not isinstance(options, FITTERS[method]):
+        raise UsageError(f"method {method} got {type(options).__name__}, expected {FITTERS[method].__name__}")
     if not (np.isfinite(noise) and 0 < noise < 1):
         raise UsageError(f"noise {noise:g}, expected a share of the values between 0 and 1, such as 0.01")
     rotation: float | None = None
@@ -261,38 +264,19 @@ def _fit(
             minima = [adam_and_swarm.adam(family, rgb, residuals, options)]
         else:
             minima = [adam_and_swarm.swarm(family, rgb, residuals, options)]
-        spectra, spectral_residual = _fit_spectra(family, samples, metric, layout.split(minima[0].p))
+        spectra: dict[str, list[float]] = {}
+        spectral_residual: float | None = None
+        per_band = [o.name for o in family.parameters if o.per_band]
+        if per_band and not samples.bands.is_rgb:  # the shared parameters are fixed
+            of_bands, spectral_residual = gauss_newton.refine_bands(
+                family, samples, metric, layout.split(minima[0].p)
+            )
+            spectra = {name: of_bands[name] for name in per_band}  # type: ignore[misc]
     seconds = time.perf_counter() - start
     return _result(
         family, samples, residuals, minima, noise, tried, method=method, spectra=spectra,
         hyperparameters=asdict(options) | {"noise": noise}, spectral_residual=spectral_residual, seconds=seconds,
     )  # fmt: skip
-
-
-def _options(method: str, options: Any) -> Any:
-    if options is None:
-        return FITTERS[method]()
-    if not isinstance(options, FITTERS[method]):
-        raise UsageError(f"method {method} got {type(options).__name__}, expected {FITTERS[method].__name__}")
-    return options
-
-
-def _noise_variance(criterion: Criterion, noise: float) -> float:
-    """Return the variance of a residual that relative noise of the samples causes, averaged over them."""
-    y = criterion.samples.f_cos
-    weight = criterion.samples.weight[:, None]
-    return float(np.mean(weight * (criterion.metric.slope(y) * noise * y) ** 2))
-
-
-def _fit_spectra(
-    family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
-) -> tuple[dict[str, list[float]], float | None]:
-    """Fit the parameters per band, the shared ones fixed; return their values, and the relative residual."""
-    own = [o.name for o in family.parameters if o.per_band]
-    if samples.bands.is_rgb or not own:
-        return {}, None
-    found, residual = gauss_newton.refine_bands(family, samples, metric, values)
-    return {name: found[name] for name in own}, residual  # type: ignore[misc]
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +303,10 @@ class _Assessment:
 def _assess(residuals: Residuals, minima: list[Minimum], noise: float, tried: TriedDefaults) -> _Assessment:
     layout, best = residuals.layout, minima[0]
     residual, J = residuals.by_parameter(best.p)
-    assumed = _noise_variance(residuals.criterion, noise)
+    # Variance of a residual that relative noise of the samples causes, averaged over them.
+    criterion = residuals.criterion
+    y, weight = criterion.samples.f_cos, criterion.samples.weight[:, None]
+    assumed = float(np.mean(weight * (criterion.metric.slope(y) * noise * y) ** 2))
     variance = identifiability.residual_variance(residual, layout.size, assumed)
     limit = identifiability.as_good_limit(variance, layout.size)
     minima = gauss_newton.select_minima(minima, limit)

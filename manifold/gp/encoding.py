@@ -208,7 +208,11 @@ class Encoder:
         products = Products.centred(self.S, decoder.mapped @ weighted, float(weighted @ T))
         first = mapped_residual(products)
         ends = [self.minimise(first, start) for start in self.starts(products)]
-        return self._best(decoded_error(decoder, f), _best_apart(ends))
+        apart: list[Array] = []  # the best minima that are not close to each other
+        for latent, _ in sorted(ends, key=lambda end: end[1]):
+            if all(np.abs(latent - other).max() > _APART for other in apart):
+                apart.append(latent)
+        return self._best(decoded_error(decoder, f), apart[:_REFINED])
 
     def by_residual(self, cross: Array, norm: float) -> Array:
         """Return the latent (Q,) of least residual in the mapped domain, by inner products: see `by_likelihood`."""
@@ -262,12 +266,3 @@ class Encoder:
         solved = scipy.linalg.lapack.dpotrs(gp.L, (dV - dV.mean())[:, None], lower=1)[0].T
         gradient = gp.kernel.pull_back(row, gp.X, solved - 2.0 * dv * W, slope)[0] + self.prior * x
         return value + 0.5 * float(np.sum(self.prior * x * x)), gradient
-
-
-def _best_apart(ends: list[tuple[Array, float]]) -> list[Array]:
-    """Return the latents of the `_REFINED` best minima that are at least `_APART` from each other."""
-    kept: list[Array] = []
-    for latent, _ in sorted(ends, key=lambda end: end[1]):
-        if all(np.abs(latent - other).max() > _APART for other in kept):
-            kept.append(latent)
-    return kept[:_REFINED]

@@ -124,11 +124,24 @@ def import_files(
     report = _Report(2 * len(paths))
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
         workers = workers or threads
-        stored = frozenset() if is_new else _stored_hashes(Library(library))
+        stored = frozenset[str]()  # SHA-256 of files
+        if not is_new:
+            there = Library(library)
+            stored = frozenset(there.attributes(name).sha256 for name in there.names)
         loaded = _load(paths, rotation_rad, stored, workers, report)
-        _require_one_grid(loaded, expected, library)
         for source in loaded:
-            _warn_if_inconsistent(source)
+            expected = expected or source.bands
+            remedy = f"import it into a library of its own, not into {library.name}"
+            expected.require_same(source.bands, source.path.name, remedy)
+        for source in loaded:
+            if source.findings:
+                first, *others = source.findings
+                more = f", and {counted(len(others), 'other finding')}" if others else ""
+                warnings.warn(
+                    f"{source.path.name}: {first}{more}; see `manifold info`, and replace it by an intact file",
+                    InconsistentFileWarning,
+                    stacklevel=2,
+                )
         if loaded:
             with staging.writing(library) as staged:
                 if is_new:
@@ -136,18 +149,6 @@ def import_files(
                 chosen = _choose(Library(library), loaded, replace, tolerance, report)
                 _store_all(library, chosen, staged, tolerance, workers, report)
     return report.result({str(source.path): source.findings for source in loaded if source.findings})
-
-
-def _warn_if_inconsistent(source: _Source) -> None:
-    if not source.findings:
-        return
-    first, *others = source.findings
-    more = f", and {counted(len(others), 'other finding')}" if others else ""
-    warnings.warn(
-        f"{source.path.name}: {first}{more}; see `manifold info`, and replace it by an intact file",
-        InconsistentFileWarning,
-        stacklevel=3,
-    )
 
 
 def find_files(
@@ -207,11 +208,6 @@ class _Report:
         return ImportResult(names("imported"), names("skipped"), names("replaced"), failed, inconsistent)
 
 
-def _stored_hashes(library: Library) -> frozenset[str]:
-    """Return the SHA-256 of the files whose materials are in a library."""
-    return frozenset(library.attributes(name).sha256 for name in library.names)
-
-
 def _load(
     paths: Sequence[Path], rotation_rad: Rotation, stored: frozenset[str], workers: Executor, report: _Report
 ) -> list[_Source]:
@@ -230,29 +226,22 @@ def _load(
 
 def _check(paths: Sequence[Path], *, rotation_rad: Rotation, stored: frozenset[str]) -> list[_Source | str]:
     """Check files; return the record of each, or the reason why it cannot be imported."""
-    return [_checked(path, rotation_rad, stored) for path in paths]
-
-
-def _checked(path: Path, rotation_rad: Rotation, stored: frozenset[str]) -> _Source | str:
-    try:
-        file = read_bsdf(path)
-        require_material_name(file.name)
-        if rotation_rad == "auto" or file.is_isotropic:
-            rotation_rad = rotation_of(file) or 0.0
-        sha256 = file_sha256(path)
-        findings = () if sha256 in stored else check_consistency(file).findings
-        return _Source(path, sha256, file.name, file.bands, rotation_rad, findings)
-    except ManifoldError as error:
-        return str(error)
-    except OSError as error:
-        return f"{path.name}: cannot be read ({error.strerror})"
-
-
-def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library: Path) -> None:
-    for source in loaded:
-        expected = expected or source.bands
-        remedy = f"import it into a library of its own, not into {library.name}"
-        expected.require_same(source.bands, source.path.name, remedy)
+    checked: list[_Source | str] = []
+    for path in paths:
+        try:
+            file = read_bsdf(path)
+            require_material_name(file.name)
+            rotation = rotation_rad
+            if rotation == "auto" or file.is_isotropic:
+                rotation = rotation_of(file) or 0.0
+            sha256 = file_sha256(path)
+            findings = () if sha256 in stored else check_consistency(file).findings
+            checked.append(_Source(path, sha256, file.name, file.bands, rotation, findings))
+        except ManifoldError as error:
+            checked.append(str(error))
+        except OSError as error:
+            checked.append(f"{path.name}: cannot be read ({error.strerror})")
+    return checked
 
 
 def _choose(

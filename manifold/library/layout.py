@@ -332,16 +332,12 @@ def _grid(shape: tuple[int, ...], parts: tuple[int, ...]) -> tuple[int, ...]:
 
 def _metadata(folder: Path, kind: str, lack: str) -> dict[str, Any]:
     """Return what `zarr.json` says of a group or an array."""
-    _require_metadata(folder, lack)
-    metadata: dict[str, Any] = json.loads((folder / "zarr.json").read_bytes())
-    if metadata["zarr_format"] != 3 or metadata["node_type"] != kind:
-        raise LookupError(f"{folder.name} is no {kind} of zarr version 3")
-    return metadata
-
-
-def _require_metadata(folder: Path, lack: str) -> None:
     path = folder / "zarr.json"
     if not path.is_file():
         raise LookupError(lack)
     if path.stat().st_size > _MOST_METADATA:
         raise LookupError(f"{folder.name}/zarr.json has more than {_MOST_METADATA} bytes")
+    metadata: dict[str, Any] = json.loads(path.read_bytes())
+    if metadata["zarr_format"] != 3 or metadata["node_type"] != kind:
+        raise LookupError(f"{folder.name} is no {kind} of zarr version 3")
+    return metadata

@@ -287,14 +287,22 @@ class PlaceSearch:
         weighted, used, found = self._of(target, without)
         norm = float(np.sum(weighted[bands] ** 2))
         x, residual = found.place(bands, norm)
-        inner, squared = self._own_products(weighted[bands], used)
-        own = norm - np.sum(inner**2 / squared, axis=1)
-        nearest = int(np.argmin(own))
-        relative = float(np.sqrt(max(min(own[nearest], residual), 0.0) / max(norm, _LEAST_NORM)))
-        if own[nearest] < residual:
-            return self._X[used[nearest]], self._in_own_colours(int(used[nearest]), weighted), relative
-        k, gains = found.coordinates(x)
-        return x, np.stack([self._grid[k], gains]), relative
+        # Materials in their own colours, each band by the best gain.
+        own = self._own[used]
+        inner = np.maximum(np.einsum("nbp,bp->nb", own, weighted[bands]), 0.0)
+        squared = np.maximum(np.einsum("nbp,nbp->nb", own, own), _LEAST_NORM)
+        of_own = norm - np.sum(inner**2 / squared, axis=1)
+        nearest = int(np.argmin(of_own))
+        relative = float(np.sqrt(max(min(of_own[nearest], residual), 0.0) / max(norm, _LEAST_NORM)))
+        if of_own[nearest] >= residual:
+            k, gains = found.coordinates(x)
+            return x, np.stack([self._grid[k], gains]), relative
+        material = int(used[nearest])
+        vertices = self._at_vertices[self._starts[material] : self._starts[material + 1]]
+        in_all = interpolate(self._coordinates[material], self._own_colours[material], vertices)  # [B, P]
+        inner = np.maximum(np.einsum("bp,bp->b", in_all, weighted), 0.0)
+        gains = inner / np.maximum(np.einsum("bp,bp->b", in_all, in_all), _LEAST_NORM)
+        return self._X[material], np.stack([self._own_colours[material], gains]), relative
 
     def first_place(self, target: Array, bands: Indices, without: int | None) -> Array:
         """Return the best of the places (Q,) that `find` starts from; the arguments are those of `find`."""
@@ -316,23 +324,6 @@ class PlaceSearch:
         """Interpolate values at the vertices of all paths, (V, ...), to coordinate k of the grid, (N', ...)."""
         lower, t = self._lower[k], self._t[k]
         return (1.0 - t) * at_vertices[lower] + t * at_vertices[lower + 1]
-
-    def _own_products(self, weighted: Array, used: Indices) -> tuple[Array, Array]:
-        """Return the products of materials with a target, at least 0, and squared norms, (M, B_s).
-
-        The bands are those of the samples.
-        """
-        own = self._own[used]
-        inner = np.maximum(np.einsum("nbp,bp->nb", own, weighted), 0.0)
-        return inner, np.maximum(np.einsum("nbp,nbp->nb", own, own), _LEAST_NORM)
-
-    def _in_own_colours(self, k: int, weighted: Array) -> Array:
-        """Return path coordinates of material k in its own colours, and the best gains, (2, B)."""
-        coordinates = self._own_colours[k]
-        vertices = self._at_vertices[self._starts[k] : self._starts[k + 1]]
-        own = interpolate(self._coordinates[k], coordinates, vertices)
-        inner = np.maximum(np.einsum("bp,bp->b", own, weighted), 0.0)
-        return np.stack([coordinates, inner / np.maximum(np.einsum("bp,bp->b", own, own), _LEAST_NORM)])
 
 
 class _BestPlace:

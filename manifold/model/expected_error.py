@@ -257,21 +257,19 @@ class LeftOut:
 
         Keys are `ball` and `cube_root`, and, where colours may be blended, `blended_ball` and `blended_cube_root`.
         """
-        of_kinds = {"": self.errors} | ({} if self.blended is None else {_BLENDED: self.blended})
-        return {
-            kind + name: self._reliability(values, _LEAST[name])
-            for kind, errors in of_kinds.items()
-            for name, values in self._by_name(errors).items()
-        }
-
-    def _reliability(self, errors: Array, least: float) -> Reliability:
         X, scale = self._calibrated
-        expected = np.empty_like(errors)
-        for i in range(len(X)):
-            others = np.delete(np.arange(len(X)), i)
-            fitted = ExpectedError.calibrate(X[others], self.places[others], errors[others], scale, least)
-            expected[i] = fitted.at(self.places[i : i + 1])[0]
-        return Reliability.of(errors, expected)
+        reliabilities = {}
+        for kind, errors in (("", self.errors), (_BLENDED, self.blended)):
+            for name, values in ({} if errors is None else self._by_name(errors)).items():
+                expected = np.empty_like(values)
+                for i in range(len(X)):
+                    others = np.delete(np.arange(len(X)), i)
+                    fitted = ExpectedError.calibrate(
+                        X[others], self.places[others], values[others], scale, _LEAST[name]
+                    )
+                    expected[i] = fitted.at(self.places[i : i + 1])[0]
+                reliabilities[kind + name] = Reliability.of(values, expected)
+        return reliabilities
 
     @property
     def _calibrated(self) -> tuple[Array, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -91,8 +90,21 @@ def output_file(
         name,
         description=description,
         version=(1, 0) if brdf.bands.is_rgb else (3, 1),
+        resolution=options.resolution,
     )
-    file, found, bend = _measured(measure, options)
+    file, bend = measure(n_theta_i=options.incidences), None
+    found = plausibility_of_file(file)
+    is_resolved = False
+    if found.max_albedo > diagnostics.MOST_ALBEDO:
+        finer = measure(n_theta_i=2 * options.incidences)
+        of_finer = plausibility_of_file(finer)
+        if is_resolved := of_finer.max_albedo <= diagnostics.MOST_ALBEDO:
+            file, found = finer, of_finer
+    if not is_resolved and found.highlight_valley > diagnostics.MOST_VALLEY:
+        soft = measure(n_theta_i=options.incidences, bend=goniometer.SOFT_BEND)
+        of_soft = plausibility_of_file(soft)
+        if of_soft.highlight_valley < found.highlight_valley:
+            file, found, bend = soft, of_soft, goniometer.SOFT_BEND
     if not options.physical:
         return OutputFile(file, found)
 
@@ -103,26 +115,6 @@ def output_file(
     after = plausibility_of_file(projected)
     change = brdf_errors(MeasuredBRDF(file), MeasuredBRDF(projected))
     return OutputFile(projected, after, diagnostics.of_projection(found, after, change), change)
-
-
-def _measured(
-    measure: Callable[..., BsdfFile], options: OutputOptions
-) -> tuple[BsdfFile, Plausibility, float | None]:
-    """Return the better one of the files, its plausibility, and the bend of its normal distribution."""
-    measure = partial(measure, resolution=options.resolution)
-    file = measure(n_theta_i=options.incidences)
-    plausibility = plausibility_of_file(file)
-    if plausibility.max_albedo > diagnostics.MOST_ALBEDO:
-        finer = measure(n_theta_i=2 * options.incidences)
-        resolved = plausibility_of_file(finer)
-        if resolved.max_albedo <= diagnostics.MOST_ALBEDO:
-            return finer, resolved, None
-    if plausibility.highlight_valley > diagnostics.MOST_VALLEY:
-        soft = measure(n_theta_i=options.incidences, bend=goniometer.SOFT_BEND)
-        softly = plausibility_of_file(soft)
-        if softly.highlight_valley < plausibility.highlight_valley:
-            return soft, softly, goniometer.SOFT_BEND
-    return file, plausibility, None
 
 
 def require_bsdf_output(output: Path) -> None:

@@ -283,7 +283,9 @@ def write_surface(
             exports = write_exports(paths, textures, flakes, targets, cut)
             write_image(paths["picture"], drawn.result())
         written |= {"mean", "picture"}.union(*(_kinds_of(target, flakes) for target in exports))
-    notes = (*textures.notes, *_notes(pictures, surface, sparkle, completed), *_cut_notes(cut))
+    notes = (*textures.notes, *_notes(pictures, surface, sparkle, completed))
+    if lost := [f"{name} {100.0 * share:.2g} %" for name, share in cut.items() if share > _FEW_CUT]:
+        notes += (f"bright points are cut in textures, of all points: {', '.join(lost)}",)
     if flakes is not None and exports:
         notes += notes_of_flakes(flakes, targets)
     made = SurfaceFiles(
@@ -446,14 +448,6 @@ def notes_of_flakes(flakes: DrawnFlakes, targets: Sequence[str]) -> tuple[str, .
     if (reflectance := flakes.flakes.reflectance) > (most := ior_to_f0(1.5)):
         notes += (f"flakes reflect {reflectance:.2f} straight on, those of engines' materials {most:.2f}",)
     return notes
-
-
-def _cut_notes(cut: Mapping[str, float]) -> tuple[str, ...]:
-    """Return a note on textures that lose bright points."""
-    lost = [f"{name} {100.0 * share:.2g} %" for name, share in cut.items() if share > _FEW_CUT]
-    if not lost:
-        return ()
-    return (f"bright points are cut in textures, of all points: {', '.join(lost)}",)
 
 
 def _notes(

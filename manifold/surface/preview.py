@@ -71,7 +71,8 @@ def strip(brdf: EvaluableBRDF, textures: Textures, flakes: DrawnFlakes | None = 
     ball[inside] = _drawn(
         brdf, textures, flakes, np.arccos(y) / np.pi, 0.5 + np.arctan2(x, z) / np.pi, of_ball
     )
-    return np.concatenate([_coarser(each) for each in (*made, ball)], axis=1)
+    coarser = [each.reshape(_SIZE, _FINER, _SIZE, _FINER, 3).mean(axis=(1, 3)) for each in (*made, ball)]
+    return np.concatenate(coarser, axis=1)
 
 
 def _drawn(
@@ -111,10 +112,6 @@ def _interpolated(table: Array, at: Array) -> Array:
     where = np.moveaxis(at, -1, 0)[::-1]
     channels = np.moveaxis(table, -1, 0)
     return np.stack([map_coordinates(each, where, order=1, mode="nearest") for each in channels], axis=-1)
-
-
-def _coarser(picture: Array) -> Array:
-    return np.asarray(picture.reshape(_SIZE, _FINER, _SIZE, _FINER, 3).mean(axis=(1, 3)))
 
 
 def material_of(

@@ -62,7 +62,14 @@ def read_surface(path: Path | str) -> WrittenSurface:
         UsageError: the folder has several.
     """
     path = Path(path)
-    document = _document_in(path) if path.is_dir() else path
+    document = path
+    if path.is_dir():  # the JSON beside the only BRDF of a mean
+        there = [mean.with_suffix(".json") for mean in sorted(path.glob("*.bsdf"))]
+        if not there:
+            raise MissingFileError(f"{path}: no surface; run manifold surface of a workbook")
+        if len(there) > 1:
+            raise UsageError(f"{path}: {len(there)} surfaces; name the JSON of one, such as {there[0].name}")
+        document = there[0]
     content = disk.read_json(document, "the JSON of a surface")
     try:
         files = {kind: document.parent / Path(name).name for kind, name in content["files"].items()}
@@ -112,16 +119,6 @@ def _number(value: Any, least: float, most: float) -> float:
     if not least <= value <= most:
         raise ValueError(f"{printable(repr(value), 24)} is not within {least:g} and {most:g}")
     return float(value)
-
-
-def _document_in(folder: Path) -> Path:
-    """Return the JSON beside the only BRDF of a mean in a folder."""
-    found = [path.with_suffix(".json") for path in sorted(folder.glob("*.bsdf"))]
-    if not found:
-        raise MissingFileError(f"{folder}: no surface; run manifold surface of a workbook")
-    if len(found) > 1:
-        raise UsageError(f"{folder}: {len(found)} surfaces; name the JSON of one, such as {found[0].name}")
-    return found[0]
 
 
 def _normals(display: Array) -> Array:

@@ -15,7 +15,7 @@ from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.places import Place
-from manifold.records import AnyArray, Array, Bands, BsdfFile, Indices
+from manifold.records import AnyArray, Array, Bands, Indices
 from manifold.render.plugin import packed_tables
 from manifold.render.plugin.packed_tables import Tables
 
@@ -226,7 +226,9 @@ def _tables(
     wanted = sorted({*map(int, materials), *known})
     with ThreadPoolExecutor() as pool:
         files = list(pool.map(lambda k: model.materials.filled_file(model.names[k]), wanted))
-    order = _by_size(files)
+    # Materials with tables of equal sizes are neighbours.
+    sizes = [(f.spectra.shape, f.vndf.shape, f.ndf.shape, f.sigma.shape, f.jacobian) for f in files]
+    order = sorted(range(len(files)), key=sizes.__getitem__)
     return [wanted[k] for k in order], packed_tables.pack([files[k] for k in order], bands)
 
 
@@ -242,13 +244,3 @@ def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:
             f"{bands} cover nothing between {SEEN_NM[0]:g} and {SEEN_NM[1]:g} nm, the range of renders"
         )
     return bands.select(seen), seen
-
-
-def _by_size(files: list[BsdfFile]) -> list[int]:
-    """Return an order in which materials with tables of equal sizes are neighbours."""
-
-    def sizes(k: int) -> tuple[object, ...]:
-        file = files[k]
-        return (*(a.shape for a in (file.spectra, file.vndf, file.ndf, file.sigma)), file.jacobian)
-
-    return sorted(range(len(files)), key=sizes)

@@ -55,11 +55,8 @@ _ITERATIONS, _SETTLED = 60, 1e-5  # the latter is a relative change of the cost
 
 _OUTLINE, _TERMINATOR = 0.02, 0.1  # standard deviations of an outline, and of a possible terminator, in radii
 _EDGE_SPAN = 0.05  # share of the radius within which edges are sought
-_EDGE_RAYS, _EDGE_STEP, _EDGE_SIDE = (
-    240,
-    0.25,
-    8,
-)  # rays; step along them in pixels; steps compared on either side
+_EDGE_RAYS, _EDGE_STEP = 240, 0.25  # rays, and step along them in pixels
+_EDGE_SIDE, _EDGE_BLUR = 6, 6  # steps that are compared on either side, and those of the blur between them
 _LIT_LIMB = 0.2  # least cosine between a ray and the lamp
 _CONTRAST = 0.4  # least relative contrast of an edge
 _BLACK = 0.003  # share of a picture's bright pixels that is as dark as none
@@ -226,7 +223,7 @@ def edges_on_limb(
         np.array([outline.x - circle.x, circle.y - outline.y, outline.radius - circle.radius]) / circle.radius
     )
     angle = 2.0 * np.pi * np.arange(_EDGE_RAYS) / _EDGE_RAYS
-    span, n = max(_EDGE_SPAN * circle.radius, 4.0), _EDGE_SIDE
+    span, n, blur = max(_EDGE_SPAN * circle.radius, 4.0), _EDGE_SIDE, _EDGE_BLUR
     radii = np.arange(circle.radius - span, circle.radius + span, _EDGE_STEP)
     terms, off, sharp = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
     for one, lamp in zip(photographs, lamps, strict=True):
@@ -236,14 +233,17 @@ def edges_on_limb(
         at = [circle.y - 0.5 - radii[:, None] * up, circle.x - 0.5 + radii[:, None] * right]
         profile = map_coordinates(grey, at, order=1, cval=np.nan)  # NaN beside the picture
         sums = np.cumsum(np.vstack([np.zeros(len(lit)), profile]), axis=0)
-        inner, outer = (sums[n:-n] - sums[: -2 * n]) / n, (sums[2 * n :] - sums[n:-n]) / n
+        means = (sums[n:] - sums[:-n]) / n
+        inner, outer = means[: -n - blur], means[n + blur :]
         black = _BLACK * float(np.quantile(grey, _BRIGHT))
         contrast = np.nan_to_num(np.abs(inner - outer) / (np.abs(inner) + np.abs(outer) + black))
         best, ray = contrast.argmax(axis=0), np.arange(len(lit))
-        near = np.arange(2 * n)[:, None] + best
+        near = np.arange(2 * n + blur)[:, None] + best
         above = profile[near, ray] - 0.5 * (inner + outer)[best, ray]
         crosses = np.sign(above[:-1]) != np.sign(above[1:])
-        k = np.where(crosses, np.abs(np.arange(2 * n - 1) - n)[:, None], 2 * n).argmin(axis=0)
+        k = np.where(crosses, np.abs(np.arange(len(crosses)) - n - blur // 2)[:, None], 2 * n + blur).argmin(
+            axis=0
+        )
         low, high = above[k, ray], above[k + 1, ray]
         edge = radii[near[k, ray]] + _EDGE_STEP * low / np.where(low == high, 1.0, low - high)
         used = (contrast[best, ray] > _CONTRAST) & crosses.any(axis=0) & np.isfinite(edge)

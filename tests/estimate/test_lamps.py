@@ -26,7 +26,7 @@ from manifold.estimate.lamps import (
     read_lamps,
     unwrapped,
 )
-from manifold.estimate.light_probe import encoding_notes, find_light, given_lamp_notes
+from manifold.estimate.light_probe import edges_on_limb, encoding_notes, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
 from manifold.estimate.photographs import FromPhotographs, _odd_pictures
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
@@ -78,6 +78,20 @@ def test_lamps_outline_and_gains_are_found_in_the_pictures():
     for lamp, direction in zip(found.lamps, DIRECTIONS, strict=True):
         assert np.rad2deg(np.arccos(lamp.direction @ direction / np.linalg.norm(direction))) < 4.0
     np.testing.assert_allclose(found.gains, gains, rtol=0.1)
+
+
+@pytest.mark.parametrize("radius", [40.0, 80.0])
+@pytest.mark.parametrize("off", [-0.01, 0.0, 0.01])
+def test_edges_of_a_disc_are_where_its_pixels_are_half_covered(radius, off):
+    size, fine, lamp = int(3 * radius), 8, np.array([[0.5, 0.5, 0.7]])
+    true = Circle(size / 2 + 9.0, size / 2 - 6.0, radius)
+    y, x = (np.mgrid[: size * fine, : size * fine] + 0.5) / fine
+    covered = np.hypot(x - true.x, y - true.y) < radius
+    picture = 0.5 * covered.reshape(size, fine, size, fine).mean(axis=(1, 3))
+    disc = Photograph(Path("disc"), np.repeat(picture[..., None], 3, 2), np.zeros((size, size), bool))
+    start = Circle(true.x, true.y, (1.0 + off) * radius)
+    circle, _ = edges_on_limb([disc], start, lamp / np.linalg.norm(lamp), start, 0.1)
+    np.testing.assert_allclose([circle.x, circle.y, circle.radius], [true.x, true.y, radius], atol=0.15)
 
 
 GLOSSY = Plastic(GGX.isotropic(0.1), np.array(1.5), np.array([0.3, 0.4, 0.5]), Bands(None))

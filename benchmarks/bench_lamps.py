@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 from scipy.stats import spearmanr
 
 from manifold.brdf.measured import MeasuredBRDF
@@ -127,10 +128,16 @@ def real(folder: Path, library: Path) -> None:
     known = read_lamps(folder / "lights.txt")
     pictures = [read_photograph(folder / "gray" / f"gray.{k}.png", is_linear=True) for k in range(len(known))]
     every = find_light(pictures)
-    off = [_apart(lamp, true) for lamp, true in zip(every.lamps, known, strict=True)]
-    print(
-        f"all {len(pictures)}: circle {every.circle}; lamps off by {np.median(off):.1f}, at most {max(off):.1f} degrees"
-    )
+    mirrored = _mirrored(folder / "chrome", len(known))
+    for name, lamps, truth in (
+        ("found, from lights.txt", every.lamps, known),
+        ("found, from the mirror ball", every.lamps, mirrored),
+        ("lights.txt, from the mirror ball", known, mirrored),
+    ):
+        off = [_apart(lamp, true) for lamp, true in zip(lamps, truth, strict=True)]
+        print(
+            f"all {len(pictures)}, circle {every.circle}: {name} {np.median(off):.1f}, at most {max(off):.1f} degrees"
+        )
     rng = np.random.default_rng(7)
     for count in SET_COUNTS:
         errors: dict[str, list[float]] = {name: [] for name in ("found", *FAMILIES)}
@@ -155,6 +162,23 @@ def real(folder: Path, library: Path) -> None:
             f"{count} pictures: lamps off by {np.median(lamps_off):.1f}, at most {max(lamps_off):.1f} degrees; others "
             + ", ".join(f"{name} {np.median(of):.2f}" for name, of in errors.items())
         )
+
+
+def _mirrored(folder: Path, count: int) -> list[Lamp]:
+    """Lamps as a chrome ball with a mask shows them: at its brightest spot."""
+    with Image.open(folder / "chrome.mask.png") as mask:
+        rows, columns = np.nonzero(np.asarray(mask.convert("L")) > 127)
+    centre = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2.0
+    radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4.0
+    lamps = []
+    for k in range(count):
+        values = read_photograph(folder / f"chrome.{k}.png", is_linear=True).values.mean(axis=2)
+        smooth = gaussian_filter(values, 1.5)[rows, columns]
+        bright = smooth >= 0.8 * smooth.max()
+        x, y = (np.stack([columns, rows])[:, bright].mean(axis=1) + 0.5 - centre) / [radius, -radius]
+        z = np.sqrt(1.0 - x * x - y * y)
+        lamps.append(Lamp.towards(2.0 * z * np.array([x, y, z]) - [0.0, 0.0, 1.0]))
+    return lamps
 
 
 def _apart(lamp: Lamp, other: Lamp) -> float:

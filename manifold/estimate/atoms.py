@@ -202,7 +202,7 @@ class LibraryAtoms:
 
     def in_atom_bands(self) -> LibraryAtoms:
         """Return the atoms of a library that has only their bands."""
-        same = replace(self, bands=self.band_axis)
+        same = replace(self, bands=self.band_axis, atom_bands=np.arange(len(self.atom_bands)))
         same.__dict__["gram"] = self.gram
         return same
 

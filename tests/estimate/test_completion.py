@@ -498,6 +498,17 @@ def test_errors_of_bands_that_are_not_read_are_expected(atoms):
     assert missed.expected(grey).ball > np.median(missed.errors.ball) / 2.0
 
 
+def test_a_library_of_more_bands_than_atoms_have_is_calibrated_in_those_of_its_atoms(atoms):
+    seven = Bands(tuple(np.linspace(400.0, 700.0, 7)))
+    some = replace(atoms, bands=seven, atom_bands=np.array([0, 3, 6]))
+    nm = np.array(seven.wavelengths_nm)
+    read = readings(np.full((12, 7), 0.1), nm=nm)
+    three = replace(atoms, bands=some.band_axis)
+    fewer = replace(read, wavelengths_nm=nm[::3], values=read.values[:, ::3])
+    for kind, errors in calibrate(three, fewer).errors.known.items():
+        np.testing.assert_allclose(getattr(calibrate(some, read).errors, kind), errors, rtol=1e-9)
+
+
 def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibration, rng):
     most = int(calibration.indicators[:, 0].argmax())
     own = leave_out(atoms, most, readings(np.ones((12, 3))))

@@ -535,7 +535,7 @@ def _turned(lamp: Lamp, degrees: float) -> Lamp:
 
 def cost(library: Path) -> None:
     """Seconds and memory of 1 and 10 pictures of 12 megapixels."""
-    from manifold.estimate import photographs
+    from manifold.estimate import completions
 
     with TemporaryDirectory() as folder:
         paths = []
@@ -554,11 +554,8 @@ def cost(library: Path) -> None:
             paths.append(path)
         for count in (1, 10):
             start = time.perf_counter()
-            photographs.complete(
-                library,
-                PhotoRequest(paths[:count], lamps=["found"], exposure=None, each=True),
-                Path(folder) / "m.bsdf",
-            )
+            request = PhotoRequest(paths[:count], lamps=["found"], exposure=None, each=True)
+            completions.complete(library, None, Path(folder) / "m.bsdf", pictures=request)
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             print(
                 f"{count} pictures of 12 megapixels: {time.perf_counter() - start:.0f} s, {most:.1f} GB at most so far"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,12 +19,8 @@ from .batch_options import PER_CORE, WorkerOptions, make_many, require_folder
 from .outputs import checked, or_default
 
 if TYPE_CHECKING:
-    from manifold.estimate.coat import Coated
-    from manifold.estimate.completions import Completed
     from manifold.estimate.suggestions import Suggested
     from manifold.records import Array
-
-_SHOWN_PROBABILITY = 0.005  # least probability of a mixture, which is printed with two decimals
 
 InstrumentOption = Annotated[
     str | None,
@@ -198,7 +193,7 @@ def complete(
                 )
             if report is not None:
                 reports.write_coat(report, coated)
-            _show_completed(results, coated, coated.rows, report)
+            photograph_commands.show_rows(results, f"Completed {target}", coated, coated.rows, report)
             if coated.suggested is not None:
                 _show_suggested(results, coated.suggested, "\nMeasure next", instrument)
             results.document(coated)
@@ -252,19 +247,7 @@ def complete(
     if report is not None:
         reports.write_completion(report, made, readings or [])
     rows = {"from": source, **made.rows} | ({} if made.picture is None else {"picture": made.picture})
-    _show_completed(results, made, rows, report)
-    results.text("\nMixtures of materials that explain the readings, before adjustment to the readings:\n")
-    results.table(
-        ("materials", "probability", "residual", "difference of the ball"),
-        [
-            (
-                " + ".join(f"{weight:.2f} {name}" for name, weight in a.like), f"{a.probability:.2f}",
-                f"{100 * a.misfit:.1f} %", f"{100 * a.difference:.0f} %",
-            )
-            for a in made.completion.alternatives
-            if a.probability >= _SHOWN_PROBABILITY
-        ],
-    )  # fmt: skip
+    photograph_commands.show_completion(results, f"Completed {target}", made, rows, report)
     if made.suggested is not None:
         _show_suggested(results, made.suggested, "\nMeasure next", instrument)
     results.document(made)
@@ -332,17 +315,6 @@ def calibrate(
     for note in calibrated.notes:
         results.sentence(f"note: {note}")
     results.document(calibrated)
-
-
-def _show_completed(
-    results: terminal.Results, completed: Completed | Coated, rows: Mapping[str, object], report: Path | None
-) -> None:
-    shown = dict(rows) | ({} if report is None else {"report": report})
-    shown["time"] = f"{completed.seconds:.1f} s"
-    results.rows(
-        f"Completed {completed.path}",
-        shown | {f"note {k}": note for k, note in enumerate(completed.diagnostics, start=1)},
-    )
 
 
 def _show_suggested(

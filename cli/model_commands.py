@@ -401,18 +401,19 @@ def locate(
     if photos.photo:
         if materials:
             raise UsageError(f"found {materials[0]} and --photo, expected one of them")
-        from manifold.estimate import photographs
+        from manifold.estimate import descriptions
 
         terminal.note_old_spelling(
             "locate --photo", "manifold photograph, then manifold locate on its result"
         )
         request = photos.request_of(photos.photo)
         with progress.shown("Comparing pixels"):
-            seen = photographs.locate(
+            seen = descriptions.locate_photographs(
                 model, request, output, library=library, picture=picture,
                 options=OutputOptions(physical, terminal.is_strict()),
             )  # fmt: skip
-        photograph_commands.show_photographs(results, "Located the photographed ball", seen)
+        photograph_commands.show_completion(results, "Located the photographed ball", seen, seen.rows)
+        results.document(seen)
         return
     if not materials:
         raise UsageError("found no material; name a file, a material of the library, or a place on the map")

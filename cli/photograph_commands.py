@@ -16,12 +16,15 @@ from .application import TAKEN, app
 from .outputs import checked, or_default
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from manifold.estimate.coat import Coated
+    from manifold.estimate.completions import Completed
     from manifold.estimate.lamp_plan import Determined, LampPlan
-    from manifold.estimate.photographs import FromPhotographs
     from manifold.estimate.sightings import PhotoRequest
     from manifold.model.output_file import OutputOptions
+
+_SHOWN_PROBABILITY = 0.005  # least probability of a mixture, which is printed with two decimals
 
 
 @dataclass(frozen=True)
@@ -281,7 +284,7 @@ def complete_photographs(
     report: Path | None, suggest: int, written: OutputOptions,
 ) -> None:  # fmt: skip
     """Complete photographs, and readings, gloss and colour of the same material, and print the result."""
-    from manifold.estimate import completions, instruments, photographs, reports
+    from manifold.estimate import completions, instruments, reports
     from manifold.estimate.attributes import readings_of_colour
     from manifold.library.store import Library
 
@@ -293,26 +296,53 @@ def complete_photographs(
         measured = readings_of_colour(colour, {}, Library(library).bands)
     target = or_default(output, f"{request.photographs[0].stem}.bsdf")
     with progress.shown("Completing"):
-        made = photographs.complete(
-            library, request, target, readings=measured, gloss=completions.parse_gloss(gloss or []),
+        made = completions.complete(
+            library, measured, target, pictures=request, gloss=completions.parse_gloss(gloss or []),
             picture=checked(target.with_suffix(".png"), "picture") if picture else None, count=suggest,
             options=written,
         )  # fmt: skip
     if report is not None:
-        reports.write_photographs(report, made)
-    show_photographs(results, f"Completed {target}", made, report)
+        reports.write_completion(report, made, readings or ())
+    show_completion(results, f"Completed {target}", made, made.rows, report)
+    results.document(made)
 
 
-def show_photographs(
-    results: terminal.Results, title: str, photographed: FromPhotographs, report: Path | None = None
+def show_completion(
+    results: terminal.Results,
+    title: str,
+    completed: Completed,
+    rows: Mapping[str, object],
+    report: Path | None = None,
 ) -> None:
-    """Print the results of photographs."""
-    notes = {f"note {k}": note for k, note in enumerate(photographed.diagnostics, start=1)}
-    written = {} if report is None else {"report": report}
-    results.rows(title, {**photographed.rows, **written, "time": f"{photographed.seconds:.1f} s", **notes})
-    if photographed.plan is not None:
-        show_plan(results, photographed.plan, " in addition to these")
-    results.document(photographed)
+    """Print a completed material: its rows, the mixtures that explain the observations, and what to observe next."""
+    show_rows(results, title, completed, rows, report)
+    results.text("\nMixtures of materials that explain the observations, before adjustment to them:\n")
+    results.table(
+        ("materials", "probability", "residual", "difference of the ball"),
+        [
+            (
+                " + ".join(f"{weight:.2f} {name}" for name, weight in a.like), f"{a.probability:.2f}",
+                f"{100 * a.misfit:.1f} %", f"{100 * a.difference:.0f} %",
+            )
+            for a in completed.alternatives
+            if a.probability >= _SHOWN_PROBABILITY
+        ],
+    )  # fmt: skip
+    if completed.plan is not None:
+        show_plan(results, completed.plan, " in addition to these")
+
+
+def show_rows(
+    results: terminal.Results,
+    title: str,
+    completed: Completed | Coated,
+    rows: Mapping[str, object],
+    report: Path | None = None,
+) -> None:
+    """Print the rows of a result, its report and time, and its notes."""
+    shown = dict(rows) | ({} if report is None else {"report": report})
+    shown["time"] = f"{completed.seconds:.1f} s"
+    results.rows(title, shown | {f"note {k}": note for k, note in enumerate(completed.diagnostics, start=1)})
 
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:

@@ -53,9 +53,26 @@ class Channels(NamedTuple):
         return cls(responses, np.eye(3) if bands.is_rgb else wiener_matrix(_measured(bands), responses))
 
     def beside(self, readings: Readings, of_library: Bands) -> tuple[Readings, Channels]:
-        """Return readings in these channels, and the channels with the bands of the readings; `matrix_of_readings`."""
-        seen, to_bands = matrix_of_readings(readings, of_library, *self)
-        return seen, self._replace(to_bands=to_bands)
+        """Return readings in these channels, and the channels with the bands that `evidence.bands_of` says.
+
+        The matrix to these reproduces the spectra of the readings from their channels as closely as its prior allows:
+        with an RGB library the Wiener estimate of their bands, with a spectral one that of the library's.
+        """
+        read_nm, (responses, prior) = readings.wavelengths_nm, self
+        if read_nm is None:
+            return readings, self
+        nm = read_nm if of_library.is_rgb else np.array(of_library.wavelengths_nm)
+        to_read, to_result = interpolation_matrix(nm, read_nm), interpolation_matrix(read_nm, nm)
+        if of_library.is_rgb:
+            responses, prior = Channels.srgb(readings.bands)
+        channels = in_channels(readings, responses @ to_result)
+        spectra = without_gaps(readings.values, read_nm)
+        known = np.isfinite(spectra).all(axis=1)
+        level = np.maximum(np.abs(spectra[known]).mean(axis=1, keepdims=True), np.finfo(float).tiny)
+        x, y = channels.values[known] / level, spectra[known] / level
+        precision = x.T @ x + (_NOISE / _UNLIKE) ** 2 * np.eye(3)
+        change = np.linalg.solve(precision, x.T @ (y - x @ (to_read @ prior).T)).T
+        return channels, Channels(responses, to_result @ (to_read @ prior + change))
 
 
 def srgb_responses(bands: Bands) -> Array:
@@ -115,33 +132,6 @@ def _of_materials(library: Library, names: tuple[str, ...]) -> Array:
     return np.pi * np.vstack(
         [np.maximum(MeasuredBRDF(library.read(name)).eval(wi, wo), 0.0) for name in names]
     )
-
-
-def matrix_of_readings(
-    readings: Readings, of_library: Bands, responses: Array, prior: Array
-) -> tuple[Readings, Array]:
-    """Return readings in the channels of a camera, and the matrix (B, 3) from channels to the bands of the result.
-
-    The matrix reproduces the spectra of the readings from their channels as closely as its prior allows: with an RGB
-    library the Wiener estimate of their bands, with a spectral one `prior` (B, 3). For bands see `bands_of`, for
-    responses (3, B) to the library's bands `srgb_responses`.
-    """
-    read_nm = readings.wavelengths_nm
-    if read_nm is None:
-        return readings, prior
-    nm = read_nm if of_library.is_rgb else np.array(of_library.wavelengths_nm)
-    to_read, to_result = interpolation_matrix(nm, read_nm), interpolation_matrix(read_nm, nm)
-    if of_library.is_rgb:
-        responses = srgb_responses(readings.bands)
-        prior = wiener_matrix(_measured(readings.bands), responses)
-    channels = in_channels(readings, responses @ to_result)
-    spectra = without_gaps(readings.values, read_nm)
-    known = np.isfinite(spectra).all(axis=1)
-    level = np.maximum(np.abs(spectra[known]).mean(axis=1, keepdims=True), np.finfo(float).tiny)
-    x, y = channels.values[known] / level, spectra[known] / level
-    precision = x.T @ x + (_NOISE / _UNLIKE) ** 2 * np.eye(3)
-    change = np.linalg.solve(precision, x.T @ (y - x @ (to_read @ prior).T)).T
-    return channels, to_result @ (to_read @ prior + change)
 
 
 def in_channels(readings: Readings, responses: Array) -> Readings:

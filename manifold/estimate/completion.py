@@ -155,16 +155,16 @@ class Completion:
 
     @cached_property
     def on_grid(self) -> Array:
-        """Values f at the encoding grid, shape (P_g, B)."""
+        """Values f at the encoding grid, shape (P_g, B); of atoms of values in the channels of the camera."""
         if self.atoms.is_linear:
-            return self.atoms.grid_values(self.weights)
+            return self.atoms.grid_values(self.solution.weights)
         return self._at(self.atoms.directions[:, : self.atoms.n_grid], grid_coordinates())
 
     @cached_property
     def on_ball(self) -> Array:
-        """Values f at all pairs that light a ball, shape (P_b, B); of atoms of values its pixels, (K, B)."""
+        """Values f at all pairs that light a ball, shape (P_b, B); of atoms of values its pixels, (K, 3)."""
         if self.atoms.is_linear:
-            return (self.weights @ self.atoms.on_ball).T
+            return (self.solution.weights @ self.atoms.on_ball).T
         return self._at(self.atoms.ball, ball_coordinates())
 
     def _at(self, roots: Array, where: Array) -> Array:
@@ -348,9 +348,9 @@ class Completion:
         if self.evidence.pictures:
             parts = zip(self.solution.channels, self.solution.hypotheses, strict=True)
             return np.array([rows.pixels.relative.error(w) ** 2 for rows, of in parts for w in of.weights])
-        assert self.evidence.at is not None
-        read = mean_roots(self.readings)
-        wrong = np.sum((self._mixtures[1] @ self.evidence.at[0] - read) ** 2, axis=1)
+        readings, at, _ = self.evidence.read
+        read = mean_roots(readings)
+        wrong = np.sum((self._mixtures[1] @ at - read) ** 2, axis=1)
         return np.asarray(wrong / (read @ read))
 
     @cached_property
@@ -415,15 +415,22 @@ class Completion:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the observations, and on directions, bands and highlights that they leave open."""
-        return (*self._notes_of_pictures(), *self._notes_of_readings())
-
-    def _notes_of_readings(self) -> list[str]:
-        """Return assumptions about the file, and bands, directions and values that are not read or not reproduced."""
-        if self.evidence.readings is None:
-            return []
-        notes = list(self.readings.notes)
+        read = self.evidence.readings
+        of_gloss = [
+            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units, "
+            f"{self.evidence.gloss[angle]:.3g} read; no combination reproduces both it and the other observations"
+            for angle, misfit in self.gloss_misfits.items()
+            if misfit > _GLOSS_MISSED
+        ]
         if self.evidence.pictures:
-            return notes
+            notes = [*self._notes_of_pictures(), *(() if read is None else read.notes), *of_gloss]
+        else:
+            notes = [*self.readings.notes, *self._unread(), *of_gloss, *self._unexplained()]
+        return tuple(notes)
+
+    def _unread(self) -> list[str]:
+        """Return sentences on bands and directions without readings."""
+        notes = []
         reach = beyond(self.readings, self.atoms.bands)
         if reach is not None and reach[0] == reach[1]:
             notes.append(
@@ -442,24 +449,20 @@ class Completion:
                 f"such as those of mirrors and clear coats, are not measured, and expected errors do not include "
                 f"them; give their gloss, or measure such a direction"
             )
-        notes += [
-            f"gloss at {angle:g} degrees is not reproduced: {self.gloss[angle]:.3g} units, "
-            f"{self.evidence.gloss[angle]:.3g} read; no combination reproduces both it and the readings"
-            for angle, misfit in self.gloss_misfits.items()
-            if misfit > _GLOSS_MISSED
-        ]
-        if self.residual_of_mixtures > _UNEXPLAINED:
-            notes.append(
-                f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
-                f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
-                "after): the result follows them, and other directions are uncertain"
-            )
         return notes
+
+    def _unexplained(self) -> list[str]:
+        """Return a sentence if no mixture explains the readings."""
+        if self.residual_of_mixtures <= _UNEXPLAINED:
+            return []
+        return [
+            f"no mixture of two materials explains the readings (residual {100.0 * self.residual_of_mixtures:.0f} "
+            f"% before the combination is adjusted to them, {100.0 * self.residual_of_readings:.1f} % "
+            "after): the result follows them, and other directions are uncertain"
+        ]
 
     def _notes_of_pictures(self) -> list[str]:
         """Return sentences on missing light, and on the agreement of light, pictures and other observations."""
-        if not self.evidence.pictures:
-            return []
         notes, readings = list(self.evidence.unlit), self.evidence.readings
         if self.evidence.strength > 0.0:
             notes.append(
@@ -473,20 +476,11 @@ class Completion:
                 "factor of two and more, which the expected errors include; a grey card in the picture (--grey) fixes "
                 "it"
             )
-        if readings is not None:
-            alone, error = self.solution.contradiction, float(np.sqrt(np.mean(self.misfits**2)))
+        if self.solution.contradiction > CONTRADICTION:
             notes.append(
-                f"readings: cube roots differ by {100 * error:.1f} % (root mean square); predicted from the "
-                f"photographs alone, by {100 * alone:.1f} %"
+                "readings and photographs contradict each other, and the photographs count less: check that both are "
+                "of one material, and the light of the photographs"
             )
-            if alone > CONTRADICTION:
-                notes.append(
-                    "readings and photographs contradict each other, and the photographs count less: check that both "
-                    "are of one material, and the light of the photographs"
-                )
-        given = self.evidence.gloss
-        for angle, units in gloss_units(self.brdf, given).items():
-            notes.append(f"gloss at {angle:g} degrees: {given[angle]:g} given, {units:.3g} found")
         if readings is not None and not readings.bands.is_rgb:
             notes.append(
                 "spectra follow the readings; photographs determine how three channels change with direction"

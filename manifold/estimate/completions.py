@@ -1,12 +1,13 @@
-"""The work behind `manifold complete`: readings in, a full BRDF out, with its diagnostics."""
+"""The work behind `manifold complete` and `manifold photograph`: observations in, a full BRDF out, with diagnostics."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,10 +20,14 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
+from manifold.estimate.channels import Channels
 from manifold.estimate.completion import Alternative, Completion
 from manifold.estimate.expected import calibrate
 from manifold.estimate.inputs import safe_name
+from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.picture_colours import with_picture_colours
+from manifold.estimate.sightings import PhotoRequest, SeenBall, see
+from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import Between, Readings, Viewing, gloss_fault
 from manifold.formats.text import number
@@ -30,56 +35,111 @@ from manifold.library.store import Library
 from manifold.metrics import EXPECTED_COLUMNS, Errors
 from manifold.model import diagnostics
 from manifold.model.output_file import COMPLETION_OPTIONS, OutputOptions, require_bsdf_output, write_checked
-from manifold.names import counted
+from manifold.model.prediction import ClippedBRDF
+from manifold.names import counted, percent
 from manifold.progress import Stages
 from manifold.records import Array
 from manifold.results import Result, derived, entry
 
+if TYPE_CHECKING:
+    from manifold.model.location import Located
+
+_ODD = 2.0  # least ratio of the error of a picture that contradicts the others to the median one
 _PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Completed(Result):
     """A completed material, as written. A new field or property is shown everywhere if it has an entry.
 
     Attributes:
-        picture: of its ball; None where none was asked for.
+        path: the file; None if a place on a map was asked for without one.
+        picture: of its ball, or of photographs beside predictions; None if none was asked for.
         completion: with errors at the readings that are those of the file.
+        balls: in the photographs.
+        located: its place on a map; None if none was asked for.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
-        plausibility: of the written file, read back.
-        suggested: the next readings to take; None where none were asked for.
+        plausibility: of the written file, read back; None without one.
+        suggested: the next readings to take; None if none were asked for.
+        plan: where to hold the lamp next; None if no picture was asked for.
         diagnostics: what a user should know before trusting it, in sentences.
         seconds: in all, without reading.
     """
 
-    path: Path = field(metadata=entry())
-    picture: Path | None = field(metadata=entry())
+    path: Path | None = field(metadata=entry())
+    picture: Path | None = field(
+        default=None, metadata=entry(row="picture", words=lambda result: result.picture if result.balls else None)
+    )  # fmt: skip
     completion: Completion
+    balls: tuple[SeenBall, ...] = ()
 
     @property
     @derived()
-    def sample(self) -> str:
-        """Name of the sample."""
-        return self.completion.readings.name
+    def sample(self) -> str | None:
+        """Name of the sample; None without readings."""
+        return None if self._readings is None else self._readings.name
 
     @property
     @derived(columns={"instrument": ()})
-    def instrument(self) -> str:
-        """Name of the instrument."""
-        return self.completion.readings.instrument
+    def instrument(self) -> str | None:
+        """Name of the instrument; None without readings."""
+        return None if self._readings is None else self._readings.instrument
 
     @property
     @derived(
         row="readings", columns={"readings": ()},
-        words=lambda result: f"{result.readings} of {result.sample}, {result.instrument}, "
-        f"{result.completion.readings.bands}",
+        words=lambda result: result.readings
+        and f"{result.readings} of {result.sample}, {result.instrument}, {result.completion.readings.bands}",
     )  # fmt: skip
-    def readings(self) -> int:
-        """Number of readings."""
-        return len(self.completion.readings)
+    def readings(self) -> int | None:
+        """Number of readings; None without."""
+        return None if self._readings is None else len(self._readings)
 
-    correction: ColourCorrection | None = field(metadata=entry())
+    @property
+    @derived(
+        row="photographs",
+        words=lambda result: [
+            f"{ball.photograph.path.name}, ball at {ball.circle}"
+            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
+            + f", residual {100 * residual:.1f} %"
+            + ("" if predicted is None else f", {100 * predicted:.1f} % predicted from the others")
+            for ball, residual, predicted in result.balls_with_residuals
+        ],
+    )
+    def photographs(self) -> list[dict[str, Any]]:
+        """Files with their balls, lamps and residuals."""
+        return [
+            {
+                "path": ball.photograph.path,
+                "circle": list(vars(ball.circle).values()),
+                "lamps": [lamp.direction for lamp in ball.lamps],
+                "residual": residual,
+                "predicted": predicted,
+            }
+            for ball, residual, predicted in self.balls_with_residuals
+        ]
+
+    @property
+    @derived(
+        row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
+    )
+    def latent(self) -> Array | None:
+        """Its latent on a map, if it was asked for."""
+        return None if self.located is None else self.located.latent
+
+    @property
+    @derived(
+        row="nearest", words=lambda result: [f"{name} ({apart:.2f})" for name, apart in result.nearest], json=False
+    )  # fmt: skip
+    def nearest(self) -> list[tuple[str, float]]:
+        """The nearest materials on the map, with their distances."""
+        return [] if self.located is None else self.located.nearest
+
+    located: Located | None = field(
+        default=None, metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
+    )  # fmt: skip
+    correction: ColourCorrection | None = field(default=None, metadata=entry())
     expected: Errors[float] = field(
         metadata=entry(
             row="expected error", columns=EXPECTED_COLUMNS,
@@ -90,62 +150,66 @@ class Completed(Result):
     )  # fmt: skip
 
     @property
-    @derived(
-        row="residual of readings", columns={"residual": ()},
-        words=lambda result: f"{100 * result.residual:.1f} % in cube roots, "
-        f"at most {100 * max(result.misfits.max(), result.residual):.1f} %",
-    )  # fmt: skip
+    @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
     def residual(self) -> float:
-        """Residual of the readings in cube roots: root mean square, or that of gloss if it is larger."""
-        return self.completion.residual_of_readings
+        """Residual in cube roots: of all pixels and readings; or of readings alone, or of gloss if it is larger."""
+        return self.completion.residual if self.balls else self.completion.residual_of_readings
+
+    @property
+    @derived(
+        row="exposure", words=lambda result: ", ".join(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
+    )  # fmt: skip
+    def exposures(self) -> Array:
+        """Exposures of the pictures."""
+        return self.completion.exposures
 
     @property
     @derived()
-    def misfits(self) -> Array:
-        """Relative errors at the readings, see `Completion.misfits`, shape (P,)."""
-        return self.completion.misfits
+    def misfits(self) -> Array | None:
+        """Relative errors at the readings, see `Completion.misfits`, shape (P,); None without readings."""
+        return None if self._readings is None else self.completion.misfits
 
     @property
     @derived()
-    def viewing(self) -> str:
-        """Light and observer of the colours."""
-        return str(self.completion.viewing)
+    def viewing(self) -> str | None:
+        """Light and observer of the colours; None without readings."""
+        return None if self._readings is None else str(self.completion.viewing)
 
     @property
     @derived()
     def lab(self) -> tuple[Array, Array] | None:
         """CIELAB of the readings and of the completion there, (P, 3) each; None without colours."""
-        return self.completion.colours
+        return None if self._readings is None else self.completion.colours
 
     @property
     @derived(row="colours at the readings", words=lambda result: result.colours_in_words())
     def misfits_ciede2000(self) -> Array | None:
         """CIEDE2000 between every reading and the completion there, (P,); None without colours."""
-        return self.completion.colour_misfits
+        return None if self._readings is None else self.completion.colour_misfits
 
     @property
     @derived()
-    def repeatability(self) -> float:
-        """Repeatability of the instrument, relative."""
-        return self.completion.readings.repeatability
+    def repeatability(self) -> float | None:
+        """Repeatability of the instrument, relative; None without readings."""
+        return None if self._readings is None else self._readings.repeatability
 
     @property
     @derived(row="between measurements", words=lambda result: result.between_in_words())
     def between_measurements(self) -> Between | None:
         """Difference between measurements of the sample; None where there is one."""
-        return self.completion.readings.between
+        return None if self._readings is None else self._readings.between
 
     @property
     @derived(
         row="gloss",
         words=lambda result: [
             f"{result.completion.gloss[angle]:.3g} at {angle:g} degrees, {units:g} given"
-            for angle, units in result.completion.readings.gloss.items()
+            for angle, units in result.completion.evidence.gloss.items()
         ],
     )
     def gloss(self) -> dict[str, dict[str, float | None]]:
         """Gloss units by angle in degrees: read, and completed."""
-        read = self.completion.readings.gloss
+        read = self.completion.evidence.gloss
         return {
             f"{angle:g}": {"read": read.get(angle), "completed": units}
             for angle, units in self.completion.gloss.items()
@@ -156,23 +220,25 @@ class Completed(Result):
         row="combination of", words=lambda result: [f"{name} {weight:.2f}" for name, weight in result.made_of.items()]
     )  # fmt: skip
     def made_of(self) -> dict[str, float]:
-        """Weights of materials, by name."""
+        """Weights of materials, or from photographs shares of the light that the ball sends, by name."""
         return dict(self.completion.made_of)
 
     @property
     @derived()
     def alternatives(self) -> tuple[Alternative, ...]:
-        """Mixtures that explain the readings, most probable first."""
+        """Mixtures that explain the observations, most probable first."""
         return self.completion.alternatives
 
     @property
     @derived()
     def uncertainty(self) -> dict[str, Any]:
-        """Relative standard deviation of f over hypotheses, in the plane of incidence, by direction."""
+        """Relative standard deviation of f over mixtures, in the plane of incidence, by direction."""
         return uncertainty(self.completion)
 
-    plausibility: Plausibility = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))
-    suggested: Suggested | None
+    plausibility: Plausibility | None = field(
+        default=None, metadata=entry(row="albedo", words="at most {.max_albedo:.2f}")
+    )
+    suggested: Suggested | None = None
 
     @property
     @derived()
@@ -180,8 +246,31 @@ class Completed(Result):
         """Angles of the next readings to take, in degrees."""
         return None if self.suggested is None else self.suggested.angles_deg
 
-    diagnostics: tuple[str, ...] = field(metadata=entry())
-    seconds: float = field(metadata=entry())
+    plan: LampPlan | None = field(default=None, metadata=entry())
+    diagnostics: tuple[str, ...] = field(default=(), metadata=entry())
+    seconds: float = field(default=0.0, metadata=entry())
+
+    @property
+    def _readings(self) -> Readings | None:
+        return self.completion.evidence.readings
+
+    @property
+    def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
+        """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
+        residuals = self.completion.solution.residuals.tolist()
+        errors = self.completion.picture_errors or [None] * len(residuals)
+        return list(zip(self.balls, residuals, errors, strict=True))
+
+    def residuals_in_words(self) -> list[str]:
+        """Return the residuals of pixels and of readings, and beside pictures that of the readings they predict."""
+        words = [f"{100 * self.residual:.1f} % of the pixels, in cube roots"] if self.balls else []
+        if self._readings is not None:
+            residual, alone = self.completion.residual_of_readings, self.completion.solution.contradiction
+            most = max(float(self.completion.misfits.max()), residual)
+            of_readings = f"{100 * residual:.1f} % of the readings, in cube roots, at most {100 * most:.1f} %"
+            predicted = f"; {100 * alone:.1f} % predicted from only the photographs" if self.balls else ""
+            words.append(of_readings + predicted)
+        return words
 
     def colours_in_words(self) -> str:
         """Return the mean and largest difference of colours at the readings, with the angles of the largest."""
@@ -209,11 +298,50 @@ class Completed(Result):
         return "" if between is None or ciede2000 > between.ciede2000 else " (less than measurements differ)"
 
 
+def observe(
+    library: Library,
+    stages: Stages,
+    readings: Readings | None = None,
+    gloss: Mapping[float, float] = MappingProxyType({}),
+    pictures: PhotoRequest | None = None,
+) -> tuple[Completion, Errors[float], tuple[SeenBall, ...], tuple[str, ...]]:
+    """Complete the readings, gloss and pictures of a material with a library as prior.
+
+    Return the completion, its expected errors, the balls in the pictures, and notes.
+    """
+    balls: tuple[SeenBall, ...] = ()
+    if pictures is not None:
+        stages.begin("reading pictures")
+        balls = see(pictures)
+    stages.begin("reading materials")
+    atoms = atoms_of(library)
+    seen: list[Seen] = [*(ball.sighting for ball in balls), *([] if readings is None else [readings]), gloss]
+    stages.begin("completing")
+    if pictures is None:
+        completion = Completion.of(atoms, seen)
+    else:
+        channels = Channels.of_library(library, atoms.names, pictures.responses)
+        completion = Completion.of(
+            atoms.in_values, seen, exposure=pictures.exposure, each=pictures.each, channels=channels
+        )
+    stages.begin("expected error")
+    calibration = calibrate(completion.atoms, completion.exposed, library)
+    notes = (
+        *(note for ball in balls for note in ball.notes),
+        *completion.notes,
+        *odd_pictures([ball.photograph.path.name for ball in balls], completion.picture_errors),
+        *calibration.notes(completion),
+    )
+    return completion, calibration.expected(completion), balls, tuple(dict.fromkeys(notes))
+
+
 def complete(
     library: Path,
-    readings: Readings | Path,
+    readings: Readings | Path | None,
     output: Path,
     *,
+    pictures: PhotoRequest | None = None,
+    gloss: Mapping[float, float] = MappingProxyType({}),
     sample: str | None = None,
     correction: ColourCorrection | None = None,
     picture: Path | None = None,
@@ -221,16 +349,19 @@ def complete(
     instrument: str | None = None,
     options: OutputOptions = COMPLETION_OPTIONS,
 ) -> Completed:
-    """Complete readings of one sample through the materials of a library, and write the BRDF as an RGL file.
+    """Complete observations of one material through those of a library, and write the BRDF as an RGL file.
 
     Args:
         library: of measured materials.
-        readings: of the sample, or their file; where a spectrum is missing, the colour of its picture is taken.
+        readings: of the sample, or their file; where a spectrum is missing, the colour of its picture is taken. None if
+            there are only pictures.
         output: the file to write; its name becomes the material's.
+        pictures: photographs of balls of it, and how they were taken.
+        gloss: gloss units by angle in degrees, beside those of the readings.
         sample: which of a file with several.
         correction: what `instruments.read` learned, to be reported.
-        picture: of the ball, to render.
-        count: how many further readings to suggest.
+        picture: of the ball, or of the photographs beside their prediction and the difference, to render.
+        count: how many further readings, or pictures if there are some, to suggest.
         instrument: whose directions to suggest.
         options: of the file.
 
@@ -241,52 +372,77 @@ def complete(
     start = time.perf_counter()
     if isinstance(readings, Path):
         readings, correction = instruments.read([readings], sample)
-    readings = with_picture_colours(readings)
-    if count:
+    if readings is not None:
+        readings = with_picture_colours(readings)
+    if count and pictures is None:
         directions_left(count, readings, instrument)
     require_bsdf_output(output)
+    if pictures is not None and picture is not None:
+        from manifold.estimate import photographs
+
+        photographs.require_drawable(picture, pictures)
     shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
-    stages = Stages(shares)
-    opened = Library(library)
-    stages.begin("reading materials")
-    atoms = atoms_of(opened)
-    stages.begin("completing")
-    completion = Completion.of(atoms, readings)
-    stages.begin("expected error")
-    calibration = calibrate(atoms, completion.evidence, opened)
-    suggested = suggest(atoms, count, completion, instrument) if count else None
-    expected = calibration.expected(completion)
+    if pictures is not None:
+        shares |= {"reading pictures": 1, "completing": 3, "expected error": 5, "suggesting": 3}
+    stages, opened = Stages(shares), Library(library)
+    completion, expected, balls, notes = observe(opened, stages, readings, gloss, pictures)
+    suggested = suggest(completion.atoms, count, completion, instrument) if count and not balls else None
     stages.begin("writing")
     written = write_checked(
         output,
-        completion.brdf,
+        ClippedBRDF(completion.brdf) if balls else completion.brdf,
         options,
         description=_describe(completion),
-        remedy="make it physical, measure more directions near the highlight",
+        remedy="make it physical, "
+        + ("check the exposure" if balls else "measure more directions near the highlight"),
         expected_error=expected.cube_root,
-        keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
+        keeps_hue=True,  # observations determine colours well, and how much light there is in all directions badly
     )
     if picture is not None:
         stages.begin("rendering")
-        draw_ball(output, picture)
-    plausibility = written.plausibility
+        if pictures is None:
+            draw_ball(output, picture)
+        else:
+            photographs.draw_residuals(balls, output, completion, pictures.exposure, picture)
+    plan = None
+    if count and balls:
+        stages.begin("suggesting")
+        plan = plan_lamps(completion.atoms, count, [rows.pixels for rows in completion.solution.channels])
     if written.file is not None:
         completion = completion.as_written(MeasuredBRDF(written.file))
-    notes = (
-        *completion.notes,
-        *calibration.notes(completion),
-        *written.notes,
-        *_of_unit(completion.readings, plausibility),
-    )
+    if balls and written.projection:
+        notes += ("the residual of pixels is that of the material before it was made physical",)
+    notes += written.notes + _of_unit(readings, written.plausibility)
     return Completed(
-        output, picture, completion, correction, written.expected(expected), plausibility, suggested, notes,
-        time.perf_counter() - start,
+        path=output, picture=picture, completion=completion, balls=balls, correction=correction,
+        expected=written.expected(expected), plausibility=written.plausibility, suggested=suggested, plan=plan,
+        diagnostics=notes, seconds=time.perf_counter() - start,
     )  # fmt: skip
 
 
-def _of_unit(readings: Readings, plausibility: Plausibility) -> tuple[str, ...]:
+def odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:
+    """Return a sentence on each photograph that contradicts the others, by its error as these predict it.
+
+    Of two, one says too little of sparkling materials in the light of the other.
+    """
+    if len(predicted) <= 2:
+        return []
+    usual = float(np.median(predicted))
+    return [
+        f"{name}: cube roots differ by {percent(error)} if the other pictures predict them, which contradict it: check "
+        "that it shows the same material, its lamp and its outline"
+        for name, error in zip(names, predicted, strict=False)
+        if error > max(CONTRADICTION, _ODD * usual)
+    ]
+
+
+def _of_unit(readings: Readings | None, plausibility: Plausibility) -> tuple[str, ...]:
     """Return a note if readings without a unit make a material that reflects more light than it receives."""
-    if readings.assumed_unit != "brdf" or plausibility.max_albedo <= diagnostics.MOST_ALBEDO:
+    if (
+        readings is None
+        or readings.assumed_unit != "brdf"
+        or plausibility.max_albedo <= diagnostics.MOST_ALBEDO
+    ):
         return ()
     return (
         "the values have no unit and were taken as BRDF in 1/sr: with this albedo they may be reflectance factors "
@@ -361,10 +517,14 @@ def uncertainty(completion: Completion) -> dict[str, Any]:
 
 
 def _describe(completion: Completion) -> str:
-    readings = completion.readings
-    gloss = " and its gloss" if readings.gloss else ""
+    readings, pictures = completion.evidence.readings, len(completion.evidence.pictures)
+    parts = (
+        [] if readings is None else [f"{len(readings)} readings ({readings.instrument}) of {readings.name}"]
+    )
+    parts += [f"{counted(pictures, 'photograph')} of a ball"] if pictures else []
+    gloss = " and its gloss" if completion.evidence.gloss else ""
     return (
-        f"Completed from {len(readings)} readings ({readings.instrument}) of {readings.name}{gloss} "
+        f"Completed from {' and '.join(parts)}{gloss} "
         f"through {len(completion.atoms.names)} materials by manifold {__version__}"
     )
 

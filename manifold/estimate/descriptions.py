@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, TypeVar
 
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
@@ -17,9 +19,20 @@ from manifold.model import diagnostics, location
 from manifold.model.comparison import brdf_errors
 from manifold.model.location import Located, Reconstruction
 from manifold.model.manifold import Manifold, load_model
-from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, require_bsdf_output, write_output
+from manifold.model.output_file import (
+    DEFAULT_OPTIONS,
+    OutputOptions,
+    require_bsdf_output,
+    write_checked,
+    write_output,
+)
 from manifold.model.prediction import ClippedBRDF
+from manifold.progress import Stages
 from manifold.records import BsdfFile
+
+if TYPE_CHECKING:
+    from manifold.estimate.completions import Completed
+    from manifold.estimate.sightings import PhotoRequest
 
 _R = TypeVar("_R", bound=Reconstruction)
 
@@ -95,6 +108,64 @@ def reconstruct(
     reconstruction = location.reconstruct_file(Library(library), file, without, numbers=numbers)
     how = f"from {reconstruction.materials} materials and analytic lobes"
     return _written(reconstruction, file, output, how, options)
+
+
+def locate_photographs(
+    model: Manifold | Path | str,
+    request: PhotoRequest,
+    output: Path | None = None,
+    *,
+    library: Path | None = None,
+    picture: Path | None = None,
+    options: OutputOptions = DEFAULT_OPTIONS,
+) -> Completed:
+    """Find the place of photographed balls on a fitted manifold, and write the prediction there.
+
+    The library is where it is now, if not where the model remembers it; `picture` is as of `completions.complete`.
+    """
+    from manifold.estimate import photographs
+    from manifold.estimate.completions import Completed, observe
+
+    start = time.perf_counter()
+    if output is not None:
+        require_bsdf_output(output)
+    if picture is not None:
+        photographs.require_drawable(picture, request)
+    stages = Stages(
+        {"reading pictures": 1, "reading materials": 4, "completing": 3, "expected error": 5, "writing": 2}
+        | {"rendering": 3}
+    )
+    loaded = load_model(model, library)
+    material, expected, balls, notes = observe(loaded.library, stages, pictures=request)
+    seen = ClippedBRDF(material.brdf)
+    place = location.locate_brdf(loaded, seen)
+    notes += (
+        *place.diagnostics,
+        "the expected error and the residual of pixels belong to the material of the pixels; the "
+        "reconstruction error compares the prediction at the place with it",
+    )
+    stages.begin("writing")
+    plausibility = None
+    with TemporaryDirectory() as folder:
+        shown = Path(folder) / "located.bsdf" if output is None else output
+        if output is not None or picture is not None:
+            written = write_checked(
+                shown,
+                ClippedBRDF(place.brdf),
+                options if output is not None else DEFAULT_OPTIONS,
+                description=f"Photographed, at latent ({', '.join(place.coordinates)}), by manifold {__version__}",
+            )
+            plausibility = written.plausibility
+            if written.change is not None and written.file is not None:
+                place = replace(place, errors=brdf_errors(seen, MeasuredBRDF(written.file)))
+            notes += written.notes
+        if picture is not None:
+            stages.begin("rendering")
+            photographs.draw_residuals(balls, shown, material, request.exposure, picture)
+    return Completed(
+        path=output, picture=picture, completion=material, balls=balls, located=place, expected=expected,
+        plausibility=plausibility, diagnostics=notes, seconds=time.perf_counter() - start,
+    )  # fmt: skip
 
 
 def _read(material: Path | str | MaterialSource) -> BsdfFile:

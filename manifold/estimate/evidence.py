@@ -80,6 +80,13 @@ class Evidence:
         return name + " and ".join(parts) + " and gloss" * bool(self.gloss)
 
     @property
+    def read(self) -> tuple[Readings, Array, Array]:
+        """Readings without pictures, and cube roots of atoms at them and at the gloss."""
+        assert self.readings is not None
+        assert self.at is not None
+        return self.readings, *self.at
+
+    @property
     def has_gains(self) -> bool:
         """Whether exposures of pictures relative to each other are to be estimated."""
         return self.each and len(self.pictures) > 1
@@ -120,18 +127,16 @@ class Evidence:
         """
         if self.pictures:
             return self._pictures_of(channel_atoms(atoms, m))
-        assert self.readings is not None
-        assert self.at is not None
-        own, axis, (at, glossy) = atoms.material_of == m, atoms.band_axis, self.at
-        is_read = _nearest(axis, self.readings.bands)
+        (readings, at, glossy), own, axis = self.read, atoms.material_of == m, atoms.band_axis
+        is_read = _nearest(axis, readings.bands)
         gloss = {
             angle: min(float(mean) / value_of_unit(angle), MOST_GLOSS[angle])
             for angle, mean in zip(self.gloss, luminance(glossy[own].T ** 3, axis), strict=True)
         }
         read = Readings(
-            atoms.names[m], "library", self.readings.wi, self.readings.wo,
+            atoms.names[m], "library", readings.wi, readings.wo,
             None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm)[is_read],
-            at[own].T[:, is_read] ** 3, self.readings.weights, gloss=gloss, repeatability=self.readings.repeatability,
+            at[own].T[:, is_read] ** 3, readings.weights, gloss=gloss, repeatability=readings.repeatability,
         )  # fmt: skip
         return replace(self, readings=read, gloss=gloss)
 

@@ -188,7 +188,7 @@ def _calibrated(atoms: LibraryAtoms, evidence: Evidence) -> Calibration:
 
     def method(m: int) -> tuple[Errors[float], Array]:
         made = leave_out(atoms, m, evidence)
-        return errors_of_completion(atoms, m, made), made.indicators
+        return errors_of(atoms, m, made.on_grid, made.on_ball), made.indicators
 
     return Calibration.leave_out(
         method, evenly_spaced(N, _LEFT_OUT).tolist() if evidence.pictures else range(N)
@@ -203,13 +203,6 @@ def leave_out(atoms: LibraryAtoms, m: int, seen: Readings | Evidence) -> Complet
     evidence = seen if isinstance(seen, Evidence) else Evidence.of_instruments(atoms, seen)
     others = atoms if evidence.pictures else atoms.in_atom_bands()
     return Completion.of(others, evidence.of_material(others, m), usable=atoms.material_of != m)
-
-
-def errors_of_completion(atoms: LibraryAtoms, m: int, made: Completion) -> Errors[float]:
-    """Return errors of a completion of material m in the bands of the atoms, or in the channels of the camera."""
-    if atoms.is_linear:
-        return errors_of_weights(atoms, m, made.solution.weights)
-    return errors_of(atoms, m, made.on_grid, made.on_ball)
 
 
 def errors_of_weights(atoms: LibraryAtoms, m: int, weights: Array) -> Errors[float]:

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from manifold.estimate.completion import Completion
     from manifold.estimate.completions import Completed
     from manifold.estimate.instruments import CalibratedInstrument
-    from manifold.estimate.photographs import FromPhotographs
 
 _BALL, _WIDTH = 256, 192  # pixels of a ball, and on the page
 _WIDE = 800  # pixels of a figure on the page
@@ -43,19 +42,21 @@ _MOST_INCIDENCES, _MOST_SPECTRA = 4, 6  # lines of a figure
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#000000")
 
 
-def write_completion(path: Path, completed: Completed, sources: Sequence[Path]) -> None:
-    """Write the page that reports a completion of readings from some files."""
+def write_completion(path: Path, completed: Completed, sources: Sequence[Path] = ()) -> None:
+    """Write the page that reports a completion of readings from some files, and of photographs."""
+    assert completed.path is not None
     completion, brdf = completed.completion, MeasuredBRDF(read_bsdf(completed.path))
-    readings = completion.readings
-    rows: dict[str, object] = {"from": [source.name for source in sources], **completed.rows}
-    rows["repeatability"] = f"{100 * readings.repeatability:g} % of a reading"
+    rows: dict[str, object] = {"from": [source.name for source in sources]} if sources else {}
+    rows |= completed.rows
+    if completed.repeatability is not None:
+        rows["repeatability"] = f"{100 * completed.repeatability:g} % of a reading"
     sections = [
         Section("Sample", rows),
         balls(brdf),
-        *_of_colours(completion),
-        gloss(brdf, completion.readings.gloss),
+        *([] if completed.readings is None else _of_colours(completion)),
+        gloss(brdf, completion.evidence.gloss),
         Section(
-            "Mixtures that explain the readings, before adjustment to the readings",
+            "Mixtures that explain the observations, before adjustment to them",
             heads=("materials", "probability", "residual"),
             table=[
                 (
@@ -67,7 +68,17 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path]) 
         ),
         Section("Notes", notes=completed.diagnostics),
     ]  # fmt: skip
-    html_page.write(path, readings.name, f"{completed.path.name}, completed from readings.", sections)
+    if completed.balls and completed.picture is not None:
+        shown = html_page.picture(
+            images.read_display(completed.picture), "photographs and predictions", _WIDE
+        )
+        drawn = Section("Photographs", pictures=[("photographs, predictions and differences", shown)])
+        sections.insert(-1, drawn)
+    observed = " and ".join(
+        ["readings"] * (completed.readings is not None) + ["photographs"] * bool(completed.balls)
+    )
+    title = completed.sample or completed.path.stem
+    html_page.write(path, title, f"{completed.path.name}, completed from {observed}.", sections)
 
 
 def write_coat(path: Path, coated: Coated) -> None:
@@ -80,24 +91,6 @@ def write_coat(path: Path, coated: Coated) -> None:
         Section("Notes", notes=coated.diagnostics),
     ]
     html_page.write(path, coated.sample.name, f"{coated.path.name}, made of a colour and gloss.", sections)
-
-
-def write_photographs(path: Path, photographed: FromPhotographs) -> None:
-    """Write the report of a material that was found in photographs, and written."""
-    assert photographed.output is not None
-    brdf = MeasuredBRDF(read_bsdf(photographed.output))
-    sections = [Section("Sample", photographed.rows), balls(brdf), gloss(brdf)]
-    if photographed.picture is not None:
-        shown = html_page.picture(
-            images.read_display(photographed.picture), "photographs and predictions", _WIDE
-        )
-        sections.append(
-            Section("Photographs", pictures=[("photographs, predictions and differences", shown)])
-        )
-    sections.append(Section("Notes", notes=photographed.diagnostics))
-    html_page.write(
-        path, photographed.output.stem, f"{photographed.output.name}, found in photographs.", sections
-    )
 
 
 def write_calibration(path: Path, calibrated: CalibratedInstrument) -> None:

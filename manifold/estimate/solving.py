@@ -127,9 +127,7 @@ _FEW = (
 
 def _solve_readings(atoms: LibraryAtoms, evidence: Evidence, usable: Mask | None) -> Solution:
     """Explain readings and gloss by cube roots of atoms."""
-    readings, at = evidence.readings, evidence.at
-    assert readings is not None
-    assert at is not None
+    readings, *at = evidence.read
     index = np.arange(len(atoms)) if usable is None else np.flatnonzero(usable)
     _, material_of = np.unique(atoms.material_of[index], return_inverse=True)
     n_library = len(set(atoms.material_of[index[index < atoms.n_measured]].tolist()))

@@ -162,10 +162,9 @@ def readings_to_take(
         taken: Array = np.zeros((n + 1, 0))
         centres: Array = np.zeros((0, 3))
     else:
-        (of,), at_known, factors = known.solution.hypotheses, known.evidence.at, known.factors
-        assert at_known is not None
+        (of,), factors, (_, taken, _) = known.solution.hypotheses, known.factors, known.evidence.read
         assert factors is not None
-        probability, weights, taken, centres = of.probability, of.weights, at_known[0], factors.centres
+        probability, weights, centres = of.probability, of.weights, factors.centres
     square = probability @ (weights @ at) ** 2
     return next_readings(
         (

@@ -251,7 +251,7 @@ COMMANDS: Registry[Command] = Registry("command of the page", {
         _schema({}), takes_file=True,
     ),
     "photograph": Command(
-        "manifold.estimate.photographs:locate", _photographed,
+        "manifold.estimate.descriptions:locate_photographs", _photographed,
         _schema(
             _PHOTO, ["suffix"], oneOf=[{"required": [key]} for key in ("light", "light_bytes", "lamp")],
             dependentRequired={"light_bytes": ["light_suffix"], "light_suffix": ["light_bytes"]},

@@ -253,7 +253,7 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
 def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, tmp_path):
     missed = Completion.of(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 990.0}))
     sound = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9, highlight_valley=0.0)
-    document = Completed(tmp_path, None, missed, None, Errors(), sound, None, (), 0.0).to_json()
+    document = Completed(path=tmp_path, completion=missed, expected=Errors(), plausibility=sound).to_json()
     assert document["residual"] == missed.gloss_misfits[60.0]
     assert document["residual"] > 2.0 * np.sqrt(np.mean(np.square(document["misfits"])))
 

@@ -16,6 +16,7 @@ from manifold.colour.lights import environment
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, UsageError
 from manifold.estimate import Completion, lamp_plan
+from manifold.estimate.completions import Completed, odd_pictures
 from manifold.estimate.lamp_plan import plan_lamps
 from manifold.estimate.lamps import (
     Lamp,
@@ -28,7 +29,6 @@ from manifold.estimate.lamps import (
 )
 from manifold.estimate.light_probe import edges_on_limb, encoding_notes, find_light, given_lamp_notes
 from manifold.estimate.outlines import Circle, Cylinder, Photograph, given_outline_notes, outlines_in
-from manifold.estimate.photographs import FromPhotographs, _odd_pictures
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import PhotoRequest, SeenBall, Sighting, see
 from manifold.estimate.solving import CONTRADICTION, strength_of_spots
@@ -314,17 +314,14 @@ def test_a_picture_of_another_material_contradicts_the_others(photo_atoms):
         seen.append(Sighting(blocks_of(picture, CIRCLE), Camera(), (Lamp.towards(DIRECTIONS[2]),)))
         found = Completion.of(photo_atoms, seen, exposure=None, each=True)
         assert len(found.picture_errors) == 3
-        assert [note.partition(":")[0] for note in _odd_pictures(names, found.picture_errors)] == odd
+        assert [note.partition(":")[0] for note in odd_pictures(names, found.picture_errors)] == odd
         balls = [SeenBall(picture, CIRCLE, None, sighting) for sighting in seen]
-        made = FromPhotographs(
-            balls=tuple(balls), material=found, expected=Errors(), located=None, output=None, plausibility=None,
-            picture=None, diagnostics=(), seconds=0.0,
-        )  # fmt: skip
+        made = Completed(path=None, completion=found, balls=tuple(balls), expected=Errors())
         assert [row["predicted"] for row in made.photographs] == list(found.picture_errors)
         assert made.rows["photographs"][0].endswith("% predicted from the others")
     one = Completion.of(photo_atoms, sightings_of(DIRECTIONS[:1], [1.0]))
     assert one.picture_errors == ()
-    assert _odd_pictures(names[:2], (0.3, 0.3)) == []
+    assert odd_pictures(names[:2], (0.3, 0.3)) == []
 
 
 def readings_of(brdf):

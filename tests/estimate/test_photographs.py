@@ -18,7 +18,7 @@ from manifold.colour.conversion import encode_srgb, interpolation_matrix
 from manifold.colour.lights import environment
 from manifold.colour.pictures import read_picture
 from manifold.directions import from_spherical
-from manifold.estimate import photographs, sightings
+from manifold.estimate import completions, descriptions, photographs, sightings
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.channels import read_responses
 from manifold.estimate.gloss import gloss_units
@@ -69,14 +69,17 @@ def test_a_photograph_is_completed(run, folder, library):
     page = (folder / "found.html").read_text()
     assert page.count("data:image/png;base64") == 3  # two balls, and the photograph beside its prediction
     for angle, units in document["gloss"].items():
-        assert f"<td>{angle}</td><td></td><td>{units:.3g}</td>" in page
+        assert f"<td>{angle}</td><td></td><td>{units['completed']:.3g}</td>" in page
+    assert document["alternatives"][0]["like"][0][0] in out.partition("Mixtures of materials")[2]
+    assert sum(one["probability"] for one in document["alternatives"]) <= 1.0 + 1e-9
+    assert (document["readings"], document["misfits"]) == (None, None)
     assert all(note in unescape(page) for note in document["diagnostics"])
 
 
 def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
     truth = MeasuredBRDF(read_bsdf(folder / "gold_rgb.bsdf"))
     units = gloss_units(truth, [60.0])[60.0]
-    code, _, err = run(
+    code, out, err = run(
         "photograph", "ball.exr", "--lab", "{:.2f},{:.2f},{:.2f}".format(*lab_of(truth)), "--gloss", f"60={units:.1f}",
         "--light", "light.exr", "--distance", 8, "--library", library,
         "-o", "together.bsdf", "--json", "together.json", cwd=folder,
@@ -84,9 +87,10 @@ def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
     assert code == 0, err
     found = MeasuredBRDF(read_bsdf(folder / "together.bsdf"))
     assert brdf_errors(truth, found).ball < 2.0
-    notes = " ".join(json.loads((folder / "together.json").read_text())["diagnostics"])
-    assert "readings: cube roots differ by" in notes
-    assert f"gloss at 60 degrees: {units:.1f} given" in notes
+    document = json.loads((folder / "together.json").read_text())
+    assert document["gloss"]["60"]["read"] == pytest.approx(units, abs=0.05)
+    assert (document["readings"], len(document["misfits_ciede2000"])) == (1, 1)
+    assert "% predicted from only the photographs" in " ".join(out.split())
 
 
 def test_the_old_spelling_still_completes_a_photograph(run, folder, library):
@@ -112,12 +116,12 @@ def test_a_photograph_is_located_near_its_material(run, folder, library):
 
 def test_errors_of_a_located_photograph_are_those_of_the_physical_file(folder, library):
     request = sightings.PhotoRequest([folder / "ball.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
-    found = photographs.locate(
+    found = descriptions.locate_photographs(
         folder / "model.h5", request, folder / "physical.bsdf", library=library,
         options=OutputOptions(physical=True),
     )  # fmt: skip
-    written = MeasuredBRDF(read_bsdf(found.output))
-    assert found.located.errors == brdf_errors(ClippedBRDF(found.material.brdf), written)
+    written = MeasuredBRDF(read_bsdf(found.path))
+    assert found.located.errors == brdf_errors(ClippedBRDF(found.completion.brdf), written)
 
 
 @pytest.fixture(scope="module")
@@ -140,9 +144,9 @@ def test_readings_give_the_spectra_beside_a_photograph(kind, folder, tmp_path, r
     truth, (wi, wo) = gold.truth(Bands(tuple(nm.tolist()))), geometry_ma_t12()
     pictures = sightings.PhotoRequest([folder / "ball.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
     seen = Readings("gold", "simulated", wi, wo, nm, truth.eval(wi, wo))
-    found = photographs.complete(
-        request.getfixturevalue(kind), pictures, tmp_path / "x.bsdf", readings=seen
-    ).material.brdf
+    found = completions.complete(
+        request.getfixturevalue(kind), seen, tmp_path / "x.bsdf", pictures=pictures
+    ).completion.brdf
     expected = nm if kind == "library" else np.linspace(400.0, 700.0, 60)[::4]
     np.testing.assert_allclose(found.bands.wavelengths_nm, expected, rtol=1e-6)
     half = (
@@ -288,9 +292,10 @@ def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_i
     write_image(tmp_path / "dark.exr", dark)
     request = sightings.PhotoRequest([tmp_path / "dark.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
     for exposure in (None, 0.1):
-        found = photographs.complete(
-            library, replace(request, exposure=exposure), tmp_path / "x.bsdf", picture=tmp_path / "x.png"
-        )
+        found = completions.complete(
+            library, None, tmp_path / "x.bsdf", pictures=replace(request, exposure=exposure),
+            picture=tmp_path / "x.png",
+        )  # fmt: skip
         seen, predicted = shown.pop()
         inside = np.hypot(*np.meshgrid(*[np.linspace(-1.05, 1.05, len(seen))] * 2)) < 0.9
         expected = dark / (exposure or 1.0)

@@ -32,6 +32,7 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import encode_srgb
 from manifold.directions import to_spherical
 from manifold.formats import geometry_ma_t12
+from manifold.formats.readings import MA_T12_NAMES
 from manifold.model import brdf_errors
 from manifold.records import Array
 
@@ -104,7 +105,7 @@ def main() -> None:
             )
             row[0].set_yscale("log")
             row[0].set_ylabel(f"{name.replace('_', ' ')}\nreflectance factor", fontsize=9)
-            row[0].set_xticks(np.arange(len(f)) + 1)
+            row[0].set_xticks(np.arange(len(f)) + 1, MA_T12_NAMES, rotation=60)
             row[0].tick_params(labelsize=8)
             row[0].set_xlabel("geometry of an MA-T12", fontsize=8)
             for side in ("top", "right"):

@@ -60,7 +60,7 @@ def convert(
     incidences: Annotated[
         int | None,
         typer.Option(
-            help="For RGL files: incident elevations, in addition to the file's own.",
+            help="For RGL files: angles of incidence, in addition to the file's own.",
             metavar="N",
             min=2,
             max=512,

@@ -150,7 +150,7 @@ ResolutionOption = Annotated[
 IncidencesOption = Annotated[
     int,
     typer.Option(
-        help="Incident elevations from 0 to 90 degrees.", metavar="N", min=2, max=128, rich_help_panel=GRID
+        help="Angles of incidence from 0 to 90 degrees.", metavar="N", min=2, max=128, rich_help_panel=GRID
     ),
 ]
 SampleOption = Annotated[

@@ -112,14 +112,14 @@ def origin_of(description: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class BsdfFile:
-    """One RGL tensor file. P incident azimuths, T incident elevations, B bands.
+    """One RGL tensor file. P incident azimuths, T angles of incidence, B bands.
 
     Attributes:
         name: the material's name (the file name without `_spec.bsdf` or `_rgb.bsdf`).
         description: free text of the file.
         version: version of the pipeline that wrote a spectral file; RGB files say (1, 0).
         phi_i_rad: incident azimuths in radians, float32, shape (P,); P = 1 is isotropic.
-        theta_i_rad: incident elevations in radians, float32, increasing, shape (T,).
+        theta_i_rad: angles of incidence in radians, float32, increasing, shape (T,).
         wavelengths_nm: band centres in nm, float32, increasing, shape (B,); None in an RGB file.
         sigma: projected microfacet area, float32, shape (rows = phi, columns = theta).
         ndf: normal distribution, float32, shape (rows = phi, columns = theta).

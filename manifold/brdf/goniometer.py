@@ -41,7 +41,7 @@ _FADE = 0.5  # sine of the angle below the horizon at which their weight would b
 
 
 def default_theta_i(n: int) -> Array:
-    """Return incident elevations in radians, shape (n,), placed where they lower the error most.
+    """Return angles of incidence in radians, shape (n,), placed where they lower the error most.
 
     Source: docs/explanation/rgl-files.md.
 
@@ -205,8 +205,8 @@ def measure(
         brdf: what to measure; its bands become the bands of the file.
         name, description: identification of the material.
         resolution: nodes per axis of the outgoing grid, H = W.
-        theta_i_rad: incident elevations in radians, increasing, shape (T,); default `default_theta_i(n_theta_i)`.
-        n_theta_i: incident elevations T where none are given.
+        theta_i_rad: angles of incidence in radians, increasing, shape (T,); default `default_theta_i(n_theta_i)`.
+        n_theta_i: angles of incidence T where none are given.
         n_phi_i: incident azimuths P, over half a turn; default 1 for an isotropic BRDF and 17 otherwise.
         compensate: move the node values so that linear interpolation errs least *between* the nodes; without
             it the file is exact at the nodes and about twice as far off elsewhere (docs/explanation/rgl-files.md).

@@ -68,7 +68,7 @@ def cells_of(
 
 # Least cosine of outgoing directions: cells nearer to the horizon may well be dark.
 _LEAST_COSINE = np.sin(np.deg2rad(2.0))
-_STEEPEST = np.deg2rad(85.0)  # incident elevations beyond it are extrapolated, not measured
+_STEEPEST = np.deg2rad(85.0)  # angles of incidence beyond it are extrapolated, not measured
 _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 

@@ -68,7 +68,7 @@ class Options(NamedTuple):
 
     Attributes:
         resolution: nodes per axis of its outgoing grid, by default 64.
-        n_theta_i: incident elevations over the hemisphere, beside the file's own; by default 16, and 48 where a file
+        n_theta_i: angles of incidence over the hemisphere, beside the file's own; by default 16, and 48 where a file
             has none of its own.
     """
 

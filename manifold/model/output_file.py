@@ -34,7 +34,7 @@ class OutputOptions:
         physical: project the file to non-negative values, reciprocity within 5 %, and albedo at most 1.
         strict: refuse a file whose albedo exceeds 1.05, which is otherwise written with a warning.
         resolution: nodes per axis of the outgoing grid; with `physical`, at least.
-        incidences: incident elevations from 0 to 90 degrees, at least; see `output_file`.
+        incidences: angles of incidence from 0 to 90 degrees, at least; see `output_file`.
     """
 
     physical: bool = False

@@ -73,7 +73,7 @@ def with_bands(file: BsdfFile, nodes: Array, projection: Array) -> BsdfFile:
 
 
 def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: int) -> BsdfFile:
-    """Return a file at some incident elevations, by their increasing indices.
+    """Return a file at some angles of incidence, by their increasing indices.
 
     `resolution` and `warp_nodes` are nodes per axis of the outgoing grid and of the distribution of visible
     normals.
@@ -117,7 +117,7 @@ def _resampled(values: Array, n: int) -> Array:
 
 
 def kept_elevations(file: BsdfFile, theta_rad: Array, count: int) -> Array:
-    """Return indices of the incident elevations, at least two, that a scene of elevations (M,) needs most.
+    """Return indices of the angles of incidence, at least two, that a scene of elevations (M,) needs most.
 
     They increase, shape (count,).
 

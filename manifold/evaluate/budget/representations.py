@@ -27,7 +27,7 @@ from manifold.render.bsdf_parameters import principled
 
 BANDS = (3, 5, 9, 17, 33)
 ANGLES = ((16, 4, 32), (24, 6, 48), (32, 8, 64))
-"""Coarser directions: nodes of the outgoing grid, incident elevations, nodes of the visible normals; per axis."""
+"""Coarser directions: nodes of the outgoing grid, angles of incidence, nodes of the visible normals; per axis."""
 FULL = "the whole file"
 
 _FLOAT_BYTES = 4

@@ -43,7 +43,7 @@ class Tables:
             its marginal, its rows, columns; luminance cell, its marginal, its rows, columns; ndf cell, rows,
             columns; sigma cell, rows, columns; spectra cell; elevations and azimuths of incidence; `ISOTROPIC`, or
             how often azimuths repeat in a turn; the bits of the azimuth by which the sample lay turned, a float32.
-        theta_nodes: incident elevations in radians, padded by repeating the last, float32, shape (N * T,).
+        theta_nodes: angles of incidence in radians, padded by repeating the last, float32, shape (N * T,).
         n_theta: T, the most that any material has.
         phi_nodes: incident azimuths in radians, likewise, float32, shape (N * P,).
         n_phi: P, the most that any material has.

@@ -217,7 +217,7 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
 
 def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
     """Return all distinct minima found, best first; for few samples followed by rivals, see `select_minima`."""
-    stages = Stages({"coarse search": 4, "refinement": 3, "valleys": 3})
+    stages = Stages({"coarse search": 4, "refinement": 3, "checking minima": 3})
     stages.begin("coarse search")
     layout = residuals.layout
     scale = layout.maximum - layout.minimum
@@ -248,7 +248,7 @@ def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
     in_chosen = progress.each(chosen)
     ends = [minimize(residuals, one.p, options.iterations, options.tolerance) for one in in_chosen]
     best_end = min(ends, key=_cost)
-    stages.begin("valleys")
+    stages.begin("checking minima")
     for _ in progress.each(range(options.n_walks)):
         starts = _along_the_valley(residuals, best_end, options)
         beside = [minimize(residuals, start, options.iterations, options.tolerance) for start in starts]

@@ -99,7 +99,8 @@ class FitResult(Result):
     )  # fmt: skip
     diffuse_residual: float = field(
         metadata=entry(
-            row="best diffuse", words=lambda fit: f"{fit.metric} {fit.diffuse_residual:.3f}", columns={"diffuse": ()}
+            row="best Lambertian fit", words=lambda fit: f"relative residual {fit.diffuse_residual:.3f} ({fit.metric})",
+            columns={"diffuse": ()},
         )
     )  # fmt: skip
     spectral_residual: float | None = field(
@@ -216,7 +217,8 @@ def fit_bsdf(
             "x; in Mitsuba, turn the tangents by it",
         )
     if errors.ball > VISIBLE:
-        notes += (f"visibly different: {errors.ball:.1f} {BALL}, in {errors.worst_light} {errors.worst:.1f}",)
+        worst = f"{errors.worst:.1f} in {errors.worst_light}"
+        notes += (f"not a close fit: {errors.ball:.1f} {BALL}, above {VISIBLE:g}; {worst}",)
         if (missed := fit_metrics.missed_highlight(fitted, target)) is not None:
             notes += (missed,)
     return replace(found, errors=errors, notes=notes, rotation_deg=degrees)

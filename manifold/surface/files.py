@@ -97,7 +97,10 @@ class SurfaceFiles(Result):
 
     @property
     @derived(
-        row="colour, relative spread", words=lambda result: ", ".join(f"{100 * std:.1f} %" for std in result.albedo_std)
+        row="colour variation",
+        words=lambda result: "R {:.1f} %, G {:.1f} %, B {:.1f} % (standard deviation over mean)".format(
+            *100.0 * result.albedo_std
+        ),
     )  # fmt: skip
     def albedo_std(self) -> Array:
         """Standard deviation of the albedo texture over its mean, as it is written, shape (3,)."""
@@ -107,7 +110,7 @@ class SurfaceFiles(Result):
     @property
     @derived(
         row="slopes", columns={"slope": (1,)},
-        words=lambda result: "across {:.3f}, along {:.3f} (standard deviations)".format(*result.slope_std),
+        words=lambda result: "{:.3f} in x, {:.3f} in y (standard deviations)".format(*result.slope_std),
     )  # fmt: skip
     def slope_std(self) -> Array:
         """Standard deviation of the slopes of the normal texture, along x and y, shape (2,)."""
@@ -145,7 +148,7 @@ class SurfaceFiles(Result):
     mm_per_pixel: float | None = field(metadata=entry())
     sparkle: Sparkle = field(
         metadata=entry(
-            row="sparkle", words="{.density:.1f} glints per 10,000 pixels and lamp", columns={"glints": ("density",)}
+            row="sparkle", words="{.density:.1f} glints per lamp and 10,000 pixels", columns={"glints": ("density",)}
         )
     )  # fmt: skip
 
@@ -255,7 +258,7 @@ def write_surface(
     """Write a surface into a folder whose lock is held; see `make_surface`."""
     start = time.perf_counter()
     paths = _paths(pictures, readings, folder, name, targets)
-    stages = Stages({"completing": 4, "slopes and colours": 2, "textures": 2, "exports": 10})
+    stages = Stages({"completing": 4, "slopes and colours": 2, "textures": 2, "fitting exports": 10})
     disk.require_writable(paths["numbers"])
     paths["numbers"].unlink(missing_ok=True)  # a run that stops leaves no numbers of other textures
     stages.begin("completing")
@@ -274,7 +277,7 @@ def write_surface(
     if sparkle.flakes is not None and sparkle.density > _VISIBLE_SPARKLE:
         flakes = sparkle.flakes.drawn(size, np.random.default_rng(1))
     written = _write_textures(paths, surface.mean, textures, brdf, flakes)
-    stages.begin("exports")
+    stages.begin("fitting exports")
     exports: dict[str, float] = {}
     cut = {"albedo": textures.cut_share(surface.mean)}
     if brdf is not None:
@@ -457,12 +460,12 @@ def _notes(
     across, along = surface.slope_std
     if across > 2.0 * along:
         notes += (
-            "all lamps lie in one plane: slopes across it follow only from integrability; relief lit from "
-            "that side is uncertain",
+            "all lamps lie in one plane: slopes perpendicular to it are estimated by integrability only, and relief "
+            "lit from that side is uncertain",
         )
     if sparkle.density > _VISIBLE_SPARKLE:
         notes += (
-            f"{sparkle.density:.1f} glints per 10,000 pixels and lamp, of which {100 * sparkle.seen_once:.0f} % appear "
-            "under one lamp alone",
+            f"{sparkle.density:.1f} glints per lamp and 10,000 pixels: spots brighter than a smooth relief explains, "
+            f"{100 * sparkle.seen_once:.0f} % of them under only one lamp",
         )
     return notes if completed is None else (*notes, *completed.diagnostics)

@@ -104,13 +104,13 @@ def _left_out(albedo: Array, rows: slice, columns: slice, dust: Mask) -> tuple[s
     labels, count = label(dust)
     if count:
         places = [
-            f"{column + columns.start:.0f}, {row + rows.start:.0f}"
+            f"column {column + columns.start:.0f}, row {row + rows.start:.0f}"
             for row, column in center_of_mass(dust, labels, range(1, min(count, _FEW) + 1))
         ]
         more = ", ..." if count > _FEW else ""
         notes += (
             f"left out as dust, because too few spots have this colour: {100.0 * dust.mean():.2g} % of the sample, at "
-            f"column and row {'; '.join(places)}{more}",
+            f"{'; '.join(places)}{more}",
         )
     return notes
 

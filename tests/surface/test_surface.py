@@ -222,7 +222,7 @@ def test_a_single_speck_is_left_out_as_dust_and_noted_but_several_alike_and_larg
     textures = tile(surface, 256)
     (note,) = textures.notes
     assert "left out as dust" in note
-    assert "at column and row 63, 43" in note
+    assert "at column 63, row 43" in note
     assert np.log(textures.albedo[..., 0] / textures.albedo[..., 1]).max() < 0.5  # that of the dust is 2
     assert textures.albedo.min() < 0.6  # the other spots are there
 

@@ -232,9 +232,7 @@ def test_the_command_prints_and_writes_numbers(printed):
     assert "Graininess 3.5" in output
     written = {path.name for path in folder.iterdir()} - {".manifold.lock"}
     assert set(numbers["files"].values()) == written
-    slopes = ", ".join(
-        f"{word} {std:.3f}" for word, std in zip(("across", "along"), numbers["slope_std"], strict=True)
-    )
+    slopes = "{:.3f} in x, {:.3f} in y".format(*numbers["slope_std"])
     assert slopes in output
     assert f"{numbers['height_std_px']:.2f} pixels" in output
     assert all(f"{100 * spread:.1f} %" in output for spread in numbers["albedo_std"])

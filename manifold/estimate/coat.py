@@ -130,7 +130,7 @@ class Coated(Result):
     )
     expected: Errors[float] = field(
         metadata=entry(
-            row="expected error", words=lambda result: result.expected.words, columns={EXPECTED_BALL: ("ball",)}
+            row="expected error", words=lambda result: tuple(result.expected.words), columns={EXPECTED_BALL: ("ball",)}
         )
     )  # fmt: skip
     plausibility: Plausibility = field(metadata=entry(row="albedo", words="at most {.max_albedo:.2f}"))

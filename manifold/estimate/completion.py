@@ -445,9 +445,9 @@ class Completion:
         from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
         if from_mirror.min() > _NEAR_MIRROR_DEG and not self.evidence.gloss:
             notes.append(
-                f"no reading within {from_mirror.min():.0f} degrees of a mirror direction: sharper highlights, "
-                f"such as those of mirrors and clear coats, are not measured, and expected errors do not include "
-                f"them; give their gloss, or measure such a direction"
+                f"the nearest reading is {from_mirror.min():.0f} degrees from a mirror direction: narrow highlights "
+                f"(mirrors, clear coats) are not measured, and the expected errors do not include them; give the gloss "
+                f"of the sample (--gloss), or measure nearer to a mirror direction"
             )
         return notes
 

@@ -90,7 +90,8 @@ class Completed(Result):
     @derived(
         row="readings", columns={"readings": ()},
         words=lambda result: result.readings
-        and f"{result.readings} of {result.sample}, {result.instrument}, {result.completion.readings.bands}",
+        and f"{result.sample}: {counted(result.readings, 'reading')}, {result.instrument}, "
+        f"{result.completion.readings.bands}",
     )  # fmt: skip
     def readings(self) -> int | None:
         """Number of readings; None without."""
@@ -143,9 +144,9 @@ class Completed(Result):
     expected: Errors[float] = field(
         metadata=entry(
             row="expected error", columns=EXPECTED_COLUMNS,
-            words=lambda result: [
+            words=lambda result: tuple(
                 words + result.beside(result.expected.ball) * (k == 0) for k, words in enumerate(result.expected.words)
-            ],
+            ),
         )
     )  # fmt: skip
 

@@ -56,8 +56,8 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
         *([] if completed.readings is None else _of_colours(completion)),
         gloss(brdf, completion.evidence.gloss),
         Section(
-            "Mixtures that explain the observations, before adjustment to them",
-            heads=("materials", "probability", "residual"),
+            "Most probable mixtures, before they are adjusted to the observations",
+            heads=("mixture", "probability", "residual"),
             table=[
                 (
                     " + ".join(f"{weight:.2f} {name}" for name, weight in mixture.like), f"{mixture.probability:.2f}",

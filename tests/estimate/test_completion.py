@@ -582,7 +582,7 @@ def test_notes_name_bands_and_highlights_that_were_not_read(atoms):
     red = readings(np.full((12, 1), 0.1), nm=np.array([650.0]))
     spectral = Completion.of(replace(atoms, bands=Bands((450.0, 550.0, 650.0))), red)
     assert "read at 650 nm only" in spectral.notes[0]
-    assert any("no reading within 15 degrees of a mirror direction" in note for note in made.notes)
+    assert any("the nearest reading is 15 degrees from a mirror direction" in note for note in made.notes)
     at = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(28.0), 0.0)
     both = tuple(np.vstack([w, a]) for w, a in zip(DIRECTIONS, at, strict=True))
     assert not Completion.of(atoms, readings(np.full((13, 3), 0.1), both)).notes
@@ -705,7 +705,7 @@ def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_pa
     assert status == 0, err
     assert "expected error" in out
     mixtures = [a["probability"] for a in json.loads((tmp_path / "felt.json").read_text())["alternatives"]]
-    table = out.partition("Mixtures of materials that explain")[2].partition("Measure next")
+    table = out.partition("Most probable mixtures")[2].partition("Measure next")
     assert table[1]
     assert table[0].count(" %") == 2 * sum(p >= 0.005 for p in mixtures)  # the others are in the JSON alone
     written = MeasuredBRDF(read_bsdf(tmp_path / "felt_rgb.bsdf"))

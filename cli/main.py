@@ -8,6 +8,7 @@ import re
 import sys
 import traceback
 import warnings
+from difflib import get_close_matches
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -24,6 +25,8 @@ from . import application, terminal
 
 _COORDINATES = re.compile(r"-[\d.][-+\d.eE]*(,[-+\d.eE]+)+")  # such as -0.3,1.2, which is no option
 _COORDINATE = re.compile(r"-[\d.][-+\d.eE]*")  # of a latent in one dimension, unless it is an option's value
+_OPTIONS = re.compile(r"No such option: (\S+) \(Possible options: ([^)]*)\)")
+_ALIKE = 0.75  # share of the letters of an option that a mistyped one has
 _EXIT_ERROR = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
@@ -45,8 +48,8 @@ def _options(
     strict: bool = typer.Option(
         False,
         "--strict",
-        help="Treat warnings as errors, and write no file whose albedo exceeds 1.05. Other diagnostics of predictions "
-        "are results, not warnings.",
+        help="Treat warnings as errors, and write no file whose albedo exceeds 1.05. Other diagnostics do not count "
+        "as warnings.",
     ),
 ) -> None:
     """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
@@ -129,10 +132,17 @@ def _message(error: Exception) -> str:
         command = getattr(error.ctx, "command_path", "manifold")
         found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
         found = re.sub(r"\. Did you mean (.*\?)$", r" (did you mean \1)", found)
+        found = _OPTIONS.sub(_like_options, found)
         return f"{found}; see `{command} --help`"
     if isinstance(error, ModuleNotFoundError):
         error = missing(error) or error
     return in_words(error)
+
+
+def _like_options(found: re.Match[str]) -> str:
+    """Return the options that Typer takes for a mistyped one, if they are hardly different."""
+    near = get_close_matches(found[1], found[2].split(", "), cutoff=_ALIKE)
+    return f"No such option: {found[1]}" + (f" (did you mean {', '.join(near)}?)" if near else "")
 
 
 def _one_line(message: object) -> str:

@@ -45,8 +45,8 @@ class PhotoOptions:
         list[str] | None,
         typer.Option(
             "--light",
-            help="Instead of --lamp: the surroundings as an .exr panorama (latitude by longitude, straight ahead in "
-            "the first column), or studio, overcast, sky, one-lamp or room. Once, or once per picture.",
+            help="Instead of --lamp: the surroundings as an equirectangular .exr environment map, whose first column "
+            "is straight ahead of the camera, or studio, overcast, sky, one-lamp or room. Once, or once per picture.",
             metavar="PICTURE|NAME",
         ),
     ] = None
@@ -123,7 +123,8 @@ class PhotoOptions:
         list[float] | None,
         typer.Option(
             "--turn",
-            help="Degrees to the right from the first column of the light to straight ahead.",
+            help="Azimuth of the direction straight ahead of the camera in the environment map, in degrees to the "
+            "right of its first column.",
             metavar="DEG",
             rich_help_panel=TAKEN,
         ),
@@ -158,10 +159,10 @@ class PhotoOptions:
         if sum(map(bool, (self.light, self.lamp, self.light_ball))) != 1:
             from manifold.colour.lights import ENVIRONMENTS
 
-            several = "several kinds of light" if self.light or self.lamp else "no light"
+            several = "several lights are given" if self.light or self.lamp else "no light is given"
             raise UsageError(
-                f"{pictures[0]}: found {several}; give one of --lamp (X,Y,Z, flash or found), --light-ball MIRROR.png "
-                f"and --light (ENV.exr, {', '.join(ENVIRONMENTS)})"
+                f"{pictures[0]}: {several}; use --lamp (X,Y,Z, flash, FILE or found), --light-ball MIRROR.png or "
+                f"--light (ENV.exr, {', '.join(ENVIRONMENTS)})"
             )
         if self.circle and self.cylinder:
             raise UsageError("--circle and --cylinder, expected one of them")
@@ -246,7 +247,7 @@ def photograph(
     incidences: options.IncidencesOption = 24,
     json: options.JsonOption = None,
 ) -> None:
-    """Find the BRDF of a painted ball or tin in photographs, with a library of materials as prior.
+    """Estimate the BRDF of a painted ball or tin from photographs, with a library of materials as prior.
 
     The light of the pictures is given by --lamp, --light or --light-ball. Readings, gloss and a colour of the same
     material are part of the same estimate. To locate the result on a map, run `manifold locate`.

@@ -8,15 +8,17 @@ from collections.abc import Iterable, Sequence
 from typing import SupportsFloat
 
 _SHOWN = 5
+_LEAST_PART = 3  # letters of a part of a name
 
 
 def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
     """Return similar names for an error message: those that contain a name or are close matches, else the first few.
 
-    Upper and lower case do not matter; `among` stands before the first few.
+    Upper and lower case do not matter; a name of one or two letters is in too many others. `among` stands before the
+    first few.
     """
     known, name = list(dict.fromkeys(names)), name.lower()
-    within = [k for k in known if name and name in k.lower()]
+    within = [k for k in known if len(name) >= _LEAST_PART and name in k.lower()]
     close = difflib.get_close_matches(name, [k.lower() for k in known])
     near = within or [k for match in dict.fromkeys(close) for k in known if k.lower() == match]
     if near:

@@ -83,7 +83,7 @@ class Registry(MutableMapping[str, T]):
         if name not in self:
             known = f"expected one of {', '.join(self)}"
             if len(self) > _ALL_NAMED:
-                known = names_like(self, name, "there are")
+                known = names_like(self, name, f"the {self.what}s are")
             raise UnknownNameError(f"no {self.what} is called '{name}'; {known}")
         return self._entries[name]
 

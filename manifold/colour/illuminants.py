@@ -43,7 +43,7 @@ class Illuminant:
         key, known = _CIE_FLUORESCENT.get(name, name), standard_tables().illuminants
         if key not in known:
             raise UnknownNameError(
-                f"no illuminant named {name!r}; {names_like(illuminant_names(), name, 'there are')}"
+                f"no illuminant named {name!r}; {names_like(illuminant_names(), name, 'the names are')}"
             )
         nodes, power = known[key]
         return cls(name, tuple(nodes.tolist()), tuple(power.tolist()))

@@ -43,7 +43,7 @@ def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
     if key is None:
         plain = [k.split("/", 1)[1] for k in known]
         raise UnknownNameError(
-            f"no reflectance named {name!r}; {names_like([*known, *plain], name, 'there are')}"
+            f"no reflectance named {name!r}; {names_like([*known, *plain], name, 'the names are')}"
         )
     return np.clip(np.interp(wavelengths_nm, *known[key]), 0.0, 1.0)
 

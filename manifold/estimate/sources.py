@@ -90,12 +90,12 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     try:
         known, names = _names(model, library)
         unknown = (
-            f"no material of {known.name} ({names_like(names, text)}), and no place on a map (X,Y, or "
-            "FROM:TO:T between two materials)"
+            f"neither a file, nor a material of {known.name} ({names_like(names, text)}), nor a place on a map (X,Y or "
+            "FROM:TO:T)"
         )
     except ManifoldError as error:
         known, names = Path(), ()
-        unknown = f"no place on a map, and no materials to look it up among: {error}"
+        unknown = f"neither a file nor a place on a map, and there is no library to look it up in: {error}"
     if text in names:
         return LibrarySource(known, text)
     if os.path.exists(path):
@@ -104,9 +104,9 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
         return PlaceSource(model, text, library)
     if looks_like_file:
         raise MissingFileError(
-            f"{text}: no such file or folder; name one, or a material of a library, or a place on a map"
+            f"{text}: no such file or folder; give a file, a material of a library, or a place on a map"
         )
-    raise UnknownNameError(f"{text}: no file, {unknown}")
+    raise UnknownNameError(f"'{text}' is {unknown}")
 
 
 def read_measured(source: FileSource | LibrarySource) -> BsdfFile:

@@ -170,7 +170,9 @@ def find_files(
         elif source.exists():
             found[source] = None
         else:
-            raise MissingFileError(f"{source}: no such file or folder; name {what}s or folders of them")
+            raise MissingFileError(
+                f"{source}: no such file or folder; give {what}s, or folders that contain them"
+            )
     if not found:
         raise UsageError(f"found no file; name {what}s or folders that hold some")
     return list(found)

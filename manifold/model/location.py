@@ -163,8 +163,8 @@ def reconstruct_file(
     reconstruction = tried[best]
     if brdf.name in names:
         notes += (
-            f"{brdf.name} is in the library and reconstructed from itself, too; leave it out to see the errors of a "
-            "new material",
+            f"{brdf.name} is itself in the library, so the error is near 0; leave it out (--without {brdf.name}) to "
+            "see the error of a new material",
         )
     return Reconstruction(
         brdf=reconstruction,

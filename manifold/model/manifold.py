@@ -267,8 +267,8 @@ class Manifold:
         coordinates = parse_coordinates(x)
         if coordinates is None:
             raise UnknownNameError(
-                f"no material '{x}' in this model ({names_like(self.names, x)}), expected one, or numbers "
-                "separated by commas, like -0.3,1.2, or FROM:TO:T between two materials"
+                f"'{x}' is neither a material of this model ({names_like(self.names, x)}), nor coordinates such as "
+                "-0.3,1.2, nor FROM:TO:T between two materials"
             )
         return Place(require_latent(coordinates, self.settings.latent_dim))
 

@@ -13,6 +13,7 @@ from manifold.names import names_like
         ("satin", "did you mean satin_blue, Satin_red?"),
         ("FELT", "did you mean felt?"),
         ("Satin_bleu", "did you mean satin_blue, Satin_red?"),
+        ("l", "it holds felt, satin_blue, Satin_red, paper, copper and 1 more"),  # in too many names
         ("qqq", "it holds felt, satin_blue, Satin_red, paper, copper and 1 more"),
         ("", "it holds felt, satin_blue, Satin_red, paper, copper and 1 more"),
     ],

@@ -215,7 +215,7 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["ball.exr"], "give one of --lamp"),
+        (["ball.exr"], "no light is given; use --lamp"),
         (["ball.exr", "--light", "nowhere.exr"], "no such file"),
         (["ball.exr", "--light", "ball.exr"], "twice as wide"),
         (["light.exr", "--light", "studio", "--circle", "900,10,40"], "expected one inside it"),

@@ -64,13 +64,13 @@ def test_a_text_is_a_file_then_a_name_then_a_place(folder, monkeypatch):
 def test_what_a_text_cannot_mean_is_said_in_one_line(folder):
     model = folder / "model.h5"
     with pytest.raises(
-        UnknownNameError, match=r"no file, no material of library\.zarr \(did you mean syn_felt"
+        UnknownNameError, match=r"neither a file, nor a material of library\.zarr \(did you mean syn_felt"
     ):
         parse_source("syn_felt_gren", model)
     for text in ("none.bsdf", "folder/none"):
         with pytest.raises(MissingFileError, match=f"{text}: no such file"):
             parse_source(text, model)
-    with pytest.raises(UnknownNameError, match=r"felt: no file, .* look it up among: .*no such"):
+    with pytest.raises(UnknownNameError, match=r"felt' is neither a file .* look it up in: .*no such"):
         parse_source("felt", folder / "none.h5")
 
 

@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test test-machines test-slow test-lowest check attack bench evidence golden engines docs clean help
 
 help:
-	@echo "make demo        run the main job on the built-in corpus, into $(OUT)/"
+	@echo "make demo        run all main steps on the built-in corpus, into $(OUT)/"
 	@echo "make test        run the tests, all but the slow ones; CORE=Prescott: as a processor of that type computes"
 	@echo "make test-slow   run the slow ones"
 	@echo "make test-machines run the tests as processors of other core types compute, with one thread and two: hours"

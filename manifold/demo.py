@@ -1,4 +1,4 @@
-"""The work behind `manifold demo`: the main job on the built-in corpus, and the page that shows its results."""
+"""The work behind `manifold demo`: all main steps on the built-in corpus, and the page that shows its results."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def run(
         imported = import_files(library, [files])
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
-    add("Library of these materials, in chunks of zarr", library, look=f"manifold info {library}")
+    add("Library of these materials (a Zarr store)", library, look=f"manifold info {library}")
     fitted = embed(library, model, Settings())[0]
     between = on_line(fitted.latent(START), fitted.latent(END), 0.75)
     map_file = folder / "map.png"
@@ -151,7 +151,7 @@ def run(
     with progress.shown("Predicting a material between two"):
         predicted = predict(fitted, latent, path)
     add(
-        f"BRDF predicted at latent {latent}, on the line between two golds; it was never measured",
+        f"Predicted BRDF, never measured, at latent {latent} between two golds",
         path,
         look=f"manifold info {path}",
     )
@@ -172,10 +172,10 @@ def run(
     text, document = folder / "report.txt", folder / "report.json"
     disk.write_text(text, format_report(report))
     disk.write_text(document, json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
-    add(f"Report of errors. {lead(report)}", text, document)
+    add(f"Evaluation. {lead(report)}", text, document)
     _fit(folder, path, has_mitsuba)
     add(
-        "Parameters of a game engine's model (principled), fitted to the prediction",
+        "Parameters of Mitsuba's principled BSDF, fitted to the prediction",
         *([folder / "predicted.fit.png"] if has_mitsuba else []),
         folder / FIT,
     )
@@ -184,13 +184,13 @@ def run(
     with progress.shown("Writing the page"):
         write_page(model, folder / "explorer.html")
         add(
-            "Interactive map: drag the point, and the ball is the material there",
+            "Interactive map: drag the point to see the material there",
             folder / "explorer.html",
         )
         index = folder / "index.html"
         left_out = None if has_mitsuba else _NO_MITSUBA
         disk.write_text(index, page(folder, made, predicted, report, left_out))
-    add("Page that shows all of this, and what to do next", index)
+    add("Page with all results and the next commands", index)
     return DemoResult(tuple(made), predicted, report, left_out)
 
 
@@ -247,7 +247,7 @@ def _fit(folder: Path, predicted: Path, has_mitsuba: bool) -> None:
     from manifold.fit.comparison import picture_of_fit
     from manifold.fit.fits import FitSettings
 
-    with progress.shown("Fitting game parameters to the prediction"):
+    with progress.shown("Fitting principled to the prediction"):
         fits.fit(predicted, folder / FIT, FitSettings())
         if has_mitsuba:
             picture_of_fit(folder / FIT, predicted, folder / "predicted.fit.png")
@@ -284,7 +284,7 @@ def page(
 <style>{_STYLE}</style>
 <h1>manifold demo</h1>
 <h2>Explore the map</h2>
-<p>Drag the point: the ball is the material predicted there. <a href="explorer.html">In a window of its own</a></p>
+<p>Drag the point to see the material predicted there. <a href="explorer.html">Open in its own window</a></p>
 <iframe src="explorer.html" title="Interactive map of the materials" loading="lazy"></iframe>
 <h2>Errors</h2>
 <p>{escape(lead(report))} {_link("report.txt")} has all errors.</p>
@@ -325,7 +325,7 @@ def _numbers(predicted: DiagnosedPrediction, report: Report) -> list[tuple[str, 
         ),
         (
             percent(physical.reciprocity_error, 1),
-            "Reciprocity error of the prediction: the change of its values if light and view are exchanged.",
+            "Reciprocity error of the prediction: the relative change of its values if light and view are exchanged.",
         ),
     ]
 
@@ -337,7 +337,7 @@ def _next_commands(folder: Path) -> str:
     where = shlex.quote(str(folder.resolve()))
     return f"""cd {where}
 {command} explore                                  # the map, with everything that the commands below do
-{command} predict 0.5,0.5 -o mine_spec.bsdf        # another material that nobody measured
+{command} predict 0.5,0.5 -o mine_spec.bsdf        # another material between measured ones
 {command} export predicted_spec.bsdf -o predicted.glb   # into an engine
 {command} report                                   # all errors
 {command} fetch --to rgl                           # measured materials: 51 files, 400 MB

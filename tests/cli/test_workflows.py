@@ -1,4 +1,4 @@
-"""The main job from end to end, and its results in Mitsuba."""
+"""All main steps from end to end, and its results in Mitsuba."""
 
 from __future__ import annotations
 

@@ -15,7 +15,8 @@ ROOT = Path(__file__).parents[2]
 LIGHTS = re.compile(r"\blights?\b|D65|DAYLIGHT|\bsun\b|studio|viewing|\bBALL\b|LIGHTS|self\.errors")
 NAMED_BESIDE = {
     ("manifold/evaluate/report_text.py", "CIEDE2000"),  # the note below the table names them
-    ("cli/picture_commands.py", "CIEDE2000"),  # the row that begins so
+    ("manifold/pictures/renders.py", "CIEDE2000 of the ball"),  # the row of the light
+    ("manifold/pictures/renders.py", "CIEDE2000 of the picture"),
     ("cli/fit_commands.py", "CIEDE2000 of the ball"),  # the value of the row, `Errors` in words
     ("manifold/fit/principled.py", "CIEDE2000 of the ball"),  # likewise
 }

@@ -20,14 +20,14 @@ _REGISTRY = re.compile(r"\{(manifold[.\w]*)\.(\w+)\}")
 
 GROUPS = {
     "Start": {
-        "demo": ("report", "Run the main job on built-in materials."),
+        "demo": ("report", "Run all main steps on built-in materials."),
     },
     "Files": {
         "import": ("library", "Import files or folders into a library."),
         "info": ("library", "Show what a file, a library, a model or a fit contains."),
         "convert": ("instrument", "Convert between BRDF, instrument and simulator files."),
         "fetch": ("library", "Download files of the RGL database."),
-        "compact": ("library", "Store the materials of a library in a few per cent of their bytes."),
+        "compact": ("library", "Compress a library to a few per cent of its size."),
         "corpus": ("library", "Write the built-in synthetic corpus."),
     },
     "Map": {
@@ -43,13 +43,13 @@ GROUPS = {
         ),
     },
     "Samples": {
-        "complete": ("completion", "Complete a few readings of a material to a full BRDF."),
-        "photograph": ("photograph", "Find the BRDF of a painted ball or tin in photographs."),
+        "complete": ("completion", "Estimate a full BRDF from a few readings."),
+        "photograph": ("photograph", "Estimate the BRDF of a painted ball or tin from photographs."),
         "reconstruct": ("model", "Approximate a measured file by a combination of a library's materials."),
         "surface": ("surface", "Make textures and materials from a workbook's own pictures."),
         "calibrate": ("completion", "Fit the colour correction of an instrument to a reference instrument."),
     },
-    "Use": {
+    "Render and export": {
         "render": ("picture", "Render a ball of a measured or predicted material."),
         "compare": ("picture", "Compare two pictures, or two rendered materials."),
         "export": ("fit", "Write a material for engines and renderers."),
@@ -202,7 +202,7 @@ app = Application(
     name="manifold",
     cls=Group,
     help="Learn a manifold of materials from measured spectral BRDFs, and predict BRDFs that were not measured.",
-    epilog="Start with `manifold demo`, which runs the main job on built-in materials.",
+    epilog="Start with `manifold demo`, which runs all main steps on built-in materials.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

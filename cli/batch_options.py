@@ -90,7 +90,7 @@ class OneWorkerOptions(WorkerOptions):
 class ThreadOptions(OneWorkerOptions):
     """Worker options whose default is threads of this process."""
 
-    workers: Annotated[int | None, _workers_option("threads of this process")] = None
+    workers: Annotated[int | None, _workers_option("one process with several threads")] = None
 
 
 PER_CORE, ONE, THREADS = WorkerOptions(), OneWorkerOptions(), ThreadOptions()

@@ -36,7 +36,7 @@ def complete(
     readings: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Files of readings, or folders of them. Readings of one sample by several instruments are "
+            help="Files of readings, or folders that contain them. Readings of one sample by several instruments are "
             "merged by its name.",
             metavar="READINGS",
             show_default=False,
@@ -73,8 +73,9 @@ def complete(
     lab: Annotated[
         str | None,
         typer.Option(
-            help="Instead of READINGS: a CIELAB colour (45/0), with --gloss if it is known; or a file with "
-            "one colour per line: name, L, a, b. A header may name columns gloss_20, gloss_60, gloss_85.",
+            help="Instead of READINGS: a CIELAB colour L*, a*, b* measured at 45/0 (not d/8), with --gloss if it is "
+            "known; or a file with one colour per line: name, L, a, b. A header may name columns gloss_20, gloss_60, "
+            "gloss_85.",
             metavar="L,a,b|FILE",
         ),
     ] = None,
@@ -82,8 +83,8 @@ def complete(
         bool,
         typer.Option(
             "--mixture",
-            help="For --lab and --gloss: mix the library's materials, metals included. Without it the result "
-            "is a dielectric coat over a diffuse base, which matches both.",
+            help="With --lab and --gloss: mix the library's materials, metals included. Without --mixture, the result "
+            "is a dielectric coat over a diffuse base, which matches colour and gloss.",
         ),
     ] = False,
     illuminant: options.IlluminantOption = None,
@@ -113,7 +114,7 @@ def complete(
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
-    """Complete readings of a material to a full BRDF, with a library of materials as prior.
+    """Estimate a full BRDF from readings of a material, with a library of materials as prior.
 
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
     samples are completed into a folder, with a table and a picture of all balls; results of an earlier run are
@@ -273,7 +274,7 @@ def calibrate(
         bool,
         typer.Option(
             "--allow-harm",
-            help="Write the correction even if its leave-one-out error exceeds the error without it.",
+            help="Also write a correction that is worse than none.",
         ),
     ] = False,
     report: options.ReportOption = None,
@@ -281,9 +282,10 @@ def calibrate(
 ) -> None:
     """Fit the colour correction of a camera-based instrument to a spectrophotometer, over several samples.
 
-    Cross-validates linear, root-polynomial and Cheung's polynomial forms, leaving out one sample at a time. Rejects
-    forms that make more than a quarter of the samples worse; of the others, writes the one with the smallest error.
-    Give six or more samples of different colours: one sample corrects only its own colour.
+    Cross-validates linear, root-polynomial and Cheung's polynomial forms, leaving out one sample at a time. Chooses the
+    form with the smallest error, if possible among those that make at most a quarter of the samples worse. Does not
+    write a correction that is worse than none on average, or for more than half of the samples (see --allow-harm). Give
+    six or more samples of different colours: one sample corrects only its own colour.
     """
     from manifold.estimate import instruments, reports
 

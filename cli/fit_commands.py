@@ -48,7 +48,7 @@ def fit(
         ),
     ] = "gauss-newton",
     metric: Annotated[
-        Metric, typer.Option(help="Residuals to minimise; appearance uses a lit ball and cube roots of the samples.")
+        Metric, typer.Option(help="Residuals to minimise; appearance: balls in nine lights and cube roots.")
     ] = "appearance",
     free: Annotated[
         str | None,

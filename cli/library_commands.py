@@ -51,7 +51,7 @@ def corpus(
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="Write instead simulated measurements of each material by an instrument, with noise: "
+            help="Write simulated measurements of each material by this instrument instead, with noise: "
             "{manifold.registries.INSTRUMENTS}.",
             metavar="NAME",
         ),
@@ -190,13 +190,13 @@ def import_(
         {
             "imported": len(result.imported),
             "replaced": len(result.replaced),
-            "skipped": len(result.skipped),
-            "left out": len(result.failed),
+            "already present": len(result.skipped),
+            "failed": len(result.failed),
         },
     )
     results.document({"library": library, **vars(result)})
     if result.failed:
-        raise LibraryError(_shortened(list(result.failed.values()), "left out"))
+        raise LibraryError(_shortened(list(result.failed.values()), "failed"))
 
 
 def _rotation(text: str | None) -> float | Literal["auto"] | None:
@@ -225,7 +225,7 @@ def compact(
     tolerance: ToleranceOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Store the materials of a library in a few per cent of their bytes, within a bound on the visible error.
+    """Compress a library to a few per cent of its size, within a bound on the error of the ball.
 
     Each compact material is compared with the original, which is then removed: keep the imported files if you need them
     bit for bit. All commands read compact libraries, and earlier models stay valid. The bound on the cube-root error
@@ -241,7 +241,7 @@ def compact(
     with progress.shown("Compacting"):
         result = compact_library(library, DEFAULT_TOLERANCE if tolerance is None else tolerance)
     after, errors = Library(library).disk_bytes, list(result.compacted.values())
-    rows: dict[str, object] = {"compacted": len(errors), "compact already": len(result.skipped)}
+    rows: dict[str, object] = {"compacted": len(errors), "already compact": len(result.skipped)}
     if errors:
         rows["largest errors"] = [
             f"{max(e.ball for e in errors):.2f} {BALL}",
@@ -332,7 +332,8 @@ def find(
     lab: Annotated[
         str | None,
         typer.Option(
-            help="CIELAB colour (45/0): L,a,b with commas between; or a file with one colour per line: name, L, a, b.",
+            help="CIELAB colour L*, a*, b* measured at 45/0 (not d/8), with commas between; or a file with one colour "
+            "per line: name, L, a, b.",
             metavar="L,a,b|FILE",
         ),
     ] = None,
@@ -409,7 +410,7 @@ def _show_found(results: terminal.Results, found: Sequence[Found]) -> None:
     angles = list(found[0].gloss) if found else []
     heads = [f"CIEDE2000 ({found[0].light})"] if found and found[0].light else []
     results.table(
-        ["material", "L (D65/2)", "a", "b", *heads, *(f"gloss {a:g}" for a in angles)],
+        ["material", "L* (D65/2)", "a*", "b*", *heads, *(f"gloss {a:g}" for a in angles)],
         [
             (
                 one.name, *(f"{v:.1f}" for v in one.lab),

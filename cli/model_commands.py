@@ -98,8 +98,8 @@ def embed(
     optimizer: Annotated[
         str | None,
         typer.Option(
-            help="Optimiser of the latents, started from principal components: {manifold.registries.OPTIMIZERS}. dls "
-            "is direct local search without gradients (Hikichi & Iwasaki, section 3.4), l-bfgs is quasi-Newton. "
+            help="Optimiser of the latents, started from principal components: {manifold.registries.OPTIMIZERS}. dls: "
+            "direct local search without gradients (Hikichi & Iwasaki, section 3.4); l-bfgs: quasi-Newton. "
             "[default: dls for kind gplvm; blends support l-bfgs only]",
             metavar="NAME",
         ),
@@ -107,12 +107,16 @@ def embed(
     mu: Annotated[
         float | None,
         typer.Option(
-            help="Observation noise: height of the kernel's delta term, from 1e-10 to 1e6. [default: 0.0001]",
+            help="For --kind gplvm: height of the kernel's delta term (nugget), from 1e-10 to 1e6. [default: 0.0001]",
             metavar="MU",
         ),
     ] = None,
     length_scale: Annotated[
-        float, typer.Option(help="Length scale of the kernel, in units of the latents.", metavar="L")
+        float,
+        typer.Option(
+            help="Length scale of the kernel, or of the weights of blends, in the units of the latents.",
+            metavar="L",
+        ),
     ] = 1.0,
     prior: Annotated[
         float | None,
@@ -133,16 +137,16 @@ def embed(
     kernel: Annotated[
         str,
         typer.Option(
-            help="Covariance function: {manifold.registries.KERNELS}; se is squared exponential, as published. For "
-            "blends it determines the posterior variance only, not the weights.",
+            help="For --kind gplvm: kernel, {manifold.registries.KERNELS}; se is squared exponential, as published. "
+            "Blends have no Gaussian process.",
             metavar="NAME",
         ),
     ] = "se",
     landmarks: Annotated[
         int | None,
         typer.Option(
-            help="Number of materials of a blend map that are laid out; the others are located among them. "
-            "[default: all of at most 300 materials, 150 of more]",
+            help="For --kind blend: number of landmarks, materials that are laid out first; the others are placed "
+            "among them. [default: all of up to 300 materials, else 150]",
             metavar="M",
             min=3,
         ),
@@ -390,8 +394,8 @@ def locate(
 ) -> None:
     """Find the latent of a measured material on the fitted manifold.
 
-    --json also writes its colours. The predictions of several materials are written into a folder, with a table and a
-    picture of all balls.
+    With --json, the colours found are also written. The predictions of several materials are written into a folder,
+    with a table and a picture of all balls.
     """
     from manifold.estimate import descriptions
     from manifold.model.diagnostics import in_words
@@ -465,9 +469,9 @@ def reconstruct(
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
 
-    This is the most accurate description of a new material: a non-negative combination of single bands of all materials
-    and of analytic lobes. It needs no model and gives no latent. Several materials are written into a folder, with a
-    table and a picture of all balls.
+    This is the most accurate method here for a new material: a non-negative combination of single bands of all
+    materials and of analytic lobes. It needs no model and gives no latent. Several materials are written into a folder,
+    with a table and a picture of all balls.
     """
     from manifold.estimate import descriptions
     from manifold.model.output_file import OutputOptions

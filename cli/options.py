@@ -99,12 +99,12 @@ class AttributeOptions:
         ),
     ] = None
     chroma: Annotated[
-        str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C", rich_help_panel=COLOUR)
+        str | None, typer.Option(help="CIELAB chroma, or a change of it.", metavar="C|+C|-C", rich_help_panel=COLOUR)
     ] = None
     hue: Annotated[
         str | None,
         typer.Option(
-            help="Hue in degrees that it should have, or a change of it.",
+            help="CIELAB hue in degrees, or a change of it.",
             metavar="H|+H|-H",
             rich_help_panel=COLOUR,
         ),

@@ -317,9 +317,12 @@ def show_completion(
 ) -> None:
     """Print a completed material: its rows, the mixtures that explain the observations, and what to observe next."""
     show_rows(results, title, completed, rows, report)
-    results.text("\nMixtures of materials that explain the observations, before adjustment to them:\n")
+    results.text(
+        "\nMost probable mixtures, before they are adjusted to the observations. The last column\n"
+        "is the cube-root difference of the ball from that of the mean mixture.\n"
+    )
     results.table(
-        ("materials", "probability", "residual", "difference of the ball"),
+        ("mixture", "probability", "residual", "ball from mean"),
         [
             (
                 " + ".join(f"{weight:.2f} {name}" for name, weight in a.like), f"{a.probability:.2f}",

@@ -81,8 +81,8 @@ def walk(
     start: Annotated[
         str, typer.Argument(help="The first material: a name, a file, or a place.", metavar="FROM")
     ],
-    end: Annotated[str, typer.Argument(help="The last material.", metavar="TO")],
-    steps: Annotated[int, typer.Option(help="Balls on the path.", metavar="N", min=2, max=25)] = 7,
+    end: Annotated[str, typer.Argument(help="The second material.", metavar="TO")],
+    steps: Annotated[int, typer.Option(help="Number of balls.", metavar="N", min=2, max=25)] = 7,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     output: PictureOption = Path("walk.png"),
@@ -131,7 +131,8 @@ def slices(
         ),
     ] = "angles",
     bands: Annotated[
-        str | None, typer.Option(help="Wavelengths in nm in place of R, G, B: 450,550,650.", metavar="NM,NM")
+        str | None,
+        typer.Option(help="Wavelengths in nm, such as 450,550,650, in place of R, G, B.", metavar="NM,NM"),
     ] = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -187,7 +188,8 @@ def explore(
     surface: Annotated[
         list[Path] | None,
         typer.Option(
-            help="A folder that `manifold surface` wrote, or the JSON of one of several in it; may be repeated.",
+            help="A folder that `manifold surface` wrote or, if it holds several surfaces, the JSON file of one; may "
+            "be repeated.",
             metavar="FOLDER",
         ),
     ] = None,
@@ -236,7 +238,7 @@ IlluminantOption = Annotated[
 EnvironmentOption = Annotated[
     Path | None,
     typer.Option(
-        help="Environment map, latitude by longitude; a studio light if none.",
+        help="Equirectangular environment map (latitude by longitude). [default: a studio light]",
         metavar="FILE",
         rich_help_panel=LIGHT,
     ),
@@ -245,7 +247,7 @@ SizeOption = Annotated[
     int, typer.Option(help="Pixels per side.", metavar="N", min=16, max=8192, rich_help_panel=LIGHT)
 ]
 SamplesOption = Annotated[
-    int, typer.Option(help="Light paths per pixel.", metavar="N", min=1, max=1 << 20, rich_help_panel=LIGHT)
+    int, typer.Option(help="Samples per pixel.", metavar="N", min=1, max=1 << 20, rich_help_panel=LIGHT)
 ]
 SeedOption = Annotated[
     int,
@@ -276,7 +278,11 @@ def render(
     colour: options.ColourOptions = options.OWN_COLOUR,
     direct: Annotated[
         bool,
-        typer.Option("--direct", help="Evaluate the measured materials while rendering; needs LLVM."),
+        typer.Option(
+            "--direct",
+            help="Render with the `manifold` BSDF plugin, which combines the library's materials while rendering, not "
+            "with a sampled file; needs LLVM.",
+        ),
     ] = False,
     output: Annotated[
         Path | None,
@@ -364,9 +370,10 @@ def compare(
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are first rendered in the same light.
 
-    CIEDE2000 is defined for two uniform patches: most observers see a difference of 1. The same holds for a Delta E_ITP
-    of 1 on a display with a white of 100 cd/m2. Means over a ball have no such threshold. FLIP ranges from 0 to 1 and
-    ignores detail too fine to be visible. All three include the noise of the renders, which decreases with --samples.
+    CIEDE2000 is defined for two uniform patches, where about 1 is just noticeable side by side. A Delta E_ITP of 1 is
+    just noticeable in the most critical viewing conditions (ITU-R BT.2124; white of 100 cd/m2). Means over a ball have
+    no such threshold. FLIP ranges from 0 to 1 and ignores detail too fine to be visible. All three include the noise of
+    the renders, which decreases with --samples.
     """
     from manifold.pictures import renders
     from manifold.render.ball import make_settings

@@ -108,7 +108,7 @@ class Summary:
     max: float
 
     def __str__(self) -> str:
-        return f"mean {self.mean:.3f}, median {self.median:.3f}, 95 % below {self.p95:.3f}, largest {self.max:.3f}"
+        return f"mean {self.mean:.3f}, median {self.median:.3f}, 95th percentile {self.p95:.3f}, largest {self.max:.3f}"
 
     @classmethod
     def of(cls, values: Array) -> Summary:

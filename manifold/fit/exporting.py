@@ -213,8 +213,8 @@ def export(
     notes = (*subject.notes, *(f"principled: {note}" for note in subject.fit["notes"]))
     if made.errors.ball > VISIBLE:
         worst = f"{made.errors.worst:.1f} in {made.errors.worst_light}"
-        against = f"{made.errors.ball:.1f} {BALL} from the {subject.against}"
-        notes = (f"not a close fit: {against}, above {VISIBLE:g}; {worst}", *notes)
+        away = f"{made.errors.ball:.1f} {BALL} from the {subject.against}"
+        notes = (f"not a close fit: {away}, above {VISIBLE:g}; {worst}", *notes)
         if (missed := missed_highlight(model, material)) is not None:
             notes = (missed, *notes)
     if ends := at_bounds(target, parameters):

@@ -99,7 +99,8 @@ class AttributeOptions:
         ),
     ] = None
     chroma: Annotated[
-        str | None, typer.Option(help="CIELAB chroma, or a change of it.", metavar="C|+C|-C", rich_help_panel=COLOUR)
+        str | None,
+        typer.Option(help="CIELAB chroma, or a change of it.", metavar="C|+C|-C", rich_help_panel=COLOUR),
     ] = None
     hue: Annotated[
         str | None,

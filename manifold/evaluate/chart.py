@@ -89,7 +89,7 @@ def conclusion(made: Chart) -> str:
     fast = min(near, key=lambda row: row.predict.median)
     most_accurate = f"Most accurate for left-out materials: {best.title}, {best.median.ball:.2f} {BALL}."
     if fast is best:
-        return f"{most_accurate} Choose it: nothing faster comes within {percent(_NEAR_BEST - 1)} of it."
+        return f"{most_accurate} No faster setting is within {percent(_NEAR_BEST - 1)}."
     times = best.predict.median / fast.predict.median
     return (
         f"{most_accurate} Where speed counts, choose {fast.title}: {fast.median.ball:.2f}, and {times:.2g} times as "

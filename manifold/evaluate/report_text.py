@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.evaluate.report import MethodResult, Report
 from manifold.judged_lights import BALL, JUDGED, LIGHTS
-from manifold.model.expected_error import GUARANTEED, LEVEL, NOT_CALIBRATED
+from manifold.model.expected_error import LEVEL, NOT_CALIBRATED
 from manifold.names import counted, percent
 from manifold.text_tables import table_lines
 
@@ -284,12 +284,12 @@ def _expected_errors(report: Report) -> list[str]:
     ]
     columns = ("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x", "bound")
     most = next(iter(report.expected_errors.values())).most_level
-    guarantee = (
-        f"bound: the factor on the expected error below which {percent(LEVEL)} of left-out materials lie; for new "
-        f"materials drawn like these, {percent(GUARANTEED)} are guaranteed (jackknife+, Barber et al. 2021). This many "
-        f"materials allow levels up to {percent(most)}."
+    bound = (
+        f"bound: {percent(LEVEL)} of the left-out errors are below this factor times the expected error; for new "
+        f"materials drawn like these that is an estimate, not a guarantee. This many materials allow levels up to "
+        f"{percent(most)}."
     )
-    return _table(columns, rows, (*_EXPECTED_NOTE, guarantee))
+    return _table(columns, rows, (*_EXPECTED_NOTE, bound))
 
 
 def _materials(report: Report) -> list[str]:

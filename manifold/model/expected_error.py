@@ -41,8 +41,6 @@ COARSE_BELOW = 8
 
 LEVEL = 0.9
 """Share of new materials whose true error is to be below `Reliability.bound` times the expected one."""
-GUARANTEED = 1.0 - 2.0 * (1.0 - LEVEL)
-"""What jackknife+ guarantees of that share, whatever the distribution of materials."""
 
 _LIKE = 2.0  # number of materials at which the power a is one half (docs/explanation/expected-errors.md)
 _LEAST_RESIDUAL = 1e-4
@@ -127,11 +125,10 @@ class Reliability:
         rank_correlation: of expected with true errors (Spearman).
         below_twice: share of true errors that are below twice the expected.
         bound: by how much to multiply the expected error so that a new material's true one is below in 90 %; None of
-            too few materials. What jackknife+ guarantees of it, for materials that are exchangeable with these, is
-            `GUARANTEED`.
+            too few materials. It is a quantile of leave-one-out errors (jackknife), without a guarantee.
         most_level: the highest such share that the number of materials allows.
 
-    Source: Barber, Candes, Ramdas & Tibshirani 2021, for residuals that are normalised by the expected ones.
+    Source: Barber, Candes, Ramdas & Tibshirani 2021, on the jackknife; residuals are normalised by the expected ones.
     """
 
     true: tuple[float, float]

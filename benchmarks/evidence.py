@@ -1,8 +1,8 @@
 """The results behind the figures of the documents: their commands, the code they depend on, and their dates.
 
 `RESULTS` is the list; `run_all.py` runs it. Each `results/NAME.json` has an entry `_made`: command, version, commit,
-hash of the code, hash of the data, date, processor and processor seconds. Docstrings, comments and blanks do not change
-the hash of the code. Where it is None, the result is older than this record.
+hash of the code, hash of the data, date, processor and processor seconds. Docstrings, comments, layout and the wording
+of sentences do not change the hash of the code. Where it is None, the result is older than this record.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Result:
 
     @property
     def code_hash(self) -> str:
-        """SHA-256 of the sources without docstrings, comments and blanks, shortened."""
+        """SHA-256 of what `bare` keeps of the sources, shortened."""
         digest = hashlib.sha256()
         for path in self.sources:
             digest.update(bare(path.read_text(encoding="utf-8")).encode())
@@ -111,7 +111,7 @@ RESULTS = {
     "compact": Result("bench_compact.py FILES", ("library/compacting.py", "library/compact.py")),
     "inspection": Result("bench_inspection.py --files FILES", ("brdf/consistency.py", "info.py")),
     "photo": Result("bench_photo.py FILES", (*_PICTURES, "estimate/pixels.py")),
-    "together": Result("bench_photo.py FILES --together", (*_PICTURES, *_COMPLETE)),
+    "together": Result("bench_photo.py FILES --lights studio --together", (*_PICTURES, *_COMPLETE)),
     "lamps": Result(
         "bench_lamps.py --files FILES --library LIBRARY --lights sun --every 2",
         ("estimate/lamps.py", "estimate/light_probe.py", "estimate/outlines.py", *_PICTURES),
@@ -133,23 +133,36 @@ RESULTS = {
 
 
 def bare(source: str) -> str:
-    """A module's text without docstrings, lines of comments, and blanks."""
-    lines = source.splitlines()
-    for node in ast.walk(ast.parse(source)):
-        body = getattr(node, "body", None)
-        if (
-            not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-            or not body
-        ):
-            continue
-        first = body[0]
-        if (
-            isinstance(first, ast.Expr)
-            and isinstance(first.value, ast.Constant)
-            and isinstance(first.value.value, str)
-        ):
-            lines[first.lineno - 1 : first.end_lineno] = [""] * (first.end_lineno - first.lineno + 1)
-    return "".join("".join(line.split()) for line in lines if not line.lstrip().startswith("#"))
+    """A module's syntax tree as text, without docstrings and the wording of sentences."""
+    return str(_plain(ast.parse(source)))
+
+
+def _plain(node: object) -> object:
+    """A node as nested lists, in the same way under every version of Python."""
+    if isinstance(node, list):
+        return [_plain(each) for each in node]
+    if not isinstance(node, ast.AST) or _is_sentence(node):
+        return "sentence" if isinstance(node, ast.AST) else repr(node)
+    fields = [(name, value) for name, value in ast.iter_fields(node) if name not in ("ctx", "kind")]
+    if not isinstance(node, ast.Constant):  # newer versions of Python have more fields, empty here
+        fields = [(name, value) for name, value in fields if value not in (None, [])]
+    return [type(node).__name__, *([name, _plain(_code(value))] for name, value in fields)]
+
+
+def _code(value: object) -> object:
+    """Statements without expressions that are constants: docstrings of modules, classes, functions and attributes."""
+    if not isinstance(value, list):
+        return value
+    return [
+        each for each in value if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant))
+    ]
+
+
+def _is_sentence(node: ast.AST) -> bool:
+    """Whether a node is a text with blanks, such as a message: its wording decides no figure."""
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    texts = [part.value for part in parts if isinstance(part, ast.Constant)]
+    return any(isinstance(text, str) and " " in text.strip() for text in texts)
 
 
 def data_hash(paths: Iterable[Path]) -> str:

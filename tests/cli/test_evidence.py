@@ -57,10 +57,19 @@ def test_the_list_of_results_says_which_are_older_than_their_code():
 
 
 def test_the_hash_of_code_sees_code_alone():
-    source = '"""A module."""\n\ndef f(x):\n    """Double."""\n    # why\n    return 2 * x\n'
-    reworded = '"""Some module."""\ndef f(x):\n    """Return the double."""\n\n    return 2*x\n'
+    source = '"""A module."""\n\ndef f(x):\n    """Double."""\n    # why\n    return g(2 * x, 0, "key")\n'
+    reworded = '"""Some module."""\ndef f(x):\n    """Of x."""\n    return g(\n        2*x, 0,\n        "key",\n    )\n'
     assert evidence.bare(source) == evidence.bare(reworded)
-    assert evidence.bare(source) != evidence.bare(source.replace("2 *", "3 *"))
+    for old, new in (("2 *", "3 *"), ("x, 0", "x, False"), ("x, 0", "x, None"), ("key", "word")):
+        assert evidence.bare(source) != evidence.bare(source.replace(old, new))
+
+
+def test_the_hash_of_code_does_not_see_the_wording_of_messages():
+    source = "raise UsageError(f'{path}: not a file', hint='name a file')\n"
+    assert evidence.bare(source) == evidence.bare(
+        "raise UsageError(f'no file is at {path}', hint='give a file')\n"
+    )
+    assert evidence.bare(source) != evidence.bare(source.replace("UsageError", "FileError"))
 
 
 def test_refused_pictures_count_as_if_their_lamps_were_given():

@@ -8,7 +8,6 @@ FOLDER holds the `.bsdf` files. Run the commands once before.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import resource
@@ -17,11 +16,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
+from left_out import write_ma_t12
 
 import manifold as mf
-from manifold.directions import to_spherical
-from manifold.formats import geometry_ma_t12
 
 LEAST = 5.0  # processor seconds of what is kept
 NAME = "cardboard"
@@ -72,12 +69,7 @@ def prepare(folder: Path, files: Path) -> None:
     """The files, and readings of one of them."""
     (folder / "rgl").symlink_to(files.resolve())
     brdf = mf.MeasuredBRDF(mf.read_bsdf(files / f"{NAME}_rgb.bsdf"))
-    wi, wo = geometry_ma_t12()
-    angles = [np.rad2deg(angle) for w in (wi, wo) for angle in to_spherical(w)]
-    with (folder / "readings.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", "R", "G", "B"])
-        table.writerows(np.column_stack([*angles, brdf.eval(wi, wo)]).round(6).tolist())
+    write_ma_t12(folder / "readings.csv", brdf)
 
 
 def main() -> None:

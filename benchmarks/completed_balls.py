@@ -14,13 +14,14 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from left_out import read_ma_t12
 from lit_balls import lit_ball, save
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.estimate import Completion, LibraryAtoms, suggest
 from manifold.estimate.gloss import gloss_units
-from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model import brdf_errors
 from manifold.records import Array
@@ -39,8 +40,8 @@ def readings_of(brdf: BRDF, name: str, wi: Array, wo: Array) -> Readings:
 
 def completions(brdf: BRDF, name: str, others: LibraryAtoms) -> tuple[Completion, Completion, Completion]:
     """From the MA-T12's geometries, with gloss beside them, and with readings, each suggested by those before."""
-    wi, wo = geometry_ma_t12()
-    read = readings_of(brdf, name, wi, wo)
+    read = read_ma_t12(brdf, name)
+    wi, wo = read.wi, read.wo
     first = found = Completion.of(others, read)
     glossy = Completion.of(others, replace(read, gloss=gloss_units(brdf, GLOSS_DEG)))
     for _ in range(SUGGESTED):

@@ -10,31 +10,24 @@ printed. Shown in docs/explanation/completion.md.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from left_out import Given, complete
 
 import manifold as mf
 from manifold.brdf.interface import BRDF
 from manifold.directions import from_spherical, to_spherical
-from manifold.estimate import Completion, LibraryAtoms
-from manifold.formats import Readings, geometry_ma_t12
-from manifold.io_rgl import material_name
+from manifold.estimate import LibraryAtoms
+from manifold.formats import geometry_ma_t12
 from manifold.records import Array
 
 INCIDENCES_DEG = (15.0, 45.0, 60.0)
 ELEVATIONS_DEG = np.linspace(-80.0, 80.0, 321)
 SHARE = 0.9  # of materials whose errors the band holds
 LEAST = 1e-6  # 1/sr; smaller values count as this
-
-
-def completed_from_ma_t12(atoms: LibraryAtoms, brdf: BRDF, name: str) -> BRDF:
-    """Complete a material from its values at the twelve geometries."""
-    wi, wo = geometry_ma_t12()
-    return Completion.of(atoms, Readings(name, "simulated", wi, wo, None, brdf.eval(wi, wo))).brdf
 
 
 def slices(brdf: BRDF) -> Array:
@@ -54,8 +47,8 @@ def widths(atoms: LibraryAtoms, materials: dict[str, mf.MeasuredBRDF]) -> Array:
     """
     factors = []
     for name in atoms.names:
-        found = completed_from_ma_t12(atoms.without(atoms.names.index(name)), materials[name], name)
-        truth, curve = (np.maximum(slices(brdf), LEAST) for brdf in (materials[name], found))
+        completed = complete(atoms, materials[name], name)
+        truth, curve = (np.maximum(slices(brdf), LEAST) for brdf in (materials[name], completed))
         factors.append(np.maximum(truth / curve, curve / truth))
     rank = int(np.ceil(SHARE * (len(factors) + 1))) - 1
     return np.sort(factors, axis=0)[min(rank, len(factors) - 1)]
@@ -63,14 +56,7 @@ def widths(atoms: LibraryAtoms, materials: dict[str, mf.MeasuredBRDF]) -> Array:
 
 def main() -> None:
     """Draw a row for each material."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("names", nargs="+", metavar="NAME")
-    given = parser.parse_args()
-    paths = {material_name(path): path for path in sorted(given.folder.glob("*_rgb.bsdf"))}
+    given = Given.parse(__doc__)
     count = len(given.names)
     figure, axes = plt.subplots(
         count,
@@ -83,16 +69,16 @@ def main() -> None:
     )
     with tempfile.TemporaryDirectory() as temporary:
         library = Path(temporary) / "library.zarr"
-        mf.import_files(library, list(paths.values()))
+        mf.import_files(library, list(given.paths.values()))
         atoms = LibraryAtoms.of_library(mf.Library.open(library))
-    materials = {name: mf.MeasuredBRDF(mf.read_bsdf(path)) for name, path in paths.items()}
+    materials = {name: mf.MeasuredBRDF(mf.read_bsdf(path)) for name, path in given.paths.items()}
     wi, wo = geometry_ma_t12()
     incidence = np.rad2deg(to_spherical(wi)[0])
     is_opposite = np.sum(wi[:, :2] * wo[:, :2], axis=1) < 0
     elevation = np.where(is_opposite, 1.0, -1.0) * np.rad2deg(to_spherical(wo)[0])
     for row, name in zip(axes, given.names, strict=True):
         others = atoms.without(atoms.names.index(name))
-        curves = slices(completed_from_ma_t12(others, materials[name], name))
+        curves = slices(complete(atoms, materials[name], name))
         truth, factor = slices(materials[name]), widths(others, materials)
         read = materials[name].eval(wi, wo).mean(axis=1)
         for axis, theta, f, measured, width in zip(row, INCIDENCES_DEG, curves, truth, factor, strict=True):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from left_out import predict
 from lit_balls import lit_ball, save
 
 import manifold as mf
@@ -26,12 +27,11 @@ PER_ROW = 10
 ROWS = ("measured", "map", "reconstruct")
 
 
-def left_out(library: Path, names: set[str], path: Path) -> tuple[list[Array], list[float]]:
+def balls_of(library: Path, path: Path) -> tuple[list[Array], list[float]]:
     """Return the balls of ROWS for a file, and the ball errors of the last two."""
     measured = mf.MeasuredBRDF(mf.read_bsdf(path))
-    model = mf.Manifold.fit(library, names=names - {material_name(path)}, calibrate=False)
-    located = model.embed(measured)
-    described = (model.predict(located.latent, located.colours), model.reconstruct(measured))
+    model, predicted = predict(library, measured, material_name(path))
+    described = (predicted, model.reconstruct(measured))
     balls = [lit_ball(brdf, SIZE, 20, 32) for brdf in (measured, *described)]
     return balls, [brdf_errors(measured, brdf).ball for brdf in described]
 
@@ -49,9 +49,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "library.zarr"
         mf.import_files(library, paths)
-        names = set(mf.Library.open(library).names)
         for path in paths:
-            drawn.append((material_name(path), *left_out(library, names, path)))
+            drawn.append((material_name(path), *balls_of(library, path)))
             print(drawn[-1][0], *(f"{error:.2f}" for error in drawn[-1][2]), flush=True)
     drawn.sort(key=lambda each: -each[2][0])
     for row, errors in zip(ROWS[1:], np.array([errors for _, _, errors in drawn]).T, strict=True):

@@ -9,8 +9,6 @@ and in three.js, which needs its npm package as tests/helpers/three_js.py says.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import json
 import subprocess
 import sys
@@ -25,16 +23,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from engines.balls import Light, y_up
 from helpers.browser import chromium
 from helpers.three_js import ThreeJs, node_modules
+from left_out import Given, write_ma_t12
 from lit_balls import lit_ball
 
 import manifold as mf
 from manifold.colour import ball_colours
 from manifold.colour.conversion import encode_srgb
-from manifold.directions import to_spherical
-from manifold.formats import geometry_ma_t12
 from manifold.formats.readings import MA_T12_NAMES
 from manifold.model import brdf_errors
-from manifold.records import Array
 
 SIZE = 240  # pixels across a ball
 LIGHT = Light.named("studio 0")
@@ -45,27 +41,9 @@ def manifold(folder: Path, *arguments: str) -> None:
     subprocess.run([sys.executable, "-m", "manifold", *arguments], cwd=folder, check=True)
 
 
-def write_readings(path: Path, brdf: mf.MeasuredBRDF) -> Array:
-    """A table of the twelve geometries, and their values (12, 3) in 1/sr."""
-    wi, wo = geometry_ma_t12()
-    f = brdf.eval(wi, wo)
-    angles = [np.rad2deg(angle) for w in (wi, wo) for angle in to_spherical(w)]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", "R", "G", "B"])
-        table.writerows(np.column_stack([*angles, f]).round(6).tolist())
-    return f
-
-
 def main() -> None:
     """Draw a row for each material."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("names", nargs="+", metavar="NAME")
-    given = parser.parse_args()
+    given = Given.parse(__doc__)
     count = len(given.names)
     figure, axes = plt.subplots(
         count,
@@ -78,10 +56,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary, chromium() as browser:
         three, folder = ThreeJs(browser, node_modules()), Path(temporary)
         for row, name in zip(axes, given.names, strict=True):
-            file = given.folder.resolve() / f"{name}_rgb.bsdf"
-            others = [str(one) for one in sorted(file.parent.glob("*_rgb.bsdf")) if one != file]
-            measured = mf.MeasuredBRDF(mf.read_bsdf(file))
-            f = write_readings(folder / f"{name}.csv", measured)
+            others = [str(path) for other, path in given.paths.items() if other != name]
+            measured = mf.MeasuredBRDF(mf.read_bsdf(given.paths[name]))
+            f = write_ma_t12(folder / f"{name}.csv", measured)
             made = f"{name}-made_rgb.bsdf"
             manifold(folder, "import", *others, "--library", f"{name}.zarr")
             manifold(folder, "complete", f"{name}.csv", "--unit", "brdf", "--library", f"{name}.zarr",

@@ -8,18 +8,17 @@ renders both files with the same seed. Shown in docs/explanation/accuracy.md.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from left_out import Given, predict
 
 import manifold as mf
 from manifold.brdf import goniometer
 from manifold.colour.lights import environment
-from manifold.io_rgl import material_name
 from manifold.model import brdf_errors
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array
@@ -107,32 +106,23 @@ def coverage(mi: Any) -> Array:
 
 def main() -> None:
     """Draw a row for each material."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("names", nargs="+", metavar="NAME")
-    given = parser.parse_args()
-    paths = {material_name(path): path for path in sorted(given.folder.glob("*_rgb.bsdf"))}
+    given = Given.parse(__doc__)
     mi = backend.mitsuba("rgb")
     settings = RenderSettings(SIZE, SAMPLES)
     count = len(given.names)
     figure, axes = plt.subplots(count, 3, figsize=(9.6, 3.1 * count), squeeze=False, layout="constrained")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        mf.import_files(folder / "library.zarr", list(paths.values()))
+        mf.import_files(folder / "library.zarr", list(given.paths.values()))
         shows_vase = coverage(mi)
         for row, name in zip(axes, given.names, strict=True):
-            measured = mf.MeasuredBRDF(mf.read_bsdf(paths[name]))
-            model = mf.Manifold.fit(folder / "library.zarr", names=set(paths) - {name}, calibrate=False)
-            located = model.embed(measured)
-            predicted = model.predict(located.latent, located.colours)
+            measured = mf.MeasuredBRDF(mf.read_bsdf(given.paths[name]))
+            _, predicted = predict(folder / "library.zarr", measured, name)
             file = folder / f"{name}_rgb.bsdf"
             mf.write_bsdf(file, goniometer.measure(ClippedBRDF(predicted), name))
             pictures = [
                 images.tone_map(render_scene(mi, mi.load_dict(scene(mi, each)), settings))
-                for each in (paths[name], file)
+                for each in (given.paths[name], file)
             ]
             difference = images.ciede2000_map(*pictures)
             off, ball = difference[shows_vase].mean(), brdf_errors(measured, predicted).ball

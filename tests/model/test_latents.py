@@ -101,7 +101,7 @@ def test_a_material_is_a_latent_by_its_name(model):
         loaded.place("syn_felt_gren")
 
 
-NO_PLACE = "expected one, or numbers separated by commas, like -0.3,1.2, or FROM:TO:T"
+NO_PLACE = "nor coordinates such as -0.3,1.2, nor FROM:TO:T between two materials"
 
 
 @pytest.mark.parametrize(

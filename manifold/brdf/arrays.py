@@ -43,7 +43,7 @@ def to_xarray(
             f"angles of shapes {[a.shape for a in angles]}, expected numbers or one dimension each"
         )
     if not all(np.all((a >= 0.0) & (a <= 90.0)) for a in (theta_i, theta_o)):
-        raise ShapeError("elevations outside 0 to 90 degrees, expected angles from the normal")
+        raise ShapeError("polar angles outside 0 to 90 degrees, expected angles from the normal")
     i, o, p = (np.deg2rad(a) for a in np.meshgrid(*angles, indexing="ij"))
     bands = brdf.bands
     labels = list("RGB") if bands.wavelengths_nm is None else np.array(bands.wavelengths_nm)

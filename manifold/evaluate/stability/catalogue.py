@@ -45,9 +45,7 @@ def outcomes(row: Row) -> str:
 
 def conclusion(made: Stability) -> str:
     """Return a conclusion, with the kind of map to choose if several were tried in the same modes."""
-    said = (
-        "Results without a message can be trusted in these modes: every error above its limit was announced."
-    )
+    said = "Results without a message can be trusted in these modes: every error above its limit caused a message."
     if made.wrong:
         wrong = ", ".join(f"{row.method} ({row.mode})" for row in made.wrong)
         said = f"Wrong without a message, so check these by other means: {wrong}."

@@ -157,7 +157,7 @@ def complete(
     if not readings and lab is None:
         if not suggest:
             raise UsageError(
-                "no file of readings; name one, or give --suggest K for the directions to measure first"
+                "no readings are given; give a file, or --suggest K for the directions to measure first"
             )
         first = suggestions.suggest(library, suggest, None, instrument)
         _show_suggested(results, first, "Measure first", instrument)

@@ -91,7 +91,7 @@ def fit(
         colour=colour,
     )  # fmt: skip
     if not materials:
-        raise UsageError("found nothing to fit; name files, materials of the library, or places on the map")
+        raise UsageError("no material is given; give files, materials of the library, or places on the map")
     places = [source for source in materials if isinstance(source, PlaceSource)]
     if places and sample is not None:
         raise UsageError("--sample is of a file of readings; leave it or the places out")

@@ -211,8 +211,8 @@ def embed(
     start = "coordinates" if is_blend else "components"
     if candidates:
         results.text(
-            "Held-out errors, median / 90th percentile; the first, a mean, makes the choice;\n"
-            f"more dimensions have to lower it by {percent(PAYS)}:\n"
+            "Held-out errors, median / 90th percentile. The choice has the least 'error', a mean;\n"
+            f"more dimensions must lower it by {percent(PAYS)}:\n"
         )
         results.table(
             ("mapping", "dimensions", "error", "linear", "cube root", BALL_COLUMN, "seconds", "chosen"),
@@ -333,7 +333,7 @@ def predict(
         return
     if latent is None:
         raise UsageError(
-            "found no place; name one, such as -0.3,1.2 or a material, or give --from with a table of them; `manifold "
+            "no place is given; give one, such as -0.3,1.2 or a material, or --from with a table of them; `manifold "
             "complete --lab L,a,b --gloss 60=UNITS` makes a material from only a colour and gloss"
         )
     with progress.shown("Reading materials"):
@@ -420,7 +420,9 @@ def locate(
         results.document(seen)
         return
     if not materials:
-        raise UsageError("found no material; name a file, a material of the library, or a place on the map")
+        raise UsageError(
+            "no material is given; give a file, a material of the library, or a place on the map"
+        )
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:

@@ -245,9 +245,7 @@ def one_material(
 ) -> MaterialSource:  # fmt: skip
     """Return the one material of a command, see `material_sources`."""
     if (text is None) == (latent is None):
-        found = "nothing" if text is None else f"{text} and --latent {latent}"
-        raise UsageError(
-            f"found {found}, expected one material: a file, a name, or a place like -0.3,1.2 or FROM:TO:T"
-        )
+        found = "no material is given" if text is None else f"{text} and --latent {latent} are given"
+        raise UsageError(f"{found}; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T")
     texts, latents = ([given] if given is not None else [] for given in (text, latent))
     return material_sources(texts, latents, model, library, colour=colour)[0]

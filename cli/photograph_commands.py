@@ -258,7 +258,7 @@ def photograph(
     if not pictures:
         if not suggest or readings or lab or gloss or report:
             raise UsageError(
-                "found no picture; name one, or give only --suggest K for the first places of the lamp"
+                "no picture is given; give one, or only --suggest K for the first positions of the lamp"
             )
         suggest_lamps(results, library, suggest)
         return

@@ -326,9 +326,10 @@ def render(
         colour=colour,
     )  # fmt: skip
     if not sources or (materials and latent is not None):
-        found = "nothing" if not sources else f"{', '.join(materials or ())} and --latent {latent}"
+        both = f"{', '.join(materials or ())} and --latent {latent} are given"
+        found = both if sources else "no material is given"
         raise UsageError(
-            f"found {found}, expected one material: a file, a name, or a place like -0.3,1.2 or FROM:TO:T; or several"
+            f"{found}; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T; or several of these"
         )
     if (several := inputs_of(sources, output, is_rendered)) is not None:
         if direct:

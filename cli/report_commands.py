@@ -199,9 +199,9 @@ def _write_chart(chart: Chart, results: terminal.Results, output: Path | None) -
     columns = f"setting,{BALL_COLUMN},front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
     results.table(columns.split(","), _chart_rows(chart))
     results.text(
-        "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
-        f"predict, fit: in times of a reference, here {1e3 * chart.reference_seconds:.3g} ms of a core; "
-        f"each material left out once, in {chart.folds} folds.\n"
+        "front: on the Pareto front against P time to predict, B bytes, F time to fit.\n"
+        f"predict, fit: multiples of a reference, here {1e3 * chart.reference_seconds:.3g} ms of a core; "
+        f"each material is left out once, in {chart.folds} folds.\n"
     )
     for row in chart.rows:
         if row.warnings:

@@ -182,7 +182,7 @@ def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
 
 def note_old_spelling(old: str, new: str) -> None:
     """Print on stderr that a spelling of version 0.3 still works, and its replacement."""
-    print(f"manifold: note: {old} is now {new}; the old spelling goes with version 0.5", file=sys.stderr)
+    print(f"manifold: note: {old} is now {new}; version 0.5 removes the old spelling", file=sys.stderr)
 
 
 def megabytes(size: int) -> str:

@@ -39,7 +39,8 @@ _LEGEND = {
     "smooth": "without delta: at its own latent, by the posterior mean without the kernel's delta.",
     "gp_latents_kept": "latents kept: the latents were fitted with the material; only its values are left out of the "
     "prediction (optimistic).",
-    "gp_encoded": "others' latents kept: likewise, but the material is located from its values.",
+    "gp_encoded": "others' latents kept: the latents were fitted with the material, which is then located from its "
+    "values (optimistic).",
     "blend_encoded": "latents kept: the map was fitted with the material, which is then located from its values and "
     "predicted from the others (optimistic).",
     "blend_refitted": "refitted: the model is fitted to the other materials; the left-out one is then located from its "

@@ -174,7 +174,7 @@ def find_files(
                 f"{source}: no such file or folder; give {what}s, or folders that contain them"
             )
     if not found:
-        raise UsageError(f"found no file; name {what}s or folders that hold some")
+        raise UsageError(f"no file is given; give {what}s, or folders that contain them")
     return list(found)
 
 

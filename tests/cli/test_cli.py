@@ -72,7 +72,7 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
     [
         (["predic"], "predict"),
         (["predict", "--latnt", "0,0"], "--latent"),
-        (["predict"], "found no place"),
+        (["predict"], "no place is given"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
         (["embed", "--optimizer", "adam"], "optimizer 'adam' for kind blend, expected l-bfgs"),
         (["predict", "--latent", "0.3", "1.2"], "coordinates have commas and no blanks, such as 0.3,1.2"),

@@ -719,7 +719,7 @@ def test_without_readings_the_first_directions_are_suggested_or_asked_for(run, l
     status, out, err = run("complete", "-L", library, "--suggest", "2", cwd=tmp_path)
     assert (status, out.startswith("Measure first")) == (0, True), err
     for arguments, what in (
-        (("complete", "-L", library), "no file of readings"),
+        (("complete", "-L", library), "no readings are given"),
         (("complete", "felt.csv", "-L", library, "--instrument", "ma-t12"), "give --suggest K"),
         (
             ("complete", "-L", "none.zarr", "--instrument", "ma-t12", "--suggest", "13"),

@@ -447,7 +447,7 @@ def test_lamps_are_suggested_before_and_after_the_picture(run, library, tmp_path
     assert status == 0, err
     assert "Next lamp directions" in out
     status, _, err = run("photograph", "--lamp", "flash", "-L", library, cwd=tmp_path)
-    assert (status, "found no picture" in err) == (2, True)
+    assert (status, "no picture is given" in err) == (2, True)
 
 
 # -- cylinders --------------------------------------------------------------------------------------------------------

@@ -205,12 +205,12 @@ def test_several_kinds_are_fitted_into_one_folder(run, folder):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("render", NAME, "--latent", "0,0"), f"found {NAME} and --latent 0,0, expected one material"),
-        (("render",), "found nothing, expected one material"),
+        (("render", NAME, "--latent", "0,0"), f"{NAME} and --latent 0,0 are given; give one"),
+        (("render",), "no material is given; give one"),
         (("render", NAME, "--like", OTHER), "--like, --reflectance and --srgb go with predictions"),
         (("compare", "0,0", "syn_felt_gren"), "did you mean"),
         (("export", "0,0", "-o", "x.glb", "--against", FILE), "compared with itself"),
-        (("fit",), "found nothing to fit"),
+        (("fit",), "no material is given"),
     ],
 )
 def test_what_cannot_be_followed_is_refused(run, folder, arguments, words):

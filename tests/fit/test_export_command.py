@@ -234,8 +234,8 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], "found nothing, expected one material"),
-        (["copper_rgb.fit.json", "--latent", "0,0"], "expected one material"),
+        ([], "no material is given; give one"),
+        (["copper_rgb.fit.json", "--latent", "0,0"], "--latent 0,0 are given; give one"),
         (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
         (["copper_rgb.fit.json", "-o", "x.json"], "several targets are JSON"),
         (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with predictions"),

@@ -294,7 +294,7 @@ def test_scalar_variants_make_the_same_picture(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("render",), "found nothing, expected one material"),
+        (("render",), "no material is given; give one"),
         (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "direct renders are of places"),
         (("render", "syn_gloss_red_rgb.bsdf", "--illuminant", "F11"), "needs a spectrum"),
         (("render", "syn_gloss_red_rgb.bsdf", "-o", "a.jpg"), "written as .exr"),

@@ -34,6 +34,7 @@ _KINDS = {
     "blend": "Blends of materials: {}, and a colour coordinate and a gain per band",
     "gplvm": "GPLVM of whole materials: {}",
 }
+_PER_BAND = "Q + 2 per band: Q coordinates for all bands, and a colour coordinate and a gain per band."
 _LEGEND = {
     "reconstruction": "at its own latent: of a library material, predicted as measured (training error).",
     "smooth": "without delta: at its own latent, by the posterior mean without the kernel's delta.",
@@ -49,7 +50,9 @@ _LEGEND = {
     "values.",
     "oracle": "oracle: the left-out material decides which two are mixed.",
     "nonnegative": "non-negative least squares: `manifold reconstruct` from the other materials.",
-    "blend_2": "Q + 2 per band: Q coordinates for all bands, and a colour coordinate and a gain per band.",
+    "few_atoms": "few samples and lobes: `manifold reconstruct --numbers`, with three samples or lobes.",
+    "blend_2": _PER_BAND,
+    "blend_3": _PER_BAND,
     "principled": "principled: fitted to the material itself.",
 }
 """Explanations of methods, by key; one is printed only if a row needs it."""

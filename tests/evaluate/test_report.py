@@ -309,10 +309,10 @@ def test_legends_are_printed_only_for_methods_that_have_a_row(models, reports, m
     monkeypatch.setattr(report, "LONGEST_REFITS", 0.0)
     blend = Manifold.fit(models["material"].library, Settings(kind="blend"), calibrate=False)
     of_gplvm, of_blend = format_report(reports["material"]), format_report(report.make_report(blend))
-    for words in ("Kernel: ", "condition of K", "others' latents kept: ", "without delta: "):
-        assert words in of_gplvm
-        assert words not in of_blend  # it has no Gaussian process
-    assert "Q + 2 per band: " not in of_blend
+    of_a_process = ("Kernel: ", "condition of K", "others' latents kept: ", "without delta: ")
+    for words in (*of_a_process, "Q + 2 per band: ", "few samples and lobes: "):
+        assert words in of_gplvm  # which a comparison with other models has
+        assert words not in of_blend
     titles = [line.split("  ")[0] for line in of_blend.splitlines()]
     assert titles.index("PCA 6, identity") - titles.index("PCA 2, log-relative") == 1
 

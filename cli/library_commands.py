@@ -410,7 +410,7 @@ def _show_found(results: terminal.Results, found: Sequence[Found]) -> None:
     angles = list(found[0].gloss) if found else []
     heads = [f"CIEDE2000 ({found[0].light})"] if found and found[0].light else []
     results.table(
-        ["material", "L* (D65/2)", "a*", "b*", *heads, *(f"gloss {a:g}" for a in angles)],
+        ["material", "L* (45/0, D65/2)", "a*", "b*", *heads, *(f"gloss {a:g}" for a in angles)],
         [
             (
                 one.name, *(f"{v:.1f}" for v in one.lab),

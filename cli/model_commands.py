@@ -114,7 +114,7 @@ def embed(
     length_scale: Annotated[
         float,
         typer.Option(
-            help="Length scale of the kernel, or of the weights of blends, in the units of the latents.",
+            help="Length scale of the kernel, or of the weights of blends.",
             metavar="L",
         ),
     ] = 1.0,

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.interface import BRDF
+from manifold.colour import panel
+from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, lab_values
 from manifold.estimate.atoms import LibraryAtoms, ball_coordinates, grid_coordinates, shown_shares
 from manifold.estimate.channels import Channels
@@ -114,7 +116,10 @@ class Completion:
 
     def as_written(self, brdf: BRDF) -> Completion:
         """Return the completion with the errors of a file that it was written to."""
-        return replace(self, written=brdf)
+        written = replace(self, written=brdf)
+        if "without" in vars(self):  # solutions do not depend on the file
+            vars(written)["without"] = self.without
+        return written
 
     def __repr__(self) -> str:
         like = ", ".join(f"{weight:.2f} {name}" for name, weight in self.made_of)
@@ -271,21 +276,67 @@ class Completion:
 
         Exposures are known then, but for that of the picture. There are none of a single picture.
         """
-        known = replace(self.exposed, exposure=1.0, each=False)
-        if len(known.pictures) <= 1:
+        pictures = self.exposed.pictures
+        if len(pictures) <= 1:
             return ()
         errors = []
-        for k, picture in enumerate(known.pictures):
-            others = replace(known, pictures=[*known.pictures[:k], *known.pictures[k + 1 :]])
-            weights = solve_pictures(self.atoms, others).weights
+        for k, picture in enumerate(pictures):
+            weights = self.without[f"picture {k + 1}"].solution.weights
             gain = np.array([ratio_of(picture, weights)])
-            errors.append(float(residuals_of(replace(others, pictures=[picture]), weights, gain)[0]))
+            errors.append(float(residuals_of(Evidence(pictures=[picture]), weights, gain)[0]))
         return tuple(errors)
 
     @property
     def exposed(self) -> Evidence:
         """The evidence with the exposures of pictures divided out; unknown ones stay unknown."""
         return self.evidence.exposed(self.exposures)
+
+    # -- what each observation says ------------------------------------------------------------------------------------
+
+    @cached_property
+    def without(self) -> dict[str, Completion]:
+        """Completions without one observation each, by its name; none if there is a single one.
+
+        Exposures are known without a picture.
+        """
+        seen, readings = self.evidence, self.evidence.readings
+        known, n, atoms = (
+            replace(self.exposed, exposure=1.0, each=False),
+            len(self.evidence.pictures),
+            self.atoms,
+        )
+        left: dict[str, Completion] = {}
+        if n > 1:
+            for k in range(n):
+                others = replace(known, pictures=[*known.pictures[:k], *known.pictures[k + 1 :]])
+                left[f"picture {k + 1}"] = Completion.of(atoms, others)
+        elif n and readings is not None:
+            left["picture 1"] = Completion.of(replace(atoms, is_linear=False), readings)
+        if n and readings is not None:
+            left["readings"] = Completion.of(atoms, replace(seen, readings=None, of_readings=()))
+        if seen.gloss:
+            dull = None if readings is None else replace(readings, gloss={})
+            at = None if seen.at is None else (seen.at[0], seen.at[1][:, :0])
+            left["gloss"] = Completion.of(atoms, replace(seen, readings=dull, gloss={}, of_gloss=(), at=at))
+        return left
+
+    @cached_property
+    def contributions(self) -> dict[str, float]:
+        """Mean CIEDE2000 of the ball in the judged lights between this and the completion without an observation.
+
+        Source: Cook 1977, "Detection of influential observation in linear regression" (deletion of each).
+        """
+        lights = panel.judged()
+        return {
+            name: lights.compare(other.ball_xyz, self.ball_xyz).ball for name, other in self.without.items()
+        }
+
+    @cached_property
+    def ball_xyz(self) -> Array:
+        """CIE XYZ of the pixels of the ball in the judged lights, as `Picture.xyz` has them, shape (K, 3)."""
+        if self.atoms.is_linear:
+            return srgb_to_xyz(np.clip(self.on_ball, 0.0, 1.0))
+        return panel.judged().xyz(self.on_ball, self.bands)
 
     # -- what is not known --------------------------------------------------------------------------------------------
 

@@ -158,7 +158,7 @@ class Completed(Result):
 
     @property
     @derived(
-        row="exposure", words=lambda result: ", ".join(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
+        row="exposure", words=lambda result: list(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
     )  # fmt: skip
     def exposures(self) -> Array:
         """Exposures of the pictures."""
@@ -236,6 +236,16 @@ class Completed(Result):
         """Relative standard deviation of f over mixtures, in the plane of incidence, by direction."""
         return uncertainty(self.completion)
 
+    @property
+    @derived(
+        row="without it, the ball changes",
+        words=lambda result: [f"{name} {off:.1f} CIEDE2000" for name, off in result.contributions.items()],
+    )
+    def contributions(self) -> dict[str, float]:
+        """CIEDE2000 by which the ball changes without an observation, by its name, see `Completion.contributions`."""
+        names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
+        return {names.get(name, name): off for name, off in self.completion.contributions.items()}
+
     plausibility: Plausibility | None = field(
         default=None, metadata=entry(row="albedo", words="at most {.max_albedo:.2f}")
     )
@@ -268,7 +278,8 @@ class Completed(Result):
         if self._readings is not None:
             residual, alone = self.completion.residual_of_readings, self.completion.solution.contradiction
             most = max(float(self.completion.misfits.max()), residual)
-            of_readings = f"{100 * residual:.1f} % of the readings, in cube roots, at most {100 * most:.1f} %"
+            which = "readings and gloss" if self.completion.evidence.gloss else "readings"
+            of_readings = f"{100 * residual:.1f} % of the {which}, in cube roots, at most {100 * most:.1f} %"
             predicted = f"; {100 * alone:.1f} % predicted from only the photographs" if self.balls else ""
             words.append(of_readings + predicted)
         return words

@@ -14,6 +14,7 @@ from scipy.integrate import dblquad
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
+from manifold.colour import panel
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.estimate import Completion, calibrate
 from manifold.estimate.completions import Completed, parse_gloss
@@ -250,11 +251,27 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
     assert found["20"]["read"] == pytest.approx(units[20], abs=1e-3)
 
 
+def test_gloss_contributes_the_change_of_the_ball_without_it(atoms, library):
+    brdf = MeasuredBRDF(Library.open(library).read("syn_gloss_red"))
+    read = readings(brdf.eval(*DIRECTIONS))
+    others = atoms.without(NAMES.index("syn_gloss_red"))
+    dull, glossy = (
+        Completion.of(others, replace(read, gloss=gloss)) for gloss in ({}, gloss_units(brdf, [60.0]))
+    )
+    assert dull.contributions == {}
+    lights = panel.judged()
+    change = lights.errors(dull.on_ball, glossy.on_ball, atoms.bands).ball
+    assert glossy.contributions == pytest.approx({"gloss": change})
+    assert change > 0.1
+
+
 def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, tmp_path):
     missed = Completion.of(atoms, replace(readings(np.full((12, 3), 0.1)), gloss={60.0: 990.0}))
     sound = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9, highlight_valley=0.0)
-    document = Completed(path=tmp_path, completion=missed, expected=Errors(), plausibility=sound).to_json()
+    shown = Completed(path=tmp_path, completion=missed, expected=Errors(), plausibility=sound)
+    document = shown.to_json()
     assert document["residual"] == missed.gloss_misfits[60.0]
+    assert "exposure" not in shown.rows
     assert document["residual"] > 2.0 * np.sqrt(np.mean(np.square(document["misfits"])))
 
 

@@ -336,6 +336,17 @@ def test_readings_fix_an_unknown_exposure(photo_atoms):
     assert found.exposure == pytest.approx(0.4, rel=0.1)
 
 
+def test_a_repeated_picture_contributes_less_than_readings_that_fix_the_exposure(photo_atoms):
+    seen = [*sightings_of(DIRECTIONS[[0, 0]], [0.4, 0.4]), readings_of(PAINT)]
+    found = Completion.of(photo_atoms, seen, exposure=None)
+    assert list(found.contributions) == ["picture 1", "picture 2", "readings"]
+    assert found.contributions["picture 1"] < 0.5
+    assert found.contributions["readings"] > 4.0 * found.contributions["picture 1"]
+    (single,) = sightings_of(DIRECTIONS[:1], [1.0])
+    both = Completion.of(photo_atoms, [single, readings_of(PAINT)])
+    assert list(both.contributions) == ["picture 1", "readings"]
+
+
 def test_a_picture_that_contradicts_readings_counts_less(photo_atoms):
     other = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.05, 0.04, 0.5]), Bands(None))
     readings = readings_of(other)

@@ -31,7 +31,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from scipy.stats import spearmanr
 
+from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.wrapper import WrappedBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.errors import ManifoldError
 from manifold.estimate.atoms import LibraryAtoms
@@ -59,6 +61,7 @@ COUNTS = {"sun": (1, 2, 3, 5, 8), "torch": (1, 3), "flash": (1,)}
 FITTED = (1, 3)  # numbers of pictures to which `principled` is fitted
 SET_COUNTS = (1, 3, 5)
 DISTANCE = 10.0  # radii: a torch 40 cm from a ball of 8 cm
+ASIDE = ", brightness aside"  # of what is found under an unknown exposure
 SIZE, RADIUS = 240, 80.0  # pixels
 DIRECTIONS = np.array(
     [[0.5, 0.5, 0.7], [-0.7, 0.5, 0.3], [0.3, -0.8, 0.4], [0.9, -0.1, 0.15], [-0.2, 0.1, 0.95],
@@ -115,6 +118,30 @@ class Material:
     def ball(self, material: Completion) -> float:
         """Its error in the judged lights."""
         return brdf_errors(self.truth, ClippedBRDF(material.brdf)).ball
+
+    def ball_aside(self, material: Completion) -> float:
+        """Its error if it were as bright as the truth: scaled to the same cube roots over all directions."""
+        grid = self.atoms.grid
+        made, true = (
+            np.cbrt(np.maximum(brdf.eval(grid.wi, grid.wo), 0.0)) * np.cbrt(grid.cosines)[:, None]
+            for brdf in (material.brdf, self.truth)
+        )
+        scale = float(np.sum(made * true) / np.sum(made**2)) ** 3
+        return brdf_errors(self.truth, _Scaled(ClippedBRDF(material.brdf), scale)).ball
+
+
+class _Scaled(WrappedBRDF):
+    """A BRDF times a factor."""
+
+    def __init__(self, brdf: BRDF, factor: float):
+        super().__init__(brdf)
+        self._factor = factor
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        return self._factor * self._brdf.eval(wi, wo)
+
+    def albedo(self, wi: Array) -> Array:
+        return self._factor * self._brdf.albedo(wi)
 
 
 # -- a real set -------------------------------------------------------------------------------------------------------
@@ -274,6 +301,8 @@ def _measured(one: Material, path: Path, folder: Path, asked: argparse.Namespace
             material = one.found(balls, exposure, free or shot.knows in ("nothing", "geometry"))
             error = one.ball(material)
             errors.setdefault(shot.name, {})[str(count)] = error
+            if free:
+                errors.setdefault(f"{shot.name}{ASIDE}", {})[str(count)] = one.ball_aside(material)
             if shot.knows == "nothing":
                 off.setdefault(shot.light, {})[str(count)] = _lamp_errors(balls, taken[shot.light])
             if asked.expected and count == 3 and shot.knows == "nothing":
@@ -342,19 +371,21 @@ def with_refused(
 ) -> dict[str, dict[str, list[float]]]:
     """Errors of every file by kind of photographs and their number; refused ones have those with given lamps."""
     return {
-        shot.name: {
-            str(count): [_or_instead(of_file, shot, str(count)) for of_file in errors]
+        shot.name + aside: {
+            str(count): [_or_instead(of_file, shot, aside, str(count)) for of_file in errors]
             for count in COUNTS[shot.light]
         }
         for shot in SHOTS
         if shot.light in lights
+        for aside in ("", ASIDE)
+        if not aside or any(shot.name + aside in of_file for of_file in errors)
     }
 
 
-def _or_instead(of_file: Mapping[str, Mapping[str, float]], shot: Shot, count: str) -> float:
-    error = of_file.get(shot.name, {}).get(count)
+def _or_instead(of_file: Mapping[str, Mapping[str, float]], shot: Shot, aside: str, count: str) -> float:
+    error = of_file.get(shot.name + aside, {}).get(count)
     if error is None and shot.knows in INSTEAD:
-        error = of_file.get(f"{shot.light}, {INSTEAD[shot.knows]}", {}).get(count)
+        error = of_file.get(f"{shot.light}, {INSTEAD[shot.knows]}{aside}", {}).get(count)
     if error is None:
         raise ValueError(f"{shot.name}, {count}: refused although the lamps are given")
     return error

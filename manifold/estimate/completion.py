@@ -23,9 +23,9 @@ from manifold.estimate.solving import (
     CONTRADICTION,
     Seen,
     Solution,
+    gather,
     geometric_mean,
     mean_roots,
-    observe,
     ratio_of,
     relative,
     residuals_of,
@@ -110,7 +110,7 @@ class Completion:
         """
         if not isinstance(seen, Evidence):
             seen = [seen] if isinstance(seen, Readings) else seen
-            seen = observe(atoms, seen, exposure=exposure, each=each, channels=channels)
+            seen = gather(atoms, seen, exposure=exposure, each=each, channels=channels)
         solution = solve(atoms, seen, usable)
         return cls(atoms, solution.evidence, solution)
 
@@ -418,27 +418,23 @@ class Completion:
             curves, importance = weights @ self.atoms.directions[:, on_ball], self.atoms.weights[on_ball]
         mean = probability @ curves
         norm = max(float(mean**2 @ importance), np.finfo(float).tiny)
-        heads: list[int] = []
-        totals: list[float] = []
-        wrong: list[float] = []
+        groups: list[list[int]] = []
         for h, curve in enumerate(curves):
-            apart = [float((curve - curves[k]) ** 2 @ importance) / norm for k in heads]
-            if not apart or min(apart) >= _ALIKE**2:
-                heads.append(h)
-                totals.append(0.0)
-                wrong.append(0.0)
-            like = int(np.argmin(apart)) if len(apart) == len(heads) else -1
-            totals[like] += float(probability[h])
-            wrong[like] += float(probability[h] * squares[h])
-        order = np.argsort(totals)[::-1][:_SHOWN_ALTERNATIVES]
+            apart = [float((curve - curves[group[0]]) ** 2 @ importance) / norm for group in groups]
+            if apart and min(apart) < _ALIKE**2:
+                groups[int(np.argmin(apart))].append(h)
+            else:
+                groups.append([h])
+        totals = [float(probability[group].sum()) for group in groups]
+        largest = np.argsort(totals)[::-1][:_SHOWN_ALTERNATIVES].tolist()
         return tuple(
             Alternative(
-                self._materials(weights[heads[k]]),
-                totals[k],
-                float(np.sqrt(wrong[k] / max(totals[k], np.finfo(float).tiny))),
-                float(np.sqrt((curves[heads[k]] - mean) ** 2 @ importance / norm)),
+                self._materials(weights[group[0]]),
+                total,
+                float(np.sqrt(probability[group] @ squares[group] / max(total, np.finfo(float).tiny))),
+                float(np.sqrt((curves[group[0]] - mean) ** 2 @ importance / norm)),
             )
-            for k in order
+            for group, total in ((groups[k], totals[k]) for k in largest)
         )
 
     @property

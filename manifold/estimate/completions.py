@@ -22,7 +22,7 @@ from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
 from manifold.estimate.completion import Alternative, Completion
-from manifold.estimate.expected import calibrate
+from manifold.estimate.expected import Calibration, calibrate
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.picture_colours import with_picture_colours
@@ -316,10 +316,10 @@ def observe(
     readings: Readings | None = None,
     gloss: Mapping[float, float] = MappingProxyType({}),
     pictures: PhotoRequest | None = None,
-) -> tuple[Completion, Errors[float], tuple[SeenBall, ...], tuple[str, ...]]:
+) -> tuple[Completion, Calibration, tuple[SeenBall, ...]]:
     """Complete the readings, gloss and pictures of a material with a library as prior.
 
-    Return the completion, its expected errors, the balls in the pictures, and notes.
+    Return the completion, the calibration of its expected errors, and the balls in the pictures.
     """
     balls: tuple[SeenBall, ...] = ()
     if pictures is not None:
@@ -337,14 +337,18 @@ def observe(
             atoms.in_values, seen, exposure=pictures.exposure, each=pictures.each, channels=channels
         )
     stages.begin("expected error")
-    calibration = calibrate(completion.atoms, completion.exposed, library)
+    return completion, calibrate(completion.atoms, completion.exposed, library), balls
+
+
+def notes_of(completion: Completion, calibration: Calibration, balls: Sequence[SeenBall]) -> tuple[str, ...]:
+    """Return sentences on the observations, on their agreement, and on the residual beside those of the library."""
     notes = (
         *(note for ball in balls for note in ball.notes),
         *completion.notes,
         *odd_pictures([ball.photograph.path.name for ball in balls], completion.picture_errors),
         *calibration.notes(completion),
     )
-    return completion, calibration.expected(completion), balls, tuple(dict.fromkeys(notes))
+    return tuple(dict.fromkeys(notes))
 
 
 def complete(
@@ -397,7 +401,8 @@ def complete(
     if pictures is not None:
         shares |= {"reading pictures": 1, "completing": 3, "expected error": 5, "suggesting": 3}
     stages, opened = Stages(shares), Library(library)
-    completion, expected, balls, notes = observe(opened, stages, readings, gloss, pictures)
+    completion, calibration, balls = observe(opened, stages, readings, gloss, pictures)
+    expected = calibration.expected(completion)
     suggested = suggest(completion.atoms, count, completion, instrument) if count and not balls else None
     stages.begin("writing")
     written = write_checked(
@@ -422,6 +427,7 @@ def complete(
         plan = plan_lamps(completion.atoms, count, [rows.pixels for rows in completion.solution.channels])
     if written.file is not None:
         completion = completion.as_written(MeasuredBRDF(written.file))
+    notes = notes_of(completion, calibration, balls)
     if balls and written.projection:
         notes += ("the residual of pixels is that of the material before it was made physical",)
     notes += written.notes + _of_unit(readings, written.plausibility)
@@ -530,13 +536,12 @@ def uncertainty(completion: Completion) -> dict[str, Any]:
 
 def _describe(completion: Completion) -> str:
     readings, pictures = completion.evidence.readings, len(completion.evidence.pictures)
-    parts = (
-        [] if readings is None else [f"{len(readings)} readings ({readings.instrument}) of {readings.name}"]
-    )
-    parts += [f"{counted(pictures, 'photograph')} of a ball"] if pictures else []
+    parts = [f"{counted(pictures, 'photograph')} of a ball"] if pictures else []
+    if readings is not None:
+        parts.append(f"{len(readings)} readings ({readings.instrument}) of {readings.name}")
     gloss = " and its gloss" if completion.evidence.gloss else ""
     return (
-        f"Completed from {' and '.join(parts)}{gloss} "
+        f"Completed from {', '.join(parts)}{gloss} "
         f"through {len(completion.atoms.names)} materials by manifold {__version__}"
     )
 

@@ -124,7 +124,7 @@ def locate_photographs(
     The library is where it is now, if not where the model remembers it; `picture` is as of `completions.complete`.
     """
     from manifold.estimate import photographs
-    from manifold.estimate.completions import Completed, observe
+    from manifold.estimate.completions import Completed, notes_of, observe
 
     start = time.perf_counter()
     if output is not None:
@@ -136,10 +136,11 @@ def locate_photographs(
         | {"rendering": 3}
     )
     loaded = load_model(model, library)
-    material, expected, balls, notes = observe(loaded.library, stages, pictures=request)
+    material, calibration, balls = observe(loaded.library, stages, pictures=request)
     seen = ClippedBRDF(material.brdf)
     place = location.locate_brdf(loaded, seen)
-    notes += (
+    notes = (
+        *notes_of(material, calibration, balls),
         *place.diagnostics,
         "the expected error and the residual of pixels belong to the material of the pixels; the "
         "reconstruction error compares the prediction at the place with it",
@@ -163,7 +164,8 @@ def locate_photographs(
             stages.begin("rendering")
             photographs.draw_residuals(balls, shown, material, request.exposure, picture)
     return Completed(
-        path=output, picture=picture, completion=material, balls=balls, located=place, expected=expected,
+        path=output, picture=picture, completion=material, balls=balls, located=place,
+        expected=calibration.expected(material),
         plausibility=plausibility, diagnostics=notes, seconds=time.perf_counter() - start,
     )  # fmt: skip
 

@@ -65,7 +65,7 @@ class Solution:
         return np.array([rows.relative.error(w) for rows, w in zip(self.channels, self.weights, strict=True)])
 
 
-def observe(
+def gather(
     atoms: LibraryAtoms,
     seen: Sequence[Seen],
     *,

@@ -16,7 +16,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour import panel
 from manifold.errors import FileFormatError, ShapeError, UsageError
-from manifold.estimate import Completion, calibrate
+from manifold.estimate import Completion, calibrate, completions
 from manifold.estimate.completions import Completed, parse_gloss
 from manifold.estimate.expected import errors_of, leave_out
 from manifold.estimate.gloss import gloss_meter, gloss_units, value_of_unit
@@ -24,8 +24,10 @@ from manifold.estimate.mixtures import GlossReadings
 from manifold.formats import csv_table, registry
 from manifold.formats.column_heads import gloss_angle
 from manifold.formats.readings import GLOSS_ANGLES_DEG, MOST_GLOSS
+from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.metrics import Errors
+from manifold.model.output_file import OutputOptions
 from manifold.records import Bands
 
 RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}
@@ -273,6 +275,15 @@ def test_the_residual_of_the_json_includes_gloss_that_is_not_reproduced(atoms, t
     assert document["residual"] == missed.gloss_misfits[60.0]
     assert "exposure" not in shown.rows
     assert document["residual"] > 2.0 * np.sqrt(np.mean(np.square(document["misfits"])))
+
+
+def test_the_note_on_gloss_that_is_not_reproduced_is_of_the_file(library, tmp_path):
+    path, options = tmp_path / "dull.bsdf", OutputOptions(resolution=8, incidences=4)
+    read = readings(np.full((12, 3), 0.1), gloss={60.0: 990.0})
+    made = completions.complete(library, read, path, options=options)
+    units = gloss_units(MeasuredBRDF(read_bsdf(path)), [60.0])[60.0]
+    assert f"{units:.3g}" != f"{gloss_units(made.completion.brdf, [60.0])[60.0]:.3g}"
+    assert any(f"not reproduced: {units:.3g} units, 990 read" in note for note in made.diagnostics)
 
 
 def test_a_fit_of_readings_has_their_notes_and_says_that_it_uses_no_gloss(run, tmp_path):

@@ -7,7 +7,8 @@
     python benchmarks/bench_photo.py --spectral                # spectra of the built-in corpus from RGB pictures
 
 Mitsuba renders the ball of every file, 256 pixels across, with noise, clipped at display white; what was found without
-that file is compared as a ball in the judged lights. Negative values of files are cut, as in a library. Light and outline are given, so that no picture is refused and every row is over all chosen files.
+that file is compared as a ball in the judged lights. Negative values of files are cut, as in a library. Light and
+outline are given, so that no picture is refused and every row is over all chosen files.
 """
 
 from __future__ import annotations

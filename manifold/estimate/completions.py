@@ -31,6 +31,7 @@ from manifold.estimate.solving import CONTRADICTION, Seen
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
 from manifold.formats.readings import Between, Readings, Viewing, gloss_fault
 from manifold.formats.text import number
+from manifold.judged_lights import BALL
 from manifold.library.store import Library
 from manifold.metrics import EXPECTED_COLUMNS, Errors
 from manifold.model import diagnostics
@@ -238,8 +239,12 @@ class Completed(Result):
 
     @property
     @derived(
-        row="without it, the ball changes",
-        words=lambda result: [f"{name} {off:.1f} CIEDE2000" for name, off in result.contributions.items()],
+        row="change of the ball",
+        words=lambda result: (
+            f"{', '.join(f'without {name} {off:.1f}' for name, off in result.contributions.items())} {BALL}"
+            if result.contributions
+            else None
+        ),
     )
     def contributions(self) -> dict[str, float]:
         """CIEDE2000 by which the ball changes without an observation, by its name, see `Completion.contributions`."""

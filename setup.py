@@ -25,8 +25,11 @@ class BuildLoops(build_ext):
 
     def build_extensions(self) -> None:
         """Compile with the flags of the compiler at hand."""
+        own = [extension.sources for extension in self.extensions]
         for extension in self.extensions:
             extension.extra_compile_args = FLAGS["msvc" if self.compiler.compiler_type == "msvc" else "unix"]
+            # Setuptools refuses absolute paths where it lists the files of the sources.
+            extension.sources = [*extension.sources, str(BINDING / "src" / "nb_combined.cpp")]
         try:
             super().build_extensions()
         except (CCompilerError, ExecError, PlatformError) as error:
@@ -34,16 +37,16 @@ class BuildLoops(build_ext):
                 f"manifold: its loops could not be compiled ({error}); install a C++17 compiler and Python's headers "
                 "(Debian: apt install g++ python3-dev), or install a wheel"
             )
+        finally:
+            for extension, sources in zip(self.extensions, own, strict=True):
+                extension.sources = sources
 
 
 setup(
     ext_modules=[
         Extension(
             "manifold._compiled",
-            [
-                *sorted(str(path) for path in Path("cpp").glob("*.cpp")),
-                str(BINDING / "src" / "nb_combined.cpp"),
-            ],
+            sorted(str(path) for path in Path("cpp").glob("*.cpp")),
             include_dirs=[nanobind.include_dir(), str(BINDING / "ext" / "robin_map" / "include")],
             depends=sorted(str(path) for path in Path("cpp").glob("*.hpp")),
             define_macros=[("NDEBUG", None)],

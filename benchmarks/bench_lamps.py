@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
+from scipy.optimize import minimize_scalar
 from scipy.stats import spearmanr
 
 from manifold.brdf.interface import BRDF
@@ -120,14 +121,14 @@ class Material:
         return brdf_errors(self.truth, ClippedBRDF(material.brdf)).ball
 
     def ball_aside(self, material: Completion) -> float:
-        """Its error if it were as bright as the truth: scaled to the same cube roots over all directions."""
-        grid = self.atoms.grid
-        made, true = (
-            np.cbrt(np.maximum(brdf.eval(grid.wi, grid.wo), 0.0)) * np.cbrt(grid.cosines)[:, None]
-            for brdf in (material.brdf, self.truth)
-        )
-        scale = float(np.sum(made * true) / np.sum(made**2)) ** 3
-        return brdf_errors(self.truth, _Scaled(ClippedBRDF(material.brdf), scale)).ball
+        """Its error at the exposure at which that is least."""
+        made = ClippedBRDF(material.brdf)
+        return float(
+            minimize_scalar(
+                lambda log: brdf_errors(self.truth, _Scaled(made, np.exp(log))).ball,
+                bounds=(-2.5, 2.5), method="bounded", options={"xatol": 0.02},
+            ).fun
+        )  # fmt: skip
 
 
 class _Scaled(WrappedBRDF):

@@ -259,7 +259,7 @@ MODES: tuple[Mode, ...] = (
             "side by side",
         ),
         {"file": _grazing_file, "prediction": _grazing_prediction},
-        "Beyond 87 degrees predictions are less reliable; measure more elevations if silhouettes matter.",
+        "Beyond 87 degrees predictions are less reliable; measure more angles of incidence if silhouettes matter.",
     ),
     Mode(
         "sharp_lobe", "nearly mirror-like materials on an outgoing grid of 32 x 32", "GGX roughness alpha",
@@ -271,7 +271,7 @@ MODES: tuple[Mode, ...] = (
             "differ by more",
         ),
         {"file": _sharp_file},
-        "Files represent lobes down to alpha 0.01; use more incident elevations where highlights are compared.",
+        "Files represent lobes down to alpha 0.01; use more angles of incidence where highlights are compared.",
     ),
     Mode(
         "mixed_resolution", "a library half of whose files have a coarser outgoing grid",

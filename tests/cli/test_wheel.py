@@ -114,4 +114,4 @@ def test_the_program_of_a_wheel_works_without_mitsuba(environment, files):
         check=False,
     )
     assert done.returncode == 1
-    assert "need Mitsuba, which is missing (no wheel for this platform)" in done.stderr
+    assert "need Mitsuba, which is not installed (no wheel for this platform)" in done.stderr

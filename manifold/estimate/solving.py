@@ -364,10 +364,3 @@ def residuals_of(evidence: Evidence, weights: Array, exposures: Array) -> Array:
         for picture, at in zip(evidence.pictures, exposures.tolist(), strict=True)
     ]
     return np.asarray(np.sqrt(np.mean(np.square(errors), axis=1)))
-
-
-def channel_errors(solution: Solution) -> Array:
-    """Return the relative error of every channel, (C,)."""
-    return np.array(
-        [rows.relative.error(w) for rows, w in zip(solution.channels, solution.weights, strict=True)]
-    )

@@ -258,7 +258,7 @@ class Completion:
         lightness = 116.0 * np.cbrt(reflectance) * read.scatter  # CIELAB: 116 cbrt(Y) - 16
         return float(np.hypot(read.colour_error, np.sqrt(np.mean(lightness**2))))
 
-    # -- what was photographed ----------------------------------------------------------------------------------------
+    # -- pictures -----------------------------------------------------------------------------------------------------
 
     @property
     def exposures(self) -> Array:

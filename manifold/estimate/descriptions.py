@@ -121,7 +121,8 @@ def locate_photographs(
 ) -> Completed:
     """Find the place of photographed balls on a fitted manifold, and write the prediction there.
 
-    The library is where it is now, if not where the model remembers it; `picture` is as of `completions.complete`.
+    Give the library if it has moved since the model was fitted. `picture` has the meaning that it has in
+    `completions.complete`.
     """
     from manifold.estimate import photographs
     from manifold.estimate.completions import Completed, notes_of, observe

@@ -198,7 +198,7 @@ def _calibrated(atoms: LibraryAtoms, evidence: Evidence) -> Calibration:
 def leave_out(atoms: LibraryAtoms, m: int, seen: Readings | Evidence) -> Completion:
     """Complete material m from all others, in the bands of the atoms or the channels of the camera, without noise.
 
-    For what is used of the observations see `calibrate`.
+    `calibrate` says which parts of the observations count.
     """
     evidence = seen if isinstance(seen, Evidence) else Evidence.of_instruments(atoms, seen)
     others = atoms if evidence.pictures else atoms.in_atom_bands()

@@ -194,7 +194,7 @@ _TEMPERED = (
     0.05  # weight of the evidence of pixels against the prior: the exposure is off by the least with it
 )
 _NEGLIGIBLE = 40.0  # logarithm of the ratio of probabilities: exposures that are less probable do not count
-_STRENGTHS = 4.0 ** np.arange(6)  # candidates for spots in a clipped light, beside what is in its picture
+_STRENGTHS = 4.0 ** np.arange(6)  # strengths to try for clipped spots, in addition to the clipped value
 _FINER = 2.0 ** np.linspace(-0.8, 0.8, 5)  # about the best of these
 _ROUNDS, _SETTLED = 8, 0.01  # rounds of gains and weights in turn, and largest change of the last
 _KEEP_VALUES = 1e-3  # weight of squared changes over all directions against those of pixels, both relative

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.batch import batch
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import panel
 from manifold.fit.exporting import export_sources, exports
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.many.batch import batch
 from manifold.registries import TARGETS
 
 TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity")

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
-from manifold.names import first_few
+from manifold.core import progress
+from manifold.core.errors import UsageError
+from manifold.core.names import first_few
 
 from . import options, photograph_commands, terminal
 from .application import app
@@ -19,8 +19,8 @@ from .batch_options import PER_CORE, WorkerOptions, make_many, require_folder
 from .outputs import checked, or_default
 
 if TYPE_CHECKING:
+    from manifold.core.records import Array
     from manifold.estimate.suggestions import Suggested
-    from manifold.records import Array
 
 InstrumentOption = Annotated[
     str | None,
@@ -170,7 +170,7 @@ def complete(
         from manifold.estimate import coat
 
         if Path(lab).is_file():
-            from manifold import many
+            from manifold.many import commands as many
 
             if report is not None:
                 raise UsageError("--report goes with readings or one colour, found a list; leave it out")
@@ -209,7 +209,7 @@ def complete(
                 raise UsageError(
                     f"--gloss, --picture and --repeatability go with one sample, found {found}, or leave them out"
                 )
-            from manifold import many
+            from manifold.many import commands as many
 
             require_folder(output, f"{found}, or a folder")
             inputs.require_apart(readings, output or Path("completions"))

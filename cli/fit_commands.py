@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import FileFormatError, UsageError
+from manifold.core import progress
+from manifold.core.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
@@ -16,8 +16,8 @@ from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many
 from .outputs import or_default, written
 
 if TYPE_CHECKING:
-    from manifold.batch import Outcome
     from manifold.estimate.sources import MaterialSource
+    from manifold.many.batch import Outcome
 
 Metric = Literal["appearance", "cube-root", "linear", "log"]
 
@@ -83,7 +83,7 @@ def fit(
     from manifold.estimate.sources import FileSource, PlaceSource
     from manifold.fit import fits
     from manifold.formats import registry
-    from manifold.recognition import FIT_SUFFIX
+    from manifold.formats.recognition import FIT_SUFFIX
     from manifold.render.bsdf_parameters import principled
 
     materials = options.material_sources(
@@ -146,7 +146,7 @@ def fit(
 def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSource) -> None:
     """Draw a picture beside the JSON of a fit."""
     from manifold.estimate.source_files import source_file
-    from manifold.fit.comparison import picture_of_fit
+    from manifold.pictures.fit_comparison import picture_of_fit
 
     target = outcome.path.with_suffix(".png")
     with progress.shown("Drawing"), source_file(source) as path:
@@ -216,8 +216,8 @@ def export(
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
     The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 between
-    balls of the material and of its fit, mean of {manifold.judged_lights.LIGHTS} that the fit did not use. The error of
-    Mitsuba's principled, where the fit starts, is printed beside it.
+    balls of the material and of its fit, mean of {manifold.core.judged_lights.LIGHTS} that the fit did not use. The
+    error of Mitsuba's principled, where the fit starts, is printed beside it.
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
@@ -251,7 +251,7 @@ def export(
 
 
 def _show_export(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
-    from manifold.metrics import Errors
+    from manifold.core.metrics import Errors
 
     content = outcome.content or {}
     rows = terminal.parameter_rows(content["parameters"])

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import ManifoldError, UsageError
-from manifold.names import percent
+from manifold.core import progress
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.core.names import percent
 
 from . import options, photograph_commands, terminal
 from .application import app
@@ -167,8 +167,8 @@ def embed(
 
     Runs in this process on all cores, or with --scheduler as one task on one worker.
     """
+    from manifold.core.judged_lights import BALL_COLUMN
     from manifold.evaluate.selection import PAYS, embed
-    from manifold.judged_lights import BALL_COLUMN
     from manifold.model.manifold import Settings
 
     results = terminal.Results(json)
@@ -324,8 +324,8 @@ def predict(
             raise UsageError(
                 "found --from and a latent, colour or gloss; write these into columns of the table"
             )
-        from manifold import many
         from manifold.estimate.inputs import read_points
+        from manifold.many import commands as many
 
         rows, failed = read_points(points, model, library)
         command = many.predictions_of(model, library=library, options=written)
@@ -426,7 +426,7 @@ def locate(
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold import many
+        from manifold.many import commands as many
 
         command = many.locations(model, library=library, options=written)
         make_many(results, command, several, output, workers.executor())
@@ -482,7 +482,7 @@ def reconstruct(
     written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
-        from manifold import many
+        from manifold.many import commands as many
 
         command = many.reconstructions_of(
             library, without=tuple(without or ()), numbers=numbers, options=written

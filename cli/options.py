@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
 
 from . import terminal
 from .application import COLOUR, GRID
@@ -212,7 +212,7 @@ def material_source(text: str, model: Path, library: Path | None) -> MaterialSou
 
 def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:
     """Return the materials that arguments name; patterns such as `*.bsdf` stand for their matches."""
-    from manifold.disk import matching
+    from manifold.core.disk import matching
 
     return [material_source(each, model, library) for text in texts for each in matching(text)]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import TAKEN, app
@@ -351,7 +351,7 @@ def show_rows(
 
 def show_plan(results: terminal.Results, plan: LampPlan, beside: str) -> None:
     """Print where to hold a lamp."""
-    from manifold.judged_lights import LIGHTS
+    from manifold.core.judged_lights import LIGHTS
 
     heads = ("lamp from the camera", "ball", "colour", "gloss 60", "flop")
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import LIGHT, app
@@ -140,8 +140,7 @@ def slices(
     json: options.JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
-    from manifold.pictures import maps
-    from manifold.plots import figures
+    from manifold.pictures import figures, maps
 
     results = terminal.Results(json)
     figures.require_writable(output)
@@ -312,14 +311,14 @@ def render(
     if points is not None:
         if materials or latent is not None or colour != options.OWN_COLOUR:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
-        from manifold import many
         from manifold.estimate.inputs import read_points
+        from manifold.many import commands as many
 
         rows, failed = read_points(points, model, library)
         command = many.renders(settings, model=model, library=library, direct=direct)
         make_many(results, command, rows, output, workers.executor(), failed=failed)
         return
-    from manifold.recognition import is_rendered
+    from manifold.formats.recognition import is_rendered
 
     sources = options.material_sources(
         materials or [], [] if latent is None else [latent], model, library,
@@ -334,7 +333,7 @@ def render(
     if (several := inputs_of(sources, output, is_rendered)) is not None:
         if direct:
             raise UsageError("--direct goes with one place, or with --from")
-        from manifold import many
+        from manifold.many import commands as many
 
         make_many(results, many.renders(settings), several, output, workers.executor())
         return

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from manifold import progress
-from manifold.errors import UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 
 from . import options, terminal
 from .application import app
@@ -18,8 +18,8 @@ from .batch_options import ONE, OneWorkerOptions
 from .outputs import written
 
 if TYPE_CHECKING:
-    from manifold.evaluate.budget.budgets import Budget
-    from manifold.evaluate.chart import Chart
+    from manifold.study.budget.budgets import Budget
+    from manifold.study.chart import Chart
 
 Grid = Literal["default", "hikichi"]
 
@@ -100,7 +100,7 @@ def demo(
     Takes about a minute and a half on two cores. Each result is reported as soon as it is ready; FOLDER/index.html
     shows all of them.
     """
-    from manifold import demo
+    from manifold.cli import demo
 
     results = terminal.Results()
 
@@ -163,10 +163,10 @@ def chart(
     P, B and F mark settings on the Pareto front of error against time to predict, bytes, or time to fit. Fits to the
     evaluated materials themselves are not marked. With --readings, the work is not shared.
     """
-    from manifold.evaluate.chart import make_chart
     from manifold.library.store import Library
     from manifold.model.manifold import Manifold
-    from manifold.plots import figures
+    from manifold.pictures import figures
+    from manifold.study.chart import make_chart
 
     results = terminal.Results(json)
     if output is not None:
@@ -189,10 +189,10 @@ def chart(
 
 
 def _write_chart(chart: Chart, results: terminal.Results, output: Path | None) -> None:
-    from manifold.evaluate import chart_figure
-    from manifold.evaluate.chart import conclusion
-    from manifold.judged_lights import BALL_COLUMN
-    from manifold.plots import figures
+    from manifold.core.judged_lights import BALL_COLUMN
+    from manifold.pictures import figures
+    from manifold.study import chart_figure
+    from manifold.study.chart import conclusion
 
     if said := conclusion(chart):
         results.sentence(said)
@@ -233,12 +233,12 @@ def _chart_rows(chart: Chart) -> list[list[str]]:
 def _chart_readings(
     results: terminal.Results, library: Path, only: Sequence[str], output: Path | None
 ) -> None:
+    from manifold.core.judged_lights import BALL_COLUMN
     from manifold.estimate.atoms import LibraryAtoms
-    from manifold.evaluate import chart_figure
     from manifold.evaluate.readings import measure_curves
-    from manifold.judged_lights import BALL_COLUMN
     from manifold.library.store import Library
-    from manifold.plots import figures
+    from manifold.pictures import figures
+    from manifold.study import chart_figure
 
     opened = Library.open(library)
     with progress.shown("Chart"):
@@ -282,10 +282,10 @@ def stability(
     the result is silently wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this
     program; new ones set the exit status to 1. Outcomes are listed in order of severity.
     """
-    from manifold.evaluate.stability import catalogue, stability_figure
-    from manifold.evaluate.stability.catalogue import MODES
-    from manifold.evaluate.stability.trials import run_modes, select_modes
-    from manifold.plots import figures
+    from manifold.pictures import figures
+    from manifold.study.stability import catalogue, stability_figure
+    from manifold.study.stability.catalogue import MODES
+    from manifold.study.stability.trials import run_modes, select_modes
 
     results = terminal.Results(json)
     modes = select_modes(MODES, only or ())
@@ -363,8 +363,8 @@ def budget(
     BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
     or are kept. By convention a CIEDE2000 above 1 is called visible.
     """
-    from manifold.evaluate.budget import budgets
-    from manifold.evaluate.budget.search import Tolerance
+    from manifold.study.budget import budgets
+    from manifold.study.budget.search import Tolerance
 
     results = terminal.Results(json)
     if (scene is None) == (example is None):

@@ -13,9 +13,10 @@ from typing import Any
 
 import typer
 
-from manifold import __version__, disk, text_tables
-from manifold.names import first_few, printable
-from manifold.progress import Progress as Listener
+from manifold import __version__
+from manifold.core import disk, text_tables
+from manifold.core.names import first_few, printable
+from manifold.core.progress import Progress as Listener
 
 _is_strict = False
 warned: list[str] = []
@@ -144,7 +145,7 @@ class Results:
             return
         import json  # helps need none, and no arrays
 
-        from manifold.records import plain
+        from manifold.core.records import plain
 
         document = {"program": f"manifold {__version__}", **plain(document), "warnings": list(warned)}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"

@@ -14,8 +14,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
-from manifold.errors import UnknownNameError
-from manifold.names import names_like, printable
+from manifold.core.errors import UnknownNameError
+from manifold.core.names import names_like, printable
 
 T = TypeVar("T")
 _ALL_NAMED = 16  # names up to which a message lists all
@@ -257,16 +257,16 @@ OPTIMIZERS: Registry[Any] = Registry(
 MAPPINGS: Registry[Any] = Registry(
     "mapping",
     places={
-        "identity": "manifold.mapping:IDENTITY",
-        "cube-root": "manifold.mapping:CUBE_ROOT",
-        "log": "manifold.mapping:LOG",
-        "log-relative": "manifold.mapping:LOG_RELATIVE",
+        "identity": "manifold.core.mapping:IDENTITY",
+        "cube-root": "manifold.core.mapping:CUBE_ROOT",
+        "log": "manifold.core.mapping:LOG",
+        "log-relative": "manifold.core.mapping:LOG_RELATIVE",
     },
 )
 """Mappings of BRDF values, with their default parameters."""
 
 NAMED_GRIDS: Registry[Any] = Registry(
-    "grid", places={"default": "manifold.pairs:DEFAULT", "hikichi": "manifold.pairs:HIKICHI"}
+    "grid", places={"default": "manifold.core.pairs:DEFAULT", "hikichi": "manifold.core.pairs:HIKICHI"}
 )
 """Grids of direction pairs."""
 
@@ -302,8 +302,7 @@ INSTRUMENTS: Registry[Any] = Registry(
 EXAMPLES: Registry[Any] = Registry(
     "example",
     places={
-        name: f"manifold.evaluate.budget.example_scenes:{name.upper()}"
-        for name in ("felt", "paint", "chrome")
+        name: f"manifold.study.budget.example_scenes:{name.upper()}" for name in ("felt", "paint", "chrome")
     },
 )
 """Scenes of `manifold budget`."""

@@ -11,15 +11,15 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.convert.source import LEAST_COSINE, Source
-from manifold.directions import from_spherical, rotate_z
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical, rotate_z
+from manifold.core.errors import UsageError
+from manifold.core.names import percent
+from manifold.core.pairs import LEVEL, RusinkiewiczGrid
+from manifold.core.records import Array
 from manifold.formats import astm, bird, csv_table, fred, lighttools, merl, openmaterial, speos, utia, zemax
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
-from manifold.names import percent
-from manifold.pairs import LEVEL, RusinkiewiczGrid
-from manifold.records import Array
 from manifold.registries import CONVERTED, CONVERTED_IN_WORDS, CONVERTED_SUFFIXES
 
 _BLOCK = 65536  # pairs evaluated at once

@@ -10,17 +10,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import disk
-from manifold.batch import Batch, Command, Content, Outcome
 from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
-from manifold.errors import UsageError
+from manifold.core import disk
+from manifold.core.errors import UsageError
+from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
+from manifold.core.metrics import Errors
+from manifold.core.progress import Stages
+from manifold.core.records import BsdfFile
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
-from manifold.fit import comparison, fit_samples, fits
+from manifold.fit import fit_samples, fits
 from manifold.fit.exports.direct import at_bounds, fit_target
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.principled_values import Principled
@@ -28,20 +31,18 @@ from manifold.fit.exports.targets import Target, TargetBRDF, target_of
 from manifold.fit.fit_metrics import ball_errors, missed_highlight
 from manifold.fit.fit_samples import FitSamples
 from manifold.fit.principled import fit_bsdf
+from manifold.formats.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.library.identity import file_sha256
 from manifold.library.store import Library
-from manifold.metrics import Errors
+from manifold.many.batch import Batch, Command, Content, Outcome
 from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import load_model
 from manifold.model.places import PlaceLike
-from manifold.plots import figures, html_page
-from manifold.plots.slice_figures import Source
-from manifold.progress import Stages
-from manifold.recognition import FIT_SUFFIX, is_fit, is_library, is_rgl
-from manifold.records import BsdfFile
+from manifold.pictures import figures, html_page
+from manifold.pictures import fit_comparison as comparison
+from manifold.pictures.slice_figures import Source
 from manifold.registries import TARGETS
 from manifold.render import fit_json, images
 from manifold.render.fitted_brdf import FittedBRDF

@@ -20,11 +20,11 @@ from helpers.small_library import NAMES, measured, small_library, small_model
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.application import COMMANDS, GROUPS
-from manifold.directions import from_spherical
+from manifold.core.directions import from_spherical
+from manifold.core.metrics import relative_error
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.gp.encoding import encoding_pairs
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.metrics import relative_error
 from manifold.model.manifold import Manifold
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"

@@ -9,7 +9,7 @@ import sys
 import pytest
 from helpers.small_library import NAMES, small_library
 
-from manifold.extras import EXTRAS
+from manifold.core.extras import EXTRAS
 
 CORE_ALONE = """
 import contextlib, io, json, sys

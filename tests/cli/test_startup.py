@@ -44,7 +44,7 @@ def _loaded(folder, *commands, heavy=HEAVY):
 
 def test_helps_load_no_numbers_no_formats_and_no_packages_of_others(folder):
     commands = [["--version"], ["--help"], *([command, "--help-all"] for command in COMMANDS)]
-    heavy = ["numpy", "email", "importlib.metadata", "manifold.records", *HEAVY]
+    heavy = ["numpy", "email", "importlib.metadata", "manifold.core.records", *HEAVY]
     assert _loaded(folder, *commands, heavy=heavy) == [[]] * len(commands)
 
 

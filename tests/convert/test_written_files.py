@@ -19,8 +19,8 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import luminance, to_srgb
 from manifold.convert.conversion import convert
+from manifold.core.records import Bands
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.records import Bands
 from manifold.registries import CONVERTED
 
 BANDS = Bands((450.0, 520.0, 590.0, 650.0))

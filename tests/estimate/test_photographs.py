@@ -16,8 +16,9 @@ from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb, interpolation_matrix
 from manifold.colour.lights import environment
-from manifold.colour.pictures import read_picture
-from manifold.directions import from_spherical
+from manifold.colour.picture_files import read_picture
+from manifold.core.directions import from_spherical
+from manifold.core.records import Bands
 from manifold.estimate import completions, descriptions, photographs, sightings
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.channels import read_responses
@@ -29,8 +30,7 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
-from manifold.plots import figures
-from manifold.records import Bands
+from manifold.pictures import figures
 from manifold.render.images import write_image
 from manifold.render.render import render_floating_ball
 

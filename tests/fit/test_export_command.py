@@ -11,15 +11,16 @@ from helpers.small_library import NAMES, measured, small_library
 from matplotlib.image import imread
 from typer.testing import CliRunner
 
-from manifold import progress
-from manifold.batch import batch
 from manifold.cli.main import app
-from manifold.errors import ManifoldError, UsageError
-from manifold.fit import comparison, exporting, fits
+from manifold.core import progress
+from manifold.core.errors import ManifoldError, UsageError
+from manifold.fit import exporting, fits
 from manifold.fit.exports import direct
 from manifold.fit.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
+from manifold.many.batch import batch
 from manifold.model.manifold import Manifold
+from manifold.pictures import fit_comparison as comparison
 from manifold.registries import TARGETS
 from manifold.render import fit_json
 from manifold.render.bsdf_parameters import principled

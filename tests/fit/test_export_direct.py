@@ -10,6 +10,7 @@ import pytest
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.colour.difference import VISIBLE
+from manifold.core.records import Bands
 from manifold.fit import fit_samples
 from manifold.fit.exports import blender, direct, gltf, openpbr, standard_surface
 from manifold.fit.exports.direct import _Problem, at_bounds, fit_target
@@ -17,7 +18,6 @@ from manifold.fit.exports.document import CURVE_COSINES
 from manifold.fit.exports.principled_values import Principled
 from manifold.fit.exports.targets import TargetBRDF
 from manifold.fit.fit_metrics import ball_errors
-from manifold.records import Bands
 from manifold.registries import TARGETS
 
 TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from manifold.analytic.ggx import GGX
-from manifold.directions import from_spherical, rotate_z
-from manifold.errors import UsageError
+from manifold.core.directions import from_spherical, rotate_z
+from manifold.core.errors import UsageError
 from manifold.fit.exports import (
     TARGETS,
     gltf,

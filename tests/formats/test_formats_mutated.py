@@ -12,7 +12,7 @@ from attack.cases import read_whole
 from attack.mutations import of_archive, of_bytes
 from helpers.instrument_files import SUFFIXES, write_every_format
 
-from manifold.errors import ManifoldError
+from manifold.core.errors import ManifoldError
 from manifold.formats import registry
 
 

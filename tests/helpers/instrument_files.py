@@ -9,7 +9,6 @@ import numpy as np
 import xlwt
 from colour_cxf import cxf3
 
-from manifold import disk
 from manifold.analytic.ggx import GGX
 from manifold.analytic.microfacet import Plastic
 from manifold.analytic.virtual_instruments import (
@@ -18,7 +17,9 @@ from manifold.analytic.virtual_instruments import (
     ma_t12_readings,
     write_mini_diff,
 )
-from manifold.directions import from_spherical
+from manifold.core import disk
+from manifold.core.directions import from_spherical
+from manifold.core.records import Array, Bands
 from manifold.formats import (
     astm,
     csv_table,
@@ -34,7 +35,6 @@ from manifold.formats import (
 from manifold.formats.csv_table import angles_deg
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import MA_T12_NAMES, Readings
-from manifold.records import Array, Bands
 
 RGB = Bands(None)
 

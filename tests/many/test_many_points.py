@@ -15,16 +15,16 @@ import pytest
 from helpers.small_library import NAMES, measured, small_model
 from typer.testing import CliRunner
 
-from manifold import many
-from manifold.batch import OutputIndex, batch
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
-from manifold.errors import FileFormatError, ManifoldError, UsageError
+from manifold.core.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate import predictions
 from manifold.estimate.attributes import lab_of
 from manifold.estimate.inputs import read_points
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.identity import file_sha256
+from manifold.many import commands as many
+from manifold.many.batch import OutputIndex, batch
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions

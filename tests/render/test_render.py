@@ -24,9 +24,9 @@ from manifold.colour import lights
 from manifold.colour.conversion import InvisibleBandsWarning, decode_srgb, sensor_responses, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.colour.illuminants import Illuminant
-from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.errors import FileFormatError, ShapeError, UsageError
+from manifold.core.records import Bands
 from manifold.io_rgl import write_bsdf
-from manifold.records import Bands
 from manifold.render import backend, images, render, scenes
 from manifold.render.ball import make_settings, parse_illuminant, read_material, render_material
 from manifold.render.render import RenderSettings, render_bsdf

@@ -36,11 +36,11 @@ from helpers.three_js import ThreeJs, node_modules  # noqa: E402
 
 from engines import balls, surfaces  # noqa: E402
 from engines.balls import BALL, EDGE, Pictures, Scene, y_up  # noqa: E402
+from manifold.core.metrics import Errors  # noqa: E402
 from manifold.fit import exporting  # noqa: E402
 from manifold.fit.exports.document import Export  # noqa: E402
 from manifold.fit.exports.principled_values import Principled  # noqa: E402
 from manifold.fit.exports.targets import Target, TargetBRDF  # noqa: E402
-from manifold.metrics import Errors  # noqa: E402
 from manifold.registries import TARGETS  # noqa: E402
 
 MATERIALS = (

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.fit.exports import lobes, openpbr
 from manifold.fit.exports.document import Export, Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82, film_over_index_cycles
-from manifold.records import Array
 
 PARAMETERS = {
     "Base Color": Parameter([0.8, 0.8, 0.8], is_free=True),

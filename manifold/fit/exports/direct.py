@@ -11,13 +11,13 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from manifold.colour.difference import VISIBLE
+from manifold.core.records import Array
 from manifold.fit.exports.document import CURVE_COSINES
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import snapped
 from manifold.fit.exports.targets import Target, TargetBRDF
 from manifold.fit.fit_metrics import Criterion
 from manifold.fit.fit_samples import FitSamples
-from manifold.records import Array
 
 _PAIRS = 512
 _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold import __version__
-from manifold.metrics import Errors
+from manifold.core.metrics import Errors
 
 
 @dataclass(frozen=True)

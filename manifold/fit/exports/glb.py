@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
+from manifold.core.records import Array
 from manifold.fit.exports import gltf
 from manifold.fit.exports.document import Export
-from manifold.records import Array
 
 _COLUMNS, _ROWS = 64, 32
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from manifold.analytic.fresnel import fresnel_dielectric
 from manifold.analytic.ggx import GGX
-from manifold.directions import normalize, rotate_z
+from manifold.core.directions import normalize, rotate_z
+from manifold.core.records import Array, Indices
 from manifold.fit.exports.principled_values import ior_to_f0
-from manifold.records import Array, Indices
 
 # Of albedo tables: cosines, and samples per axis of the distribution of visible normals.
 _NODES, _SAMPLES = 33, 24

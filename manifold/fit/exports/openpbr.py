@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults, tint_parameter
 from manifold.fit.exports.lobes import ShadingPairs, dielectric_layer, metal, per_pairs, zeltner_layer
 from manifold.fit.exports.principled_values import Principled, ior_to_f0
 from manifold.fit.exports.thin_film import film_over_f82_materialx, film_over_index
-from manifold.records import Array
 
 FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo
 

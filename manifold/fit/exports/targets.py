@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from manifold.errors import UsageError
+from manifold.core.errors import UsageError
+from manifold.core.records import Array, Bands
 from manifold.fit.exports import (
     blender,
     glb,
@@ -27,7 +28,6 @@ from manifold.fit.exports import (
 from manifold.fit.exports.document import Export, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.records import Array, Bands
 from manifold.registries import EXPORT_SUFFIXES, EXPORTS_IN_WORDS
 from manifold.registries import TARGETS as TARGETS
 

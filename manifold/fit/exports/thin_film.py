@@ -16,8 +16,8 @@ import numpy as np
 from manifold.analytic.fresnel import fresnel_polarised
 from manifold.colour.conversion import SRGB_TO_XYZ, sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
+from manifold.core.records import Array
 from manifold.fit.exports.lobes import artistic_index, cubic, fresnel_f82, schlick
-from manifold.records import Array
 
 Reflectance = TypeVar("Reflectance", bound=Callable[..., Array])
 Sensitivity = Callable[[Array, Array], Array]

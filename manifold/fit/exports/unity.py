@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.conversion import decode_srgb, encode_srgb
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.records import Array
 
 PARAMETERS = {
     "_BaseColor": Parameter([1.0, 1.0, 1.0], is_free=True),

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from manifold.core.records import Array
 from manifold.fit.exports import lobes
 from manifold.fit.exports.document import CURVE_COSINES, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.records import Array
 
 PARAMETERS = {
     "BaseColor": Parameter([0.5, 0.5, 0.5], is_free=True),

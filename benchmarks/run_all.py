@@ -4,7 +4,7 @@
 
 NAMES are results of `evidence.RESULTS`, by default all. FOLDER of --data holds what is there of
 
-    rgl          the 20 measured RGB files: `manifold fetch --rgb --to FOLDER/rgl`
+    rgl          the 20 measured RGB files: `manifold fetch --rgb -o FOLDER/rgl`
     neural.zip   published neural fits to them (Sztrajman et al. 2021)
     ma-t12       the six workbooks of docs/explanation/data.md
     spectral     car paints of Cornell University as pbrt-v2 ships them, and PTFE after Germer 2017

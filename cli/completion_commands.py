@@ -89,7 +89,6 @@ def complete(
     ] = False,
     illuminant: options.IlluminantOption = None,
     observer: options.ObserverOption = None,
-    photos: photograph_commands.OldPhotoOptions = photograph_commands.NO_OLD,
     picture: Annotated[
         bool,
         typer.Option(
@@ -132,20 +131,6 @@ def complete(
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
         )
-    if photos.photo:
-        terminal.note_old_spelling("complete --photo", "manifold photograph")
-        request = photos.request_of(photos.photo)
-        photograph_commands.complete_photographs(
-            results, request, library, output, readings=readings, sample=sample, gloss=gloss, lab=lab, picture=picture,
-            report=report, suggest=suggest, written=written,
-        )  # fmt: skip
-        return
-    if photos.lamp:
-        if readings or lab or not suggest:
-            raise UsageError("--lamp goes with photographs; see `manifold photograph --help`")
-        terminal.note_old_spelling("complete --lamp --suggest", "photograph --suggest")
-        photograph_commands.suggest_lamps(results, library, suggest)
-        return
     if report is not None and not (readings or lab):
         raise UsageError("--report goes with readings or a colour; leave it out")
     if mixture and lab is None:

@@ -339,7 +339,7 @@ def _next_commands(folder: Path) -> str:
 {command} predict 0.5,0.5 -o mine_spec.bsdf        # another material between measured ones
 {command} export predicted_spec.bsdf -o predicted.glb   # into an engine
 {command} report                                   # all errors
-{command} fetch --to rgl                           # measured materials: 51 files, 400 MB
+{command} fetch -o rgl                           # measured materials: 51 files, 400 MB
 {command} import rgl --library rgl.zarr            # then embed --library rgl.zarr --output rgl.h5
 """
 

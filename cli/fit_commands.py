@@ -32,7 +32,6 @@ def fit(
         typer.Argument(help="A .bsdf file, a file of readings, a material of the library, or a place on the map; or "
         "several, folders of .bsdf files, or libraries.", metavar="MATERIAL"),
     ] = None,
-    latent: options.OldPlaceOption = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -86,10 +85,7 @@ def fit(
     from manifold.formats.recognition import FIT_SUFFIX
     from manifold.render.bsdf_parameters import principled
 
-    materials = options.material_sources(
-        sources or [], [] if latent is None else [latent], model, library,
-        colour=colour,
-    )  # fmt: skip
+    materials = options.material_sources(sources or [], model, library, colour=colour)
     if not materials:
         raise UsageError("no material is given; give files, materials of the library, or places on the map")
     places = [source for source in materials if isinstance(source, PlaceSource)]
@@ -177,7 +173,6 @@ def export(
             show_default=False,
         ),
     ] = None,
-    latent: options.OldPlaceOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     colour: options.ColourOptions = options.OWN_COLOUR,
@@ -229,9 +224,13 @@ def export(
         raise UsageError(
             f"found --pack {pack} and -o {output}, expected one of them: both are where to write"
         )
-    if pack is not None and source is None and latent is None:
+    if source is None:
+        if pack is None:
+            raise UsageError(
+                "no material is given; give one: a file, a name, or a place such as -0.3,1.2 or FROM:TO:T"
+            )
         source = str(library or options.DEFAULT_LIBRARY)
-    material = options.one_material(source, latent, model, library, colour=colour)
+    material = options.material_sources([source], model, library, colour=colour)[0]
     if isinstance(material, FileSource) and material.path.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")

@@ -83,14 +83,14 @@ def corpus(
 
 @app.command(
     "fetch",
-    epilog="Example: manifold fetch satin_gold paper_blue --to rgl",
+    epilog="Example: manifold fetch satin_gold paper_blue -o rgl",
 )
 def fetch(
     names: Annotated[
         list[str] | None,
         typer.Argument(help="Names of materials; by default all 51 isotropic ones.", metavar="NAME"),
     ] = None,
-    to: Annotated[Path, typer.Option(help="The folder for the files.", metavar="FOLDER")] = Path("rgl"),
+    output: Annotated[Path, options.output_option("The folder for the files.", "FOLDER")] = Path("rgl"),
     base_url: Annotated[
         str | None, typer.Option(help="Another server with the same folders and files.", metavar="URL")
     ] = None,
@@ -115,13 +115,13 @@ def fetch(
     with progress.shown("Downloading", in_bytes=True):
         result = fetching.fetch(
             names or None,
-            to,
+            output,
             base_url=base_url or fetching.BASE_URL,
             anisotropic=anisotropic,
             rgb=rgb,
         )
     results.rows(
-        f"Files in {to}",
+        f"Files in {output}",
         {
             "downloaded": len(result.downloaded),
             "already there": len(result.present),
@@ -276,7 +276,6 @@ def info(
         bool,
         typer.Option("--system", help="Show versions, extras and the renderer of this installation instead."),
     ] = False,
-    renderer: Annotated[bool, typer.Option("--renderer", hidden=True)] = False,
     library: options.MovedLibraryOption = None,
     json: options.JsonOption = None,
 ) -> None:
@@ -286,9 +285,7 @@ def info(
     {manifold.registries.FORMATS}.
     """
     results = terminal.Results(json)
-    if renderer:
-        terminal.note_old_spelling("--renderer", "--system")
-    if system or renderer:
+    if system:
         from manifold.cli.system import describe
 
         installation, document = describe()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -188,17 +188,6 @@ class PhotoOptions:
 
 
 NONE = PhotoOptions()
-
-
-@dataclass(frozen=True)
-class OldPhotoOptions(PhotoOptions):
-    """The options of `photograph` in commands that took photographs in version 0.3; helps do not show them."""
-
-    photo: Annotated[list[Path] | None, typer.Option("--photo", metavar="PICTURE")] = None
-    is_hidden: ClassVar[bool] = True
-
-
-NO_OLD = OldPhotoOptions()
 
 
 @app.command(

@@ -15,7 +15,7 @@ from manifold.core.errors import UsageError
 from . import options, terminal
 from .application import app
 from .batch_options import ONE, OneWorkerOptions
-from .outputs import written
+from .outputs import checked
 
 if TYPE_CHECKING:
     from manifold.study.budget.budgets import Budget
@@ -26,7 +26,7 @@ Grid = Literal["default", "hikichi"]
 
 @app.command(
     "report",
-    epilog="Example: manifold report --json report.json --picture map.png",
+    epilog="Example: manifold report --json report.json --picture",
 )
 def report(
     model: options.ModelOption = options.DEFAULT_MODEL,
@@ -56,9 +56,8 @@ def report(
         ),
     ] = False,
     picture: Annotated[
-        Path | None,
-        written("--picture", help="Also draw the map of the latents.", metavar="FILE.png"),
-    ] = None,
+        bool, typer.Option("--picture", help="Also draw the map of the latents, into the model's name, .png.")
+    ] = False,
     workers: OneWorkerOptions = ONE,
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times.
@@ -72,7 +71,7 @@ def report(
     with progress.shown("Evaluating"), workers.executor() as executor:
         made = make_report(
             model, grid, library=library, compare=compare, all_bands=all_bands, principled=principled,
-            picture=picture, workers=executor,
+            picture=checked(Path(f"{model.stem}.png"), "picture") if picture else None, workers=executor,
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made)
@@ -263,15 +262,14 @@ def _chart_readings(
 
 @app.command(
     "stability",
-    epilog="Example: manifold stability --only duplicates --picture stability.png",
+    epilog="Example: manifold stability --only duplicates -o stability.png",
 )
 def stability(
     only: Annotated[
         list[str] | None, typer.Option(help="A failure mode's name; may be repeated.", metavar="NAME")
     ] = None,
-    picture: Annotated[
-        Path | None,
-        written("--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"),
+    output: Annotated[
+        Path | None, options.output_option("A picture of error against severity: .png, .pdf or .svg.")
     ] = None,
     workers: OneWorkerOptions = ONE,
     json: options.JsonOption = None,
@@ -289,12 +287,12 @@ def stability(
 
     results = terminal.Results(json)
     modes = select_modes(MODES, only or ())
-    if picture is not None:
-        figures.require_writable(picture)
+    if output is not None:
+        figures.require_writable(output)
     with progress.shown("Failure modes"), workers.executor() as executor:
         trials = run_modes(modes, executor)
-    if picture is not None:
-        figures.save(stability_figure.panels(trials, modes), picture)
+    if output is not None:
+        figures.save(stability_figure.panels(trials, modes), output)
     results.sentence(catalogue.conclusion(trials))
     results.table(catalogue.COLUMNS, catalogue.table(trials))
     results.text(catalogue.summary(trials) + "\n")
@@ -353,9 +351,13 @@ def budget(
         int, typer.Option(help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0)
     ] = 0,
     picture: Annotated[
-        Path | None,
-        written("--picture", help="Also draw both renders and the cost of every representation."),
-    ] = None,
+        bool,
+        typer.Option(
+            "--picture",
+            help="Also draw both renders and the cost of every representation, into the folder's name, .png, or "
+            "budget.png.",
+        ),
+    ] = False,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Find the cheapest representation of each measured material that preserves the rendered picture.
@@ -371,14 +373,15 @@ def budget(
         both = "" if scene is None else ", not both"
         raise UsageError(f"give a scene or --example NAME{both}")
     if output is not None and output.suffix.lower() in (".png", ".xml", ".json") and not output.is_dir():
-        raise UsageError(f"{output}: named like a file, expected a folder; --picture FILE draws the renders")
+        raise UsageError(f"{output}: named like a file, expected a folder; --picture draws the renders")
     tolerance = Tolerance(max_delta_e, max_flip, max_bytes, max_ms)
     settings = budgets.BudgetSettings(size, samples, seed)
+    drawn = checked((output or Path("budget")).with_suffix(".png"), "picture") if picture else None
     with progress.shown("Budget"):
         if scene is not None:
-            made = budgets.budget_scene(scene, tolerance, settings, output, picture)
+            made = budgets.budget_scene(scene, tolerance, settings, output, drawn)
         else:
-            made = budgets.example(str(example), tolerance, settings, output, picture)
+            made = budgets.example(str(example), tolerance, settings, output, drawn)
     _show_budget(results, made)
 
 

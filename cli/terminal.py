@@ -181,11 +181,6 @@ def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
 
 
-def note_old_spelling(old: str, new: str) -> None:
-    """Print on stderr that a spelling of version 0.3 still works, and its replacement."""
-    print(f"manifold: note: {old} is now {new}; version 0.5 removes the old spelling", file=sys.stderr)
-
-
 def megabytes(size: int) -> str:
     """Format a size in bytes for people."""
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"

@@ -93,27 +93,6 @@ def test_readings_photograph_and_gloss_are_one_estimate(run, folder, library):
     assert "% predicted from only the photographs" in " ".join(out.split())
 
 
-def test_the_old_spelling_still_completes_a_photograph(run, folder, library):
-    code, _, err = run(
-        "complete", "--photo", "ball.exr", "--light", "light.exr", "-L", library, "-o", "old.bsdf", cwd=folder
-    )
-    assert code == 0, err
-    assert "complete --photo is now manifold photograph" in err
-    assert (folder / "old.bsdf").is_file()
-
-
-def test_a_photograph_is_located_near_its_material(run, folder, library):
-    code, out, err = run(
-        "locate", "--photo", "ball.exr", "--light", "studio", "--distance", 8, "--circle", "64,64,49.2",
-        "--library", library, "-o", "there.bsdf", cwd=folder,
-    )  # fmt: skip
-    assert code == 0, err
-    assert "locate --photo is now manifold photograph" in err
-    assert "satin_gold" in out.split("nearest")[1].split("\n")[0]
-    assert "reconstruction error" in out
-    assert np.isfinite(read_bsdf(folder / "there.bsdf").spectra).all()
-
-
 def test_errors_of_a_located_photograph_are_those_of_the_physical_file(folder, library):
     request = sightings.PhotoRequest([folder / "ball.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
     found = descriptions.locate_photographs(

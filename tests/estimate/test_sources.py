@@ -205,7 +205,6 @@ def test_several_kinds_are_fitted_into_one_folder(run, folder):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("render", NAME, "--latent", "0,0"), f"{NAME} and --latent 0,0 are given; give one"),
         (("render",), "no material is given; give one"),
         (("render", NAME, "--like", OTHER), "--like, --reflectance and --srgb go with predictions"),
         (("compare", "0,0", "syn_felt_gren"), "did you mean"),

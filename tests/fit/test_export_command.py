@@ -128,7 +128,6 @@ def test_a_prediction_is_exported(tmp_path):
     Manifold.fit(exporting.Library.open(library), calibrate=False).save(tmp_path / "model.h5")
     words = [
         "export",
-        "--latent",
         NAMES[0],
         "-M",
         tmp_path / "model.h5",
@@ -236,7 +235,6 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
     ("words", "expected"),
     [
         ([], "no material is given; give one"),
-        (["copper_rgb.fit.json", "--latent", "0,0"], "--latent 0,0 are given; give one"),
         (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
         (["copper_rgb.fit.json", "-o", "x.json"], "several targets are JSON"),
         (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with predictions"),

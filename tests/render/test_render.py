@@ -254,7 +254,7 @@ def test_render_and_compare_on_the_command_line(folder, tmp_path, run):
 
 
 def test_a_latent_renders_like_its_prediction(folder, tmp_path, run):
-    at, size = ("--latent", "0.1,-0.1"), ("--size", "24", "--samples", "16")
+    at, size = ("0.1,-0.1",), ("--size", "24", "--samples", "16")
     for arguments in (
         ("render", *at, "-o", tmp_path / "latent.exr", *size),
         ("predict", *at, "--resolution", "48", "--incidences", "24", "-o", tmp_path / "p_rgb.bsdf"),

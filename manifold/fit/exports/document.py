@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,3 +137,8 @@ class Export:
     def to_json(self) -> dict[str, Any]:
         """Return plain values."""
         return self.about() | {"parameters": dict(self.parameters)}
+
+    def json_file(self, conventions: Mapping[str, str], **more: Any) -> bytes:
+        """Return a file of plain values, with what the parameters mean."""
+        made = self.to_json() | {"about": self.sentence(), "conventions": dict(conventions)} | more
+        return (json.dumps(made, indent=2, allow_nan=False) + "\n").encode()

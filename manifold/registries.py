@@ -187,6 +187,7 @@ FORMATS: Registry[Any] = Registry(
     "format",
     places={
         "spectrophotometer workbook (.xlsx)": _FORMATS + "ma_t12",
+        "MBSDF (.mbsdf)": _FORMATS + "mbsdf",
         "MERL": _FORMATS + "merl",
         "RT-300S workbook (.xls)": _FORMATS + "rt300s",
         "Ansys Speos text": _FORMATS + "speos",
@@ -242,6 +243,7 @@ CONVERTED_SUFFIXES = {
     "rgl": (".bsdf",),
     "merl": (".binary",),
     "utia": (".bin",),
+    "mbsdf": (".mbsdf",),
     "lighttools": (),
     "zemax": (),
     "fred": (),

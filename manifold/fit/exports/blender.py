@@ -166,7 +166,7 @@ def brdf(values: Mapping[str, Any], pairs: ShadingPairs) -> Array:
         fresnel = lobes.fresnel_f82(base, np.minimum(tint, 1.0), pairs.cos_d)
         if film is not None:
             fresnel = _metal_film(pairs, *film, base, np.minimum(tint, 1.0))
-        mean = base + (1.0 - base) / 21.0 - lobes.f82_dip(base, np.minimum(tint, 1.0)) / 126.0
+        mean = lobes.mean_f82(base, np.minimum(tint, 1.0))
         scattered, _ = _scattered(pairs, mean, alpha_x, alpha_y)
         f = (1.0 - m) * f + m * lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
     if values["Coat Weight"]:
@@ -195,8 +195,8 @@ def _interface(
         tinted = np.clip((1.0 - found) / (1.0 - real), 0.0, 1.0)  # less towards grazing
         return found * (1.0 + tinted * (f0 / real - 1.0)) if real > 1e-5 else found
 
-    mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
-    scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
+    mean = between(max((lobes.mean_dielectric(ior) - real) / (1.0 - real), 0.0))
+    scattered, single = _scattered(pairs, mean, alpha_x, alpha_y)
     fresnel: Array
     albedo: Array
     if film is None:

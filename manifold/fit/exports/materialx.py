@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from manifold.fit.exports import openpbr, standard_surface
+from manifold.fit.exports import openpbr, openpbr_adobe, standard_surface
 from manifold.fit.exports.document import Export, TextureFiles
 from manifold.fit.exports.targets import FLAKES, Target
 
@@ -124,6 +124,7 @@ OPENPBR = Target(
     sheen=openpbr.SHEEN,
     film=openpbr.FILM,
     textures=FLAKES,
+    implementations={"MaterialX": openpbr.brdf, "openpbr-bsdf": openpbr_adobe.brdf},
 )
 
 STANDARD_SURFACE = Target(

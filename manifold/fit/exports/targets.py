@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,14 @@ FLAKES = (*RELIEF, "coat", "coat_normal")
 """The textures of targets whose coats take them, for flakes."""
 
 
+def uncompared(engine: str) -> str:
+    """Return the caveat of a target whose shading model is known by its published formulas only."""
+    return (
+        f"never compared with a render of {engine}: the model is that of its published formulas; "
+        "--target shader writes the BRDF itself"
+    )
+
+
 @dataclass(frozen=True)
 class Target:
     """A target of exports.
@@ -47,6 +55,10 @@ class Target:
         hued: colours whose hue no fit changes, since renderers disagree on what another one does.
         textures: what its documents take of `TextureFiles`; empty where they take none.
         beside: another target whose parameters its files also hold; None for most targets.
+        implementations: BRDFs by the names of programs that evaluate the parameters differently, `brdf` the first of
+            them: fits suit all. Empty if one is known.
+        colour_space: of all its colours.
+        caveat: what its files say to their users; empty for most targets.
     """
 
     name: str
@@ -64,6 +76,14 @@ class Target:
     hued: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()
     beside: str | None = None
+    implementations: Mapping[str, Brdf] = field(default_factory=dict)
+    colour_space: str = "linear Rec. 709"
+    caveat: str = ""
+
+    @property
+    def brdfs(self) -> tuple[Brdf, ...]:
+        """Return the BRDFs of all implementations."""
+        return tuple(self.implementations.values()) or (self.brdf,)
 
     @property
     def defaults(self) -> dict[str, Any]:
@@ -73,10 +93,11 @@ class Target:
 
 @dataclass(frozen=True)
 class TargetBRDF:
-    """A target's own model with values of its parameters, as a BRDF in linear sRGB."""
+    """A target's own model with values of its parameters, as a BRDF in linear sRGB; by one of its implementations."""
 
     target: Target
     values: Mapping[str, Any]
+    implementation: str | None = None
     bands: Bands = Bands(None)  # noqa: RUF009
     is_isotropic: bool = True
 
@@ -85,7 +106,10 @@ class TargetBRDF:
         wi, wo = np.broadcast_arrays(wi, wo)
         above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
         f = np.zeros(wi.shape)
-        f[above] = self.target.brdf(self.values, ShadingPairs.of(wi[above], wo[above]))
+        brdf = self.target.brdf
+        if self.implementation is not None:
+            brdf = self.target.implementations[self.implementation]
+        f[above] = brdf(self.values, ShadingPairs.of(wi[above], wo[above]))
         return f
 
 

@@ -12,7 +12,7 @@ from manifold.fit.exports import lobes
 from manifold.fit.exports.document import Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.fit.exports.targets import Target
+from manifold.fit.exports.targets import Target, uncompared
 from manifold.records import Array
 
 PARAMETERS = {
@@ -117,4 +117,6 @@ UNITY = Target(
     content=lambda export: export.json_file(CONVENTIONS),
     base_colour=BASE_COLOUR,
     coat=COAT,
+    colour_space="sRGB-encoded, as Unity's colour properties are",
+    caveat=uncompared("Unity"),
 )

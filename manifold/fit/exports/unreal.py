@@ -11,7 +11,7 @@ from manifold.fit.exports import lobes
 from manifold.fit.exports.document import CURVE_COSINES, Parameter, defaults
 from manifold.fit.exports.lobes import ShadingPairs
 from manifold.fit.exports.principled_values import Principled
-from manifold.fit.exports.targets import Target
+from manifold.fit.exports.targets import Target, uncompared
 from manifold.records import Array
 
 PARAMETERS = {
@@ -110,4 +110,5 @@ UNREAL = Target(
     base_colour=BASE_COLOUR,
     coat=COAT,
     curve=CURVE,
+    caveat=uncompared("Unreal Engine"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -268,6 +268,58 @@ def exports(target: Target, *, with_pictures: bool = False, is_pack: bool = Fals
 def _ball_in(implementation: str, content: Content) -> float:
     ball: float = content["implementations"][implementation]["ball"]
     return ball
+
+
+def exports_of_many(targets: Sequence[Target]) -> Command[ExportSource]:
+    """Return the command that fits every material of `export_sources` once, and writes it for several targets."""
+    columns: dict[str, Callable[[Content], Any]] = {
+        f"{BALL_COLUMN}, {target.name}": partial(_ball_of, target.name) for target in targets
+    }
+    make, beside = partial(_export_many, targets=targets), partial(_files_beside, targets=targets)
+    how = {"targets": [target.name for target in targets]}
+    suffix = paths_for(Path(), "", targets)[0].name
+    return Command("exports", make, how, suffix, columns=columns, beside=beside)
+
+
+def _ball_of(target: str, content: Content) -> float:
+    ball: float = content["targets"][target]["errors"]["ball"]
+    return ball
+
+
+def paths_for(folder: Path, name: str, targets: Sequence[Target]) -> list[Path]:
+    """Return the files of a material for several targets, which are named in those that share a suffix."""
+    suffixes = [target.suffix for target in targets]
+    marks = [f"_{target.name}" if suffixes.count(target.suffix) > 1 else "" for target in targets]
+    return [folder / f"{name}{mark}{suffix}" for mark, suffix in zip(marks, suffixes, strict=True)]
+
+
+def _files_beside(path: Path, content: Content, *, targets: Sequence[Target]) -> list[Path]:
+    """Return the files of all but the first target."""
+    name = path.name.removesuffix(paths_for(Path(), "", targets)[0].name)
+    return paths_for(path.parent, name, targets)[1:]
+
+
+def _export_many(source: ExportSource, path: Path, *, targets: Sequence[Target]) -> Content:
+    made = _write_all(source.read(), targets, [path, *_files_beside(path, {}, targets=targets)])
+    return {"targets": {target.name: one.content for target, one in zip(targets, made, strict=True)}}
+
+
+def _write_all(subject: Subject, targets: Sequence[Target], paths: Sequence[Path]) -> list[Outcome[Subject]]:
+    return [export(subject, target, path) for target, path in zip(targets, paths, strict=True)]
+
+
+def export_many(
+    material: MaterialSource, targets: Sequence[Target], folder: Path, name: str, *, against: Path | None = None
+) -> list[Outcome[Subject]]:  # fmt: skip
+    """Fit a material once, and write it for several targets into a folder, which is made if missing.
+
+    `against` is as in `subject_of_source`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = paths_for(folder, name, targets)
+    for path in paths:
+        disk.require_writable(path)
+    return _write_all(subject_of_source(material, against), targets, paths)
 
 
 def _pictures_of(

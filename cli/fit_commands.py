@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,7 +13,7 @@ from manifold.core.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many
+from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many, require_folder
 from .outputs import or_default, written
 
 if TYPE_CHECKING:
@@ -186,8 +187,8 @@ def export(
     target: Annotated[
         str | None,
         typer.Option(
-            help="The target, if neither the suffix nor the fit determines it: {manifold.registries.TARGETS}. "
-            "[default for folders: gltf]",
+            help="The target, if the suffix does not determine it: {manifold.registries.TARGETS}; or several, with "
+            "commas between: their files go into the folder -o. [default for folders: gltf]",
             metavar="NAME",
         ),
     ] = None,
@@ -231,34 +232,55 @@ def export(
             )
         source = str(library or options.DEFAULT_LIBRARY)
     material = options.material_sources([source], model, library, colour=colour)[0]
+    targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or "gltf").split(",")))]
+    if len(targets) > 1 and (picture or pack is not None):
+        raise UsageError(f"--picture and --pack go with one target, found {target}")
     if isinstance(material, FileSource) and material.path.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
-        command = exporting.exports(
-            TARGETS[target or "gltf"], with_pictures=picture, is_pack=pack is not None
-        )
+        if len(targets) > 1:
+            command = exporting.exports_of_many(targets)
+        else:
+            command = exporting.exports(targets[0], with_pictures=picture, is_pack=pack is not None)
         make_many(results, command, exporting.export_sources(material.path), pack or output)
         return
     if pack is not None:
         raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
     name = material_name(Path(material.name.removesuffix(".fit.json")))
-    path = or_default(output, name + TARGETS[target or "gltf"].suffix)
+    if len(targets) > 1:
+        folder = or_default(output, ".")
+        require_folder(folder, "the files of several targets; name a folder", targets[0].suffix)
+        with progress.shown("Exporting"):
+            outcomes = exporting.export_many(material, targets, folder, name, against=against)
+        _show_exports(results, outcomes)
+        return
+    path = or_default(output, name + targets[0].suffix)
     drawn = path.with_suffix(".png") if picture else None
     with progress.shown("Exporting"):
-        outcome = exporting.export(material, target, path, against=against, picture=drawn)
-    _show_export(results, outcome, drawn)
+        named = targets[0].name if target else None
+        outcome = exporting.export(material, named, path, against=against, picture=drawn)
+    _show_exports(results, [outcome], drawn)
 
 
-def _show_export(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
+def _show_exports(
+    results: terminal.Results, outcomes: Sequence[Outcome[Any]], picture: Path | None = None
+) -> None:
     from manifold.core.metrics import Errors
 
-    content = outcome.content or {}
-    rows = terminal.parameter_rows(content["parameters"])
-    rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, against the {content['against']}"
-    if content["principled_errors"] is not None:
-        rows["Mitsuba's principled"] = Errors(**content["principled_errors"])
-    if picture is not None:
-        rows["picture"] = picture
-    rows |= terminal.numbered("note", outcome.notes)
-    results.rows(f"Exported {outcome.path} ({content['target']})", rows)
-    results.document({"exports": [outcome.to_json()], "failed": []})
+    for outcome in outcomes:
+        content = outcome.content or {}
+        rows = terminal.parameter_rows(content["parameters"])
+        rows["colour space"] = content["colour_space"]
+        against = f"against the {content['against']}"
+        if several := content.get("implementations"):
+            for name, errors in several.items():
+                rows[f"CIEDE2000 of the ball in {name}"] = f"{Errors(**errors)}, {against}"
+        else:
+            rows["CIEDE2000 of the ball"] = f"{Errors(**content['errors'])}, {against}"
+        if content["principled_errors"] is not None:
+            rows["Mitsuba's principled"] = Errors(**content["principled_errors"])
+        if picture is not None:
+            rows["picture"] = picture
+        rows |= terminal.numbered("note", outcome.notes)
+        results.rows(f"Exported {outcome.path} ({content['target']})", rows)
+    results.document({"exports": [outcome.to_json() for outcome in outcomes], "failed": []})

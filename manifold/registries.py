@@ -179,7 +179,7 @@ def _announces_entries(folder: str) -> bool:
 
 _FORMATS, _EXPORTS, _CONVERT = (
     "manifold.formats.",
-    "manifold.fit.exports.targets:",
+    "manifold.fit.exports.",
     "manifold.convert.targets:",
 )
 
@@ -187,6 +187,7 @@ FORMATS: Registry[Any] = Registry(
     "format",
     places={
         "spectrophotometer workbook (.xlsx)": _FORMATS + "ma_t12",
+        "MBSDF (.mbsdf)": _FORMATS + "mbsdf",
         "MERL": _FORMATS + "merl",
         "RT-300S workbook (.xls)": _FORMATS + "rt300s",
         "Ansys Speos text": _FORMATS + "speos",
@@ -222,7 +223,17 @@ EXPORT_SUFFIXES = {
 }
 TARGETS: Registry[Any] = Registry(
     "target",
-    places={name: _EXPORTS + name.upper().replace("-", "_") for name in EXPORT_SUFFIXES},
+    places={
+        "gltf": _EXPORTS + "glb:GLTF",
+        "openpbr": _EXPORTS + "materialx:OPENPBR",
+        "standard-surface": _EXPORTS + "materialx:STANDARD_SURFACE",
+        "usd": _EXPORTS + "usd:USD",
+        "usd-materialx": _EXPORTS + "usd:USD_MATERIALX",
+        "blender": _EXPORTS + "blender:BLENDER",
+        "blender-json": _EXPORTS + "blender:BLENDER_JSON",
+        "unreal": _EXPORTS + "unreal:UNREAL",
+        "unity": _EXPORTS + "unity:UNITY",
+    },
     group="brdf_manifold.targets",
     attributes=("name", "suffix", "title", "entries", "parameters", "brdf", "content"),
 )
@@ -232,6 +243,7 @@ CONVERTED_SUFFIXES = {
     "rgl": (".bsdf",),
     "merl": (".binary",),
     "utia": (".bin",),
+    "mbsdf": (".mbsdf",),
     "lighttools": (),
     "zemax": (),
     "fred": (),

@@ -26,6 +26,7 @@ from manifold.formats import (
     fred,
     lighttools,
     ma_t12,
+    mbsdf,
     merl,
     openmaterial,
     speos,
@@ -191,6 +192,7 @@ def write_every_format(folder: Path, *, is_coarse: bool = False) -> dict[str, Pa
         (a, i, r) for a in (-90.0, -45.0, 0.0) for i in (20.0, 50.0) for r in np.arange(-70.0, 71.0, 20.0)
     ]
     write_rt300s(paths["rt-300s"], smooth(Bands((550.0,))), angles)
+    mbsdf.write(paths["mbsdf"], dense(RGB, "incident-outgoing", mbsdf.axes()))
     merl.write(paths["merl"], dense(RGB, "half-difference", merl.axes()))
     utia.write(paths["utia"], dense(RGB, "incident-outgoing", utia.axes()))
     return paths
@@ -198,14 +200,14 @@ def write_every_format(folder: Path, *, is_coarse: bool = False) -> dict[str, Pa
 
 SUFFIXES = {
     "ma-t12": ".xlsx", "csv": ".csv", "cxf": ".cxf", "astm": "_table.astm", "mini-diff": ".astm", "pab-opto": ".txt",
-    "lighttools": "_lt.bsdf", "zemax": "_zemax.bsdf", "merl": ".binary", "utia": ".bin",
+    "lighttools": "_lt.bsdf", "zemax": "_zemax.bsdf", "merl": ".binary", "utia": ".bin", "mbsdf": ".mbsdf",
     "fred": "_fred.txt", "speos": ".brdf", "speos-anisotropic": ".anisotropicbsdf", "openmaterial": ".xompt",
     "rt-300s": ".xls",
 }  # fmt: skip
 TITLES = {
     "ma-t12": "spectrophotometer workbook (.xlsx)", "csv": "CSV table", "cxf": "CxF3", "astm": "ASTM table",
     "mini-diff": "ASTM table", "pab-opto": "pab-opto text", "lighttools": "LightTools BSDF text",
-    "zemax": "Zemax BSDF text", "merl": "MERL", "utia": "UTIA",
+    "zemax": "Zemax BSDF text", "merl": "MERL", "utia": "UTIA", "mbsdf": "MBSDF (.mbsdf)",
     "fred": "FRED table", "speos": "Ansys Speos text", "speos-anisotropic": "Ansys Speos text",
     "openmaterial": "OpenMATERIAL 3D (.xompt)", "rt-300s": "RT-300S workbook (.xls)",
 }  # fmt: skip

@@ -84,9 +84,9 @@ def search(run: Run, X: Array) -> Array:
     objective = run.objective
     l = objective.kernel.length_scale
     moves: MoveObjective
-    if objective.output_variance is None:
+    if objective.output_variance is None and objective.kernel.is_compiled:
         moves = IncrementalObjective(objective, X)
-    else:  # the compiled moves profile the output variance
+    else:  # the compiled moves profile the output variance of built-in kernels
         moves = FunctionObjective(lambda x: objective.value(x.reshape(X.shape)), X.reshape(-1).copy())
     result = direct_local_search(
         moves,

@@ -54,13 +54,13 @@ class Kernel(ABC):
         return self.family
 
     @property
+    def is_compiled(self) -> bool:
+        """Return whether compiled loops know this class; a subclass of another package may differ."""
+        return type(self) in _COMPILED
+
+    @property
     def numbers(self) -> tuple[int, float]:
         """Parameters for compiled loops: index of the class for `radial_of_pair`, `1 / l^2`."""
-        if type(self) not in _COMPILED:
-            raise UsageError(
-                f"kernel '{self.family}' is your own, and direct local search is compiled for "
-                f"{', '.join(kernel.family for kernel in _COMPILED)} only; use the optimizer l-bfgs"
-            )
         return _COMPILED.index(type(self)), 1.0 / self.length_scale**2
 
     @abstractmethod

@@ -74,7 +74,7 @@ def gram_matrix(
     total = -(-grid.n_pairs // BLOCK_PAIRS)
     for done, (wi, wo, f) in enumerate(value_blocks(materials, grid), start=1):
         cosines = cosine_weight(wi, wo)
-        mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2]))
+        mapped = mapping.forward(f, cosines[:, None])
         if is_weighted:
             mapped = mapped * np.sqrt(cosines)[:, None]
         flat = mapped.reshape(len(materials), -1)
@@ -84,6 +84,7 @@ def gram_matrix(
     return Gram(S, n_outputs if is_weighted else grid.n_pairs * materials[0].bands.count)
 
 
+_PROBED = np.geomspace(1e-4, 1e4, 17)  # values in 1/sr that tell one mapping from another
 _LIT_DEG = np.array([0.0, 45.0])
 # Measured materials reach a little above 1; reflectance factors taken for f are pi times as large.
 _MOST_ALBEDO = 1.5
@@ -188,7 +189,10 @@ def _gram(materials: MaterialCache, s: Settings) -> Gram:
     """Return the Gram matrix of the materials, from the library's cache."""
     library, mapping = materials.library, MAPPINGS[s.mapping]
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
-    made_of = f"gram-3 {library.content_hash} {list(materials.names)} {mapping!r} {grid!r}"
+    mapped = np.round(
+        mapping.forward(_PROBED, 0.5), 9
+    ).tolist()  # another package may change what its name stands for
+    made_of = f"gram-4 {library.content_hash} {list(materials.names)} {mapping.name} {mapped} {grid!r}"
     made_of += " as published" if s.as_published else ""
     key = hashlib.sha256(made_of.encode()).hexdigest()
     cached = library.cache_get(key)

@@ -147,12 +147,12 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
     negative = 0
     for i in range(len(f)):
         c = left_out(chosen, data, i)
-        T = c.mapping.forward(f, np.broadcast_to(w, f.shape[:2]))
+        T = c.mapping.forward(f, w[:, None])
         if c.sample_bands is None:
             mapped = np.tensordot(c.weights, T, axes=1)
         else:
             mapped = np.einsum("bns,nps->pb", c.weights.reshape(3, len(f), 3), T)
-        predicted = c.mapping.inverse(mapped, w)
+        predicted = c.mapping.inverse(mapped, w[:, None])
         negative += np.count_nonzero(predicted < 0)
         if c.is_clipped:
             predicted = np.maximum(predicted, 0.0)

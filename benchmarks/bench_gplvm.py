@@ -45,7 +45,7 @@ from manifold.gp.likelihood import LatentObjective, centre_gram, pca_start
 from manifold.gplvm import GPLVM
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
-from manifold.model.fitting import gram_matrix
+from manifold.model.gram import gram_matrix
 from manifold.pairs import RusinkiewiczGrid
 from manifold.registries import MAPPINGS, OPTIMIZERS
 

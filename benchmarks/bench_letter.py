@@ -29,7 +29,7 @@ from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
-from manifold.model.fitting import Gram, gram_matrix
+from manifold.model.gram import Gram, gram_matrix
 from manifold.model.materials import MaterialTable
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array

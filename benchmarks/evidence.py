@@ -75,7 +75,7 @@ CHARTED = (
 )  # fmt: skip
 
 RESULTS = {
-    "letter": Result("bench_letter.py FILES", (*_GPLVM, "model/fitting.py")),
+    "letter": Result("bench_letter.py FILES", (*_GPLVM, "model/gram.py")),
     "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS)),
     "fair_corpus": Result("bench_fair.py CORPUS --every 10", (*_GPLVM, *_BLEND, *_LIGHTS)),
     "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic")),

@@ -20,7 +20,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
 from manifold.errors import UsageError
 from manifold.gp.encoding import Encoder
-from manifold.gp.kernels import Kernel, kernel_named, require_mu
+from manifold.gp.kernels import DEFAULT_MU, Kernel, kernel_named, require_mu
 from manifold.gp.likelihood import (
     IncrementalObjective,
     LatentObjective,
@@ -125,7 +125,7 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
 
 
 def log_likelihood(
-    X: Array, S: Array, n_outputs: int, *, mu: float = 1e-4, length_scale: float = 1.0,
+    X: Array, S: Array, n_outputs: int, *, mu: float = DEFAULT_MU, length_scale: float = 1.0,
     kernel: str | type[Kernel] = "se", output_variance: float | None = 1.0,
 ) -> float:  # fmt: skip
     """Return the log likelihood of latents, `log p(Y | X)`, with its constants.
@@ -205,7 +205,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self,
         n_components: int = 2,
         *,
-        mu: float = 1e-4,
+        mu: float = DEFAULT_MU,
         length_scale: float = 1.0,
         kernel: str | type[Kernel] = "se",
         optimizer: str = "dls",

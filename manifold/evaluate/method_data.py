@@ -13,7 +13,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.gp.encoding import PAIR_STRIDE
 from manifold.mapping import ValueMapping
 from manifold.metrics import relative_error
-from manifold.model import fitting
+from manifold.model import gram
 from manifold.model.combination import Values
 from manifold.pairs import RusinkiewiczGrid
 from manifold.records import Array, Indices, evenly_spaced
@@ -62,8 +62,8 @@ class Data(Values):
         bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
         selected = [material.select_bands(bands.tolist()) for material in materials]
         blocks = []
-        total = -(-grid.n_pairs // fitting.BLOCK_PAIRS)
-        for block in fitting.value_blocks(selected, grid):
+        total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
+        for block in gram.value_blocks(selected, grid):
             blocks.append(block)
             progress.report(len(blocks), total, "direction pairs")
         wi, wo, f = zip(*blocks, strict=True)

@@ -21,6 +21,8 @@ from manifold.model.settings import Settings
 from manifold.pairs import Pairs
 from manifold.records import AnyArray, Array, Indices
 
+Statistics = dict[str, float]
+"""Objective at start and end of a fit."""
 LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
 """A function from a left-out material's index to its place (Q,), its prediction, and its residual.
 

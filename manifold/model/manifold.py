@@ -1,9 +1,9 @@
-"""The fitted manifold: latents of the materials of a library, and predictions from them."""
+"""The fitted manifold: predictions from the latents of the materials of a library."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from html import escape
@@ -17,21 +17,18 @@ from manifold.brdf.interface import BRDF, require_brdf
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UnknownNameError, UsageError
 from manifold.gpr import GaussianProcess, LengthScaleBound
-from manifold.library.store import Library
 from manifold.mapping import Identity, ValueMapping
 from manifold.metrics import Errors
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
-from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
-from manifold.model.fitting import Gram, fit_space
+from manifold.model.embedding import Embedding, LibraryChangedWarning
+from manifold.model.gplvm_space import GplvmSpace
+from manifold.model.gram import Gram
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
-from manifold.model.latent_space import Embedded, LatentSpace, fixed_colours
+from manifold.model.latent_space import Embedded, fixed_colours
 from manifold.model.map import map_svg
-from manifold.model.material_space import MaterialSpace
-from manifold.model.materials import MaterialCache, names_among
-from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
 from manifold.model.places import (
     Place,
     PlaceLike,
@@ -44,16 +41,13 @@ from manifold.model.places import (
 )
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
-from manifold.model.settings import Settings
+from manifold.model.settings import SAMPLE_BANDS
 from manifold.model.walks import Walk, Walked
 from manifold.names import names_like
 from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
 from manifold.registries import MAPPINGS
-from manifold.threads import one_blas_thread
 
 _ONE = np.ones(1)
-_DEFAULTS = Settings()
-
 
 S = TypeVar("S", bound=np.generic)
 
@@ -61,37 +55,15 @@ _PICTURED = 80  # materials with ball and name in a picture of thousands
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 
 
-class LibraryChangedWarning(UserWarning):
-    """A model was opened with another library than the one it was fitted to."""
-
-
-class Manifold:
+class Manifold(Embedding):
     """Latent coordinates of measured materials, and predictions at any coordinate.
 
-    Attributes:
-        names: material names in the order of the latents, N of them.
-        left_out: places and errors of left-out materials; None for a model that is not calibrated.
-        statistics: objective at start and end of the fit.
-        notes: diagnostics that apply to all predictions, from `load`.
+    Attributes: those of `Embedding`.
     """
 
-    def __init__(
-        self,
-        materials: MaterialCache,
-        space: LatentSpace,
-        settings: Settings,
-        statistics: dict[str, float],
-        left_out: LeftOut | None = None,
-    ) -> None:
+    def __init__(self, *fitted: Any) -> None:
         """Use `fit` or `load`."""
-        self.materials = materials
-        self.names = materials.names
-        self.space = space
-        self.space.X.setflags(write=False)
-        self.settings = settings
-        self.left_out = left_out
-        self.statistics = statistics
-        self.notes: tuple[str, ...] = ()
+        super().__init__(*fitted)
         self._walked: dict[str, Walked] = {}
         self._searches: dict[bool, LandmarkSearch] = {}  # keys: whether all materials are isotropic
 
@@ -105,54 +77,7 @@ class Manifold:
     def _repr_html_(self) -> str:
         return f"<div>{escape(repr(self))}</div>{map_svg(self.X, self.names)}"
 
-    @classmethod
-    def fit(
-        cls,
-        library: Library | Path | str,
-        settings: Settings = _DEFAULTS,
-        *,
-        names: Collection[str] | None = None,
-        latents: Array | None = None,
-        calibrate: bool = True,
-    ) -> Manifold:
-        """Embed the materials of a library, and leave each of them out once, which calibrates the expected errors.
-
-        Args:
-            library: at least two materials, or the path of a library.
-            settings: see `Settings`.
-            names: of the materials to embed, such as all but those that are held out; None for all of them.
-            latents: of a dimensionality reduction of your own, shape (N, Q), in the order of the library; they are
-                kept as they are. Only of kind gplvm.
-            calibrate: False saves the time of leaving materials out; expected errors are unknown then, as they are
-                with fewer than four materials.
-
-        Raises:
-            UsageError: fewer than two materials, more dimensions than materials less one, no such material, or latents
-                for kind blend.
-            ShapeError: the latents have another shape, or are not finite.
-            LibraryError: there is no such library, or a material cannot be read.
-        """
-        if not isinstance(library, Library):
-            library = Library.open(library)
-        chosen = library.names if names is None else names_among(library, names)
-        is_nonnegative = SPACES[settings.kind].is_nonnegative
-        materials = MaterialCache(
-            library, chosen, is_nonnegative=is_nonnegative, fills_cells=not settings.as_published
-        )
-        left_out = None
-        # A layout amplifies the rounding of sums, which depends on the number of threads.
-        with one_blas_thread:
-            space, statistics, samples = fit_space(materials, settings, latents)
-            if calibrate and len(chosen) >= LEAST_MATERIALS:
-                left_out = leave_out(space, materials, settings, samples)
-        return cls(materials, space, settings, statistics, left_out)
-
     # -- the map -------------------------------------------------------------------------------------------
-
-    @property
-    def X(self) -> Array:
-        """Latents of the materials, read-only, shape (N, Q)."""
-        return self.space.X
 
     @property
     def landmarks(self) -> Indices:
@@ -293,11 +218,6 @@ class Manifold:
     # -- materials -----------------------------------------------------------------------------------------
 
     @property
-    def library(self) -> Library:
-        """The library of the measured materials."""
-        return self.materials.library
-
-    @property
     def bands(self) -> Bands:
         """The spectral axis of the library."""
         return self.library.bands
@@ -434,8 +354,8 @@ class Manifold:
         X = np.stack([self.place(place).latent for place in places])
         return self.gp.length_scale_bound(X, self._whole_materials().S)
 
-    def _whole_materials(self) -> MaterialSpace:
-        if not isinstance(self.space, MaterialSpace):
+    def _whole_materials(self) -> GplvmSpace:
+        if not isinstance(self.space, GplvmSpace):
             raise UsageError(
                 f"a model of kind {self.space.kind}, expected gplvm: embed the library with that kind"
             )
@@ -502,55 +422,8 @@ class Manifold:
         self.bands.require_same(
             brdf.bands, "the material to reconstruct", "resample it, or use its own library"
         )
-        bands = evenly_spaced(self.bands.count, self.settings.sample_bands)
+        bands = evenly_spaced(self.bands.count, SAMPLE_BANDS)
         return reconstruct(self.materials, bands, brdf, numbers)
-
-    # -- files ---------------------------------------------------------------------------------------------
-
-    def save(self, path: Path | str) -> None:
-        """Write the model as HDF5, atomically.
-
-        Raises:
-            UsageError: the file cannot be written.
-        """
-        library, settings = self.library, dict(vars(self.settings))
-        arrays = self.space.arrays | ({} if self.left_out is None else self.left_out.arrays)
-        record = ModelRecord(
-            library.path, library.content_hash, self.names, settings, self.statistics, arrays
-        )
-        write_model(Path(path), record)
-
-    @classmethod
-    def load(cls, path: Path | str, library: Library | Path | str | None = None) -> Manifold:
-        """Read a model and open its library.
-
-        Args:
-            path: the model.
-            library: path of the library, if it was moved.
-
-        Raises:
-            ModelError: no such file, no model of this package, another version, or damaged.
-            LibraryError: the library is not there, or lacks materials of the model.
-
-        Warns:
-            LibraryChangedWarning: the library's content is not what the model was fitted to.
-        """
-        path = Path(path)
-        stored = read_model(path)
-        library = open_library(path, stored, library)
-        settings, space, left_out = restore(path, stored)
-        materials = MaterialCache(
-            library, stored.names, is_nonnegative=space.is_nonnegative, fills_cells=not settings.as_published
-        )
-        model = cls(materials, space, settings, stored.statistics, left_out)
-        if library.content_hash != stored.library_hash:
-            change = (
-                f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
-                f"expected {stored.library_hash[:12]}); predictions use the present files: embed again"
-            )
-            model.notes = (change,)
-            warnings.warn(change, LibraryChangedWarning, stacklevel=2)
-        return model
 
 
 @lru_cache(maxsize=4)

@@ -32,15 +32,16 @@ from manifold.estimate.gloss import gloss_units
 from manifold.estimate.predictions import predict
 from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
 from manifold.model.places import Place
+from manifold.model.settings import BlendSettings
 from manifold.records import Bands
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory) -> Manifold:
     library = small_library(tmp_path_factory.mktemp("attributes"))
-    return Manifold.fit(library, Settings(kind="blend"), calibrate=False)
+    return Manifold.fit(library, BlendSettings(), calibrate=False)
 
 
 def factor(brdf):

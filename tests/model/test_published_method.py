@@ -22,7 +22,7 @@ from manifold.library.store import Library
 from manifold.model.comparison import rmse22
 from manifold.model.location import locate
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import GplvmSettings
 from manifold.pairs import NAMED_GRIDS, RusinkiewiczGrid
 
 T = {"identity": lambda f: f, "cube-root": np.cbrt}
@@ -51,7 +51,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module", params=T)
 def model(request, folder):
     library = Library.open(folder / "library.zarr")
-    return Manifold.fit(library, Settings("gplvm", mapping=request.param), calibrate=False)
+    return Manifold.fit(library, GplvmSettings(mapping=request.param), calibrate=False)
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def literal(folder):
     """The published settings to the letter, on one in a thousand of the published pairs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(NAMED_GRIDS, "hikichi", COARSE)
-        return Manifold.fit(folder / "library.zarr", Settings.published())
+        return Manifold.fit(folder / "library.zarr", GplvmSettings.published())
 
 
 @pytest.fixture(scope="module")
@@ -212,8 +212,8 @@ def test_reports_of_the_letter_keep_negative_values_and_the_unit_variance(litera
 
 
 def test_the_letter_refuses_other_mappings():
-    with pytest.raises(UsageError, match=r"expected Settings\.published"):
-        Settings("gplvm", mapping="cube-root", as_published=True)
+    with pytest.raises(UsageError, match=r"expected GplvmSettings\.published"):
+        GplvmSettings(mapping="cube-root", as_published=True)
 
 
 def test_the_research_interface_gives_the_quantities_of_the_paper(literal, raw, rng):
@@ -252,7 +252,3 @@ def test_latents_of_ones_own_are_kept(folder, model, rng):
         Manifold.fit(folder / "library.zarr", model.settings, latents=own[:, :1])
     with pytest.raises(UsageError, match="expected kind gplvm"):
         Manifold.fit(folder / "library.zarr", latents=own)
-
-
-def test_the_old_name_of_the_kind_still_works():
-    assert Settings(kind="material") == Settings(kind="gplvm")

@@ -27,9 +27,10 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.model.combination import Combination
-from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings, load_model
+from manifold.model.manifold import LibraryChangedWarning, Manifold, load_model
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import PredictedBRDF
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.records import Bands
 from manifold.registries import MAPPINGS
 from manifold.render import backend, scenes
@@ -92,12 +93,12 @@ def models(tmp_path_factory) -> dict[str, Path]:
     brushed = brushed_library(tmp_path_factory.mktemp("brushed"))
     paths = {}
     for name, source, settings in (
-        ("rgb", rgb, Settings(kind="material")),
-        ("material", library, Settings(kind="material")),
-        ("six bands", few, Settings(kind="material")),
-        ("blend", rgb, Settings(kind="blend")),
-        ("spectral blend", library, Settings(kind="blend")),
-        ("brushed", brushed, Settings(kind="blend")),
+        ("rgb", rgb, GplvmSettings()),
+        ("material", library, GplvmSettings()),
+        ("six bands", few, GplvmSettings()),
+        ("blend", rgb, BlendSettings()),
+        ("spectral blend", library, BlendSettings()),
+        ("brushed", brushed, BlendSettings()),
     ):
         paths[name] = folder / f"{name}.h5"
         Manifold.fit(Library.open(source), settings, calibrate=False).save(paths[name])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
@@ -41,10 +41,10 @@ from manifold.model.places import (
 )
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
-from manifold.model.settings import SAMPLE_BANDS
+from manifold.model.settings import SAMPLE_BANDS, GplvmSettings
 from manifold.model.walks import Walk, Walked
 from manifold.names import names_like
-from manifold.records import Array, Bands, Indices, Mask, evenly_spaced
+from manifold.records import Array, Bands, Indices, Mask, evenly_spaced, plain
 from manifold.registries import MAPPINGS
 
 _ONE = np.ones(1)
@@ -53,6 +53,30 @@ S = TypeVar("S", bound=np.generic)
 
 _PICTURED = 80  # materials with ball and name in a picture of thousands
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Standard deviations of the Gaussian process at places.
+
+    Attributes:
+        std: of the posterior, in `unit`, a number or shape (M,).
+        relative: the same, over that of the prior.
+        unit: what the outputs are whose deviation this is, in words.
+    """
+
+    std: Array
+    relative: Array
+    unit: str
+
+    @property
+    def words(self) -> str:
+        """Return the deviation at one place in words."""
+        return f"{self.std:.3g} of {self.unit}; {self.relative:.2g} of the prior's"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return plain(vars(self))
 
 
 class Manifold(Embedding):
@@ -101,6 +125,24 @@ class Manifold(Embedding):
     def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
         """Return the posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1]."""
         return np.sqrt(self._at(x, colours, self.space.variance_fraction))
+
+    def posterior(self, x: ArrayLike | PlaceLike) -> Posterior:
+        """Return the posterior standard deviation at a place (Q,) or latents x (M, Q), in the unit of the outputs.
+
+        The outputs of the process are `sqrt(cos(theta_i) cos(theta_o)) T(f)`, or `T(f)` as published, T the mapping and
+        f in 1/sr. They share one variance, so the deviation is that of each of them.
+
+        Raises:
+            UsageError: the model is of kind blend, which has no Gaussian process.
+        Source: Hikichi & Iwasaki, eq. 12.
+        """
+        space, settings = self._whole_materials(), self.settings
+        assert isinstance(settings, GplvmSettings)
+        variance = settings.output_variance or space.gp.output_variance(space.S, space.n_outputs)
+        relative = self.std(x)
+        prior = np.sqrt(variance * space.kernel.prior_variance)
+        weight = "" if settings.as_published else "sqrt(cos(theta_i) cos(theta_o)) "
+        return Posterior(prior * relative, relative, f"{weight}T(f), T = {settings.mapping}, f in 1/sr")
 
     def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
         """Return whether the data do not support predictions at a place (Q,) or latents x (M, Q).

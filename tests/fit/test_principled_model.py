@@ -106,7 +106,7 @@ def test_a_bsdf_of_ones_own_needs_one_registration(rng, monkeypatch):
             white = self._white * cosines ** (values["darkening"] - 1.0)
             none = 0.0 * white
             slope = np.stack([none, white * np.log(cosines), none])
-            return np.stack([none, white, none]), {name: slope for name in names}
+            return np.stack([none, white, none]), dict.fromkeys(names, slope)
 
         def coefficients(self, values):
             return np.moveaxis(

@@ -82,7 +82,7 @@ class LatentSpace(ABC):
 
     @cached_property
     def gp(self) -> GaussianProcess:
-        """The Gaussian process of the training samples."""
+        """The Gaussian process on the latents: it predicts on a GPLVM, and tells how far the data reach on any map."""
         return GaussianProcess(self.X, self.kernel)
 
     @property

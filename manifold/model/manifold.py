@@ -115,7 +115,7 @@ class Manifold(Embedding):
 
     @property
     def gp(self) -> GaussianProcess:
-        """The Gaussian process on the latents of the materials."""
+        """The Gaussian process on the latents of the materials; predictions of blends take only its variance."""
         return self.space.gp
 
     def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:

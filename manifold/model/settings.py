@@ -161,7 +161,7 @@ class GplvmSettings(Settings):
 
     @property
     def output_variance(self) -> float | None:
-        """s^2, in squared units of the outputs; None is what maximises the likelihood."""
+        """The output variance s^2, in squared units of the outputs; None where it is fitted."""
         return 1.0 if self.as_published else None
 
 

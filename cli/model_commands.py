@@ -191,8 +191,8 @@ def embed(
         "grid": grid,
         "landmarks": landmarks,
     }
-    options = {name: value for name, value in given.items() if value is not None}
-    settings = _published_settings(latent_dim, options) if as_published else _settings(kind, options)
+    chosen = {name: value for name, value in given.items() if value is not None}
+    settings = _published_settings(latent_dim, chosen) if as_published else _settings(kind, chosen)
     chooses = {"mapping": mapping == AUTO, "latent_dim": latent_dim == AUTO}
     with OneWorkerOptions(None, scheduler).executor() as executor:
         fitted, candidates = embed(
@@ -200,9 +200,11 @@ def embed(
             choose=partial(choose, **chooses) if any(chooses.values()) else None, workers=executor,
         )  # fmt: skip
     settings = fitted.settings
-    process, start = {}, "coordinates"
+    process: dict[str, object] = {}  # a blend has none
+    start = "coordinates"
     if isinstance(settings, GplvmSettings):
-        process, start = {"kernel": settings.kernel}, "components"
+        process = {"kernel": settings.kernel, "condition of K": f"{fitted.space.gp.condition:.3g}"}
+        start = "components"
     if candidates:
         results.text(
             "Held-out errors, median / 90th percentile. The choice has the least 'error', a mean;\n"
@@ -230,7 +232,6 @@ def embed(
             **process,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal {start}",
-            **({"condition of K": f"{fitted.space.gp.condition:.3g}"} if process else {}),
             **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )
@@ -246,27 +247,27 @@ def embed(
     )
 
 
-def _settings(kind: str, options: dict[str, Any]) -> Settings:
-    """Return the settings of a kind; an option of the other kind raises UsageError."""
+def _settings(kind: str, chosen: dict[str, Any]) -> Settings:
+    """Return the settings of a kind by the chosen options; one of the other kind raises UsageError."""
     from manifold.model.settings import KINDS
 
     names = {own: {each.name for each in fields(settings)} for own, settings in KINDS.items()}
-    for name, value in options.items():
+    for name, value in chosen.items():
         if name not in names[kind]:
             (other,) = (own for own in KINDS if name in names[own])
             option = f"--{name.replace('_', '-')} {value}"
             raise UsageError(
                 f"found {option}, which goes with --kind {other}; leave it out, or choose that kind"
             )
-    return KINDS[kind](**{name: value for name, value in options.items() if value != AUTO})
+    return KINDS[kind](**{name: value for name, value in chosen.items() if value != AUTO})
 
 
-def _published_settings(latent_dim: str, options: dict[str, Any]) -> Settings:
+def _published_settings(latent_dim: str, chosen: dict[str, Any]) -> Settings:
     """Return the settings of Hikichi & Iwasaki, which no option changes."""
     from manifold.model.settings import GplvmSettings
 
     settings = GplvmSettings.published()
-    if latent_dim != str(settings.latent_dim) or len(options) > 1:
+    if latent_dim != str(settings.latent_dim) or len(chosen) > 1:
         raise UsageError(
             "found --as-published and another setting of the fit, expected none: it fixes them all"
         )

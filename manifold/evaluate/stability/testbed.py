@@ -173,8 +173,9 @@ class TestBed:
 
 def in_space(model: Manifold, space: LatentSpace) -> Manifold:
     """Return a manifold of the same materials with other latents, or another kernel on them."""
-    assert isinstance(model.settings, GplvmSettings)
-    settings = replace(model.settings, length_scale=space.kernel.length_scale, mu=space.kernel.mu)
+    settings = replace(model.settings, length_scale=space.kernel.length_scale)
+    if isinstance(settings, GplvmSettings):
+        settings = replace(settings, mu=space.kernel.mu)
     return Manifold(model.materials, space, settings, {})
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -171,6 +171,36 @@ def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     tolerance = 1e-3 if is_rgb else 1e-2
     np.testing.assert_allclose(value, f_cos, rtol=tolerance, atol=tolerance * np.median(f_cos))
     np.testing.assert_allclose(pdf, expected.pdf(wi, wo), rtol=1e-3, atol=1e-5)
+
+
+@dataclass(frozen=True)
+class FourthRoot:
+    """A mapping as another package may add it."""
+
+    name = "fourth-root"
+
+    def forward(self, values, cosine_weight=None, xp=np):
+        return xp.sqrt(xp.sqrt(xp.maximum(values, 0.0)))
+
+    def inverse(self, mapped, cosine_weight=None, xp=np):
+        return xp.maximum(mapped, 0.0) ** 4
+
+    def slope(self, values, cosine_weight=None):
+        return 4.0 * np.maximum(values, 0.0) ** 0.75
+
+
+def test_the_plugin_evaluates_a_mapping_of_another_package(tmp_path, monkeypatch, rng):
+    monkeypatch.setitem(MAPPINGS, "fourth-root", FourthRoot())
+    model = Manifold.fit(small_library(tmp_path), GplvmSettings(mapping="fourth-root"), calibrate=False)
+    model.save(tmp_path / "own.h5")
+    x = model.between(model.names[0], model.names[2], 0.4)
+    scene = {"type": "manifold", "model": str(tmp_path / "own.h5"), "latent": words(x)}
+    wi, wo = random_directions(rng, 500), random_directions(rng, 500)
+    value, _ = InMitsuba(backend.mitsuba("rgb"), scene).eval_pdf(wi, wo)
+    expected = model.predict(x).eval_cos(wi, wo)
+    np.testing.assert_allclose(
+        value, expected, rtol=2e-3, atol=2e-3 * np.median(expected)
+    )  # halves, as above
 
 
 @pytest.mark.parametrize(("kind", "share"), [("material", 0.0), ("six bands", 0.3)])

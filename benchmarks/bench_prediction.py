@@ -27,6 +27,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.settings import KINDS
 from manifold.pairs import RusinkiewiczGrid
 
+_KINDS = {"blend": "blend", "material": "gplvm"}  # by their names in the results
 GRID_BLOCK = 65536  # direction pairs of the grid of Hikichi & Iwasaki evaluated at once
 
 
@@ -36,7 +37,7 @@ def embed(library: Path, kind: str) -> dict[str, float]:
     opened.cache_put = lambda *_: None  # type: ignore[method-assign]
     opened.cache_get = lambda *_: None  # type: ignore[method-assign]
     start = time.perf_counter()
-    model = Manifold.fit(opened, KINDS[kind](), calibrate=False)
+    model = Manifold.fit(opened, KINDS[_KINDS[kind]](), calibrate=False)
     seconds = time.perf_counter() - start
     model.save(model_path(library, kind))
     return {"seconds": seconds, "model_bytes": model_path(library, kind).stat().st_size}

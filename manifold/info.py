@@ -471,7 +471,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "path": str(path),
         "library": str(stored.library if found is None else found.path),
         "library_problem": missing,
-        "settings": dict(vars(s)),
+        "settings": s.to_json(),
         "statistics": stored.statistics,
         "latents": {name: row.tolist() for name, row in zip(stored.names, space.X, strict=True)},
         "left_out": errors,

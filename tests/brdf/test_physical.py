@@ -133,7 +133,7 @@ def test_grids_are_refined_until_the_file_is_reciprocal_at_most_threefold(enough
     assert (file.spectra.shape[1], file.spectra.shape[-1]) == expected
 
 
-@pytest.mark.parametrize("kind", ["blend", "material"])
+@pytest.mark.parametrize("kind", ["blend", "gplvm"])
 def test_a_physical_prediction_is_a_physical_file(kind, tmp_path, rng):
     model = Manifold.fit(Library.open(small_library(tmp_path)), KINDS[kind](), calibrate=False)
     x = rng.dirichlet(np.ones(len(model.names))) @ model.X

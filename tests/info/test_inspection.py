@@ -109,7 +109,7 @@ def test_a_model_lists_its_latents(folder):
         assert found.document["latents"][name] == x.tolist()
 
 
-@pytest.mark.parametrize("kind", ["blend", "material"])
+@pytest.mark.parametrize("kind", ["blend", "gplvm"])
 def test_a_model_without_its_library_tells_what_it_knows(copy, kind):
     Manifold.fit(copy / "library.zarr", KINDS[kind](), calibrate=False).save(copy / "m.h5")
     whole = inspect(copy / "m.h5")

@@ -36,7 +36,7 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings, GplvmSettings
 
 STEPS = (0.5, 0.4, 0.6)
 
@@ -87,9 +87,9 @@ FAMILIES: dict[str, tuple[Recipe, Recipe, Recipe]] = {
 def paths(library: Library) -> dict[str, Callable[[float], BRDF]]:
     """The methods, as functions of the step from the first end to the second."""
     fitted = {
-        "map": Settings(),
-        "published": Settings("gplvm", 2, "identity"),
-        "gplvm": Settings("gplvm", 2),
+        "map": BlendSettings(),
+        "published": GplvmSettings(mapping="identity"),
+        "gplvm": GplvmSettings(),
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -139,7 +139,7 @@ def main() -> None:
     parser.add_argument("--held-out", type=int, default=20)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    library, settings = Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim)
+    library, settings = Library.open(given.library), KINDS[given.kind](latent_dim=given.latent_dim)
     if given.materials:
         print("| materials | error | true, median / 90th percentile | expected | rank correlation in a set | below "
               "twice the expected | true over expected, median | deviation of its logarithm |\n"

@@ -38,7 +38,7 @@ from manifold.model.blend_space import PlaceSearch
 from manifold.model.combination import Combination, evaluate
 from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
 from manifold.model.materials import MaterialTable
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings, GplvmSettings
 
 _STARTS, _EVALUATIONS = 3, 120
 KINDS = ("ball", "cube_root", "eq_22")
@@ -115,7 +115,7 @@ def kept(mapping: ValueMapping, optimizer: str) -> Callable[[Data, Indices], Enc
                 GPLVM(2, mu=1e-4, optimizer=optimizer).fit_gram(data.gram(mapping), data.n_outputs).embedding_
             ),
         )
-        gp = GaussianProcess(X[training], Settings("gplvm").covariance())
+        gp = GaussianProcess(X[training], GplvmSettings().covariance())
         return lambda i: Target(data, i, mapping, training, False).combination(gp.weights(X[i][None])[0])
 
     return fit
@@ -125,13 +125,13 @@ def of_blend(kind: str) -> Callable[[Data, Indices], Encode]:
     """The map of `embed`: in the colours of the surroundings, with gains, or with chosen colours."""
 
     def fit(data: Data, training: Indices) -> Encode:
-        bands = data.available_bands(Settings().sample_bands)
+        bands = data.available_bands(BlendSettings().sample_bands)
         every: BlendTables = data.cached("blend", lambda: BlendTables.of(data.materials, bands))
         rows = every.samples.rows(training)
 
         def make() -> tuple[object, object]:
             tables = every.subset(training)
-            return tables, tables.fit(2, Settings().covariance())[0]
+            return tables, tables.fit(2, BlendSettings().covariance())[0]
 
         tables, space = data.cached(("map", tuple(training.tolist())), make)
         if kind != "colours":

@@ -46,7 +46,7 @@ from manifold.gp.likelihood import LatentObjective, centre_gram, pca_start
 from manifold.gplvm import GPLVM
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
-from manifold.model.fitting import gram_matrix
+from manifold.model.gram import gram_matrix
 from manifold.registries import MAPPINGS, OPTIMIZERS
 
 STARTS = 20

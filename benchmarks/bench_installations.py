@@ -72,7 +72,7 @@ def main() -> None:
     )
     given = parser.parse_args()
     if given.target is not None:
-        settings = Settings(kind=given.kind, latent_dim=given.latent_dim)
+        settings = KINDS[given.kind](latent_dim=given.latent_dim)
         embed(given.library, settings, given.seed, given.target)
         return
     first: Array | None = None

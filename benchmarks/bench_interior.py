@@ -36,7 +36,7 @@ from manifold.model.colours import NEAREST
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
-from manifold.model.settings import KINDS, Settings
+from manifold.model.settings import KINDS
 
 ALBEDO_INCIDENCES_DEG = np.array([0.0, 30.0, 45.0, 60.0, 75.0])
 FILE_INCIDENCES_DEG = np.arange(0.0, 86.0, 5.0)
@@ -168,7 +168,7 @@ def main() -> None:
     parser.add_argument("--written", type=int, default=0)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    model = Manifold.fit(Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim))
+    model = Manifold.fit(Library.open(given.library), KINDS[given.kind](latent_dim=given.latent_dim))
     if given.count:
         found = print_table(model, given.count, [int(seed) for seed in given.seeds.split(",")])
         if given.json:

@@ -31,7 +31,7 @@ from manifold.gp.kernels import squared_distances
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.model.combination import Combination
-from manifold.model.fitting import Gram, gram_matrix
+from manifold.model.gram import Gram, gram_matrix
 from manifold.model.materials import MaterialTable
 
 WHOLE = RusinkiewiczGrid.named("hikichi")

@@ -23,7 +23,8 @@ from manifold.analytic import corpus
 from manifold.estimate import predictions
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import GplvmSettings
 from manifold.render import backend, images, scenes
 from manifold.render.render import RenderSettings, render_bsdf
 
@@ -82,7 +83,7 @@ def make_library(folder: Path) -> Path:
 def compare(folder: Path, library: Path, arguments: argparse.Namespace) -> dict:
     """Seconds per picture, and what leaving materials out changes."""
     path = folder / "model.h5"
-    model = Manifold.fit(Library.open(library), Settings(kind="material"), calibrate=False)
+    model = Manifold.fit(Library.open(library), GplvmSettings(), calibrate=False)
     model.save(path)
     latent = model.between(*PAIR, 0.5)
     predicted, measured = folder / "predicted_spec.bsdf", folder / "measured_spec.bsdf"

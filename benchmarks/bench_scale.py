@@ -39,7 +39,7 @@ from manifold.estimate.predictions import predict
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings
 from manifold.page.explore import write_page
 from manifold.pictures.maps import latent_map
 
@@ -199,7 +199,7 @@ def compare(library: Path, landmarks: list[int], latent_dim: int) -> dict[str, d
     rows: dict[str, dict[str, object]] = {}
     for count in landmarks:
         used = time.process_time()
-        model = Manifold.fit(library, Settings(latent_dim=latent_dim, landmarks=count or None))
+        model = Manifold.fit(library, BlendSettings(latent_dim=latent_dim, landmarks=count or None))
         used = time.process_time() - used
         assert model.left_out is not None
         calibration = model.left_out.reliability()

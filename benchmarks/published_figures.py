@@ -19,7 +19,8 @@ from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import encode_srgb
 from manifold.library.store import Library
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.pictures import figures
 from manifold.render.ball import render_ball
 
@@ -39,9 +40,9 @@ def main() -> None:
     parser.add_argument("picture", type=Path)
     asked = parser.parse_args()
     library = Library.open(asked.library)
-    letter = Manifold.fit(library, Settings.published(), calibrate=False)
-    gplvm = Manifold.fit(library, Settings(kind="gplvm"), calibrate=False)
-    blends = Manifold.fit(library, Settings(), calibrate=False)
+    letter = Manifold.fit(library, GplvmSettings.published(), calibrate=False)
+    gplvm = Manifold.fit(library, GplvmSettings(), calibrate=False)
+    blends = Manifold.fit(library, BlendSettings(), calibrate=False)
 
     def at(model: Manifold, name: str) -> np.ndarray:
         return model.X[model.names.index(name)]

@@ -109,7 +109,7 @@ def complete(
     instrument: InstrumentOption = None,
     physical: options.PhysicalOption = False,
     resolution: options.ResolutionOption = 32,
-    incidences: options.IncidencesOption = 24,
+    incidences: options.FineIncidencesOption = None,
     workers: WorkerOptions = PER_CORE,
     json: options.JsonOption = None,
 ) -> None:
@@ -123,10 +123,10 @@ def complete(
     from manifold.estimate.attributes import readings_of_colour
     from manifold.estimate.inputs import find_samples
     from manifold.library.store import Library
-    from manifold.model.output_file import OutputOptions
+    from manifold.model.output_file import FINE_INCIDENCES, OutputOptions
 
     results = terminal.Results(json)
-    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
+    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences or FINE_INCIDENCES)
     if readings and lab is not None:
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"

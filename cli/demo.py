@@ -21,13 +21,13 @@ from manifold.estimate.predictions import predict
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource
 from manifold.evaluate.report import Report, make_report
 from manifold.evaluate.report_text import format_report, lead
-from manifold.evaluate.selection import embed
 from manifold.library.identity import require_outside_libraries
 from manifold.library.importing import import_files
 from manifold.model.diagnostics import DiagnosedPrediction
+from manifold.model.embedding import embed
 from manifold.model.manifold import Manifold
 from manifold.model.places import on_line
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings
 from manifold.page.explore import write_page
 from manifold.pictures import figures, map_figure, maps, renders
 from manifold.pictures.maps import slices, sources
@@ -140,7 +140,8 @@ def run(
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
     add("Library of these materials (a Zarr store)", library, look=f"manifold info {library}")
-    fitted = embed(library, model, Settings())[0]
+    embed(library, model, BlendSettings())
+    fitted = Manifold.load(model)
     between = on_line(fitted.latent(START), fitted.latent(END), 0.75)
     map_file = folder / "map.png"
     figures.save(map_figure.latent_map(fitted, marked=between), map_file)

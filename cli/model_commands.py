@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
     from manifold.model.diagnostics import DiagnosedPrediction
     from manifold.model.location import Reconstruction
+    from manifold.model.settings import Settings
 
 AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
@@ -98,26 +101,27 @@ def embed(
     optimizer: Annotated[
         str | None,
         typer.Option(
-            help="Optimiser of the latents, started from principal components: {manifold.registries.OPTIMIZERS}. dls: "
-            "direct local search without gradients (Hikichi & Iwasaki, section 3.4); l-bfgs: quasi-Newton. "
-            "[default: dls for kind gplvm; blends support l-bfgs only]",
+            help="For --kind gplvm: optimiser of the latents, started from principal components: "
+            "{manifold.registries.OPTIMIZERS}. dls: direct local search without gradients (Hikichi & Iwasaki, section "
+            "3.4); l-bfgs: quasi-Newton. [default: dls]",
             metavar="NAME",
         ),
     ] = None,
     mu: Annotated[
         float | None,
         typer.Option(
-            help="For --kind gplvm: height of the kernel's delta term (nugget), from 1e-10 to 1e6. [default: 0.0001]",
+            help="For --kind gplvm: height of the kernel's delta term (nugget), from 1e-10 to 1e6. "
+            "[default: {manifold.gp.kernels.DEFAULT_MU}]",
             metavar="MU",
         ),
     ] = None,
     length_scale: Annotated[
-        float,
+        float | None,
         typer.Option(
-            help="Length scale of the kernel, or of the weights of blends.",
+            help="Length scale of the kernel, or of the weights of blends. [default: 1]",
             metavar="L",
         ),
-    ] = 1.0,
+    ] = None,
     prior: Annotated[
         float | None,
         typer.Option(
@@ -135,13 +139,13 @@ def embed(
         ),
     ] = None,
     kernel: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="For --kind gplvm: kernel, {manifold.registries.KERNELS}; se is squared exponential, as published. "
-            "Blends have no Gaussian process.",
+            "[default: se]",
             metavar="NAME",
         ),
-    ] = "se",
+    ] = None,
     landmarks: Annotated[
         int | None,
         typer.Option(
@@ -168,44 +172,36 @@ def embed(
     Runs in this process on all cores, or with --scheduler as one task on one worker.
     """
     from manifold.core.judged_lights import BALL_COLUMN
-    from manifold.evaluate.selection import PAYS, embed
-    from manifold.model.manifold import Settings
+    from manifold.evaluate.selection import PAYS, choose
+    from manifold.model.embedding import embed
+    from manifold.model.settings import GplvmSettings
 
     results = terminal.Results(json)
-    if kind == "blend" and not as_published:
-        for name, value in (("prior", prior), ("grid", grid)):
-            if value is not None:
-                raise UsageError(f"found --{name} {value}, which goes with --kind gplvm")
     given = {
-        "prior": prior,
-        "grid": grid,
+        "latent_dim": None if latent_dim == AUTO else parse_latent_dim(latent_dim),
+        "length_scale": length_scale,
+        "mapping": mapping,
         "optimizer": optimizer,
         "mu": mu,
-        "kernel": None if kernel == "se" else kernel,
-        "length_scale": None if length_scale == 1.0 else length_scale,
+        "prior": prior,
+        "kernel": kernel,
+        "grid": grid,
         "landmarks": landmarks,
     }
-    chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
-    if mapping is not None and kind == "blend":
-        raise UsageError(f"found --mapping {mapping}, which goes with --kind gplvm; blends are of cube roots")
-    if mapping is not None and not auto_mapping:
-        chosen["mapping"] = mapping
-    if not auto_dim:
-        chosen["latent_dim"] = parse_latent_dim(latent_dim)
-    if as_published and (auto_dim or chosen != {"latent_dim": 2}):
-        raise UsageError(
-            "found --as-published and another setting of the fit, expected none: it fixes them all"
-        )
-    settings = Settings.published() if as_published else Settings(kind=kind, **chosen)
+    chosen = {name: value for name, value in given.items() if value is not None}
+    settings = _published_settings(latent_dim, chosen) if as_published else _settings(kind, chosen)
+    chooses = {"mapping": mapping == AUTO, "latent_dim": latent_dim == AUTO}
     with OneWorkerOptions(None, scheduler).executor() as executor:
         fitted, candidates = embed(
             library, output, settings, without=without or (),
-            auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=executor,
+            choose=partial(choose, **chooses) if any(chooses.values()) else None, workers=executor,
         )  # fmt: skip
     settings = fitted.settings
-    is_blend = settings.kind == "blend"  # a blend has no Gaussian process
-    start = "coordinates" if is_blend else "components"
+    process: dict[str, object] = {}  # a blend has none
+    start = "coordinates"
+    if isinstance(settings, GplvmSettings):
+        process = {"kernel": settings.kernel, "condition of K": f"{fitted.space.gp.condition:.3g}"}
+        start = "components"
     if candidates:
         results.text(
             "Held-out errors, median / 90th percentile. The choice has the least 'error', a mean;\n"
@@ -227,13 +223,12 @@ def embed(
         f"Model {output}",
         {
             "materials": fitted.space.materials_in_words,
-            "kind": settings.kind + ", as published" * settings.as_published,
+            "kind": settings.kind + ", as published" * as_published,
             "latent dimensions": settings.latent_dim,
             "mapping": settings.mapping,
-            **({} if is_blend else {"kernel": settings.kernel}),
+            **process,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal {start}",
-            **({} if is_blend else {"condition of K": f"{fitted.gp.condition:.3g}"}),
             **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )
@@ -241,12 +236,39 @@ def embed(
         {
             "model": str(output),
             "library": str(library),
-            "settings": dict(vars(settings)),
+            "settings": settings.to_json(),
             "statistics": fitted.statistics,
             "candidates": [c.to_json() for c in candidates],
             "latents": {n: x.tolist() for n, x in zip(fitted.names, fitted.X, strict=True)},
         },
     )
+
+
+def _settings(kind: str, chosen: dict[str, Any]) -> Settings:
+    """Return the settings of a kind by the chosen options; one of the other kind raises UsageError."""
+    from manifold.model.settings import KINDS
+
+    names = {own: {each.name for each in fields(settings)} for own, settings in KINDS.items()}
+    for name, value in chosen.items():
+        if name not in names[kind]:
+            (other,) = (own for own in KINDS if name in names[own])
+            option = f"--{name.replace('_', '-')} {value}"
+            raise UsageError(
+                f"found {option}, which goes with --kind {other}; leave it out, or choose that kind"
+            )
+    return KINDS[kind](**{name: value for name, value in chosen.items() if value != AUTO})
+
+
+def _published_settings(latent_dim: str, chosen: dict[str, Any]) -> Settings:
+    """Return the settings of Hikichi & Iwasaki, which no option changes."""
+    from manifold.model.settings import GplvmSettings
+
+    settings = GplvmSettings.published()
+    if latent_dim != str(settings.latent_dim) or len(chosen) > 1:
+        raise UsageError(
+            "found --as-published and another setting of the fit, expected none: it fixes them all"
+        )
+    return settings
 
 
 def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]:

@@ -151,6 +151,17 @@ IncidencesOption = Annotated[
         help="Angles of incidence from 0 to 90 degrees.", metavar="N", min=2, max=128, rich_help_panel=GRID
     ),
 ]
+FineIncidencesOption = Annotated[
+    int | None,
+    typer.Option(
+        help="Angles of incidence from 0 to 90 degrees. [default: {manifold.model.output_file.FINE_INCIDENCES}]",
+        metavar="N",
+        min=2,
+        max=128,
+        rich_help_panel=GRID,
+        show_default=False,
+    ),
+]
 SampleOption = Annotated[
     str | None, typer.Option("--sample", help="The sample to take from a file with several.", metavar="NAME")
 ]

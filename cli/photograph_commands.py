@@ -233,7 +233,7 @@ def photograph(
     ] = 0,
     physical: options.PhysicalOption = False,
     resolution: options.ResolutionOption = 32,
-    incidences: options.IncidencesOption = 24,
+    incidences: options.FineIncidencesOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Estimate the BRDF of a painted ball or tin from photographs, with a library of materials as prior.
@@ -241,7 +241,7 @@ def photograph(
     The light of the pictures is given by --lamp, --light or --light-ball. Readings, gloss and a colour of the same
     material are part of the same estimate. To locate the result on a map, run `manifold locate`.
     """
-    from manifold.model.output_file import OutputOptions
+    from manifold.model.output_file import FINE_INCIDENCES, OutputOptions
 
     results = terminal.Results(json)
     if not pictures:
@@ -251,7 +251,7 @@ def photograph(
             )
         suggest_lamps(results, library, suggest)
         return
-    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
+    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences or FINE_INCIDENCES)
     complete_photographs(
         results, photos.request_of(pictures), library, output, readings=readings, sample=sample, gloss=gloss, lab=lab,
         picture=picture, report=report, suggest=suggest, written=written,

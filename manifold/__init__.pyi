@@ -7,17 +7,18 @@ from .io_rgl import read_bsdf, write_bsdf
 from .library.importing import import_files
 from .library.store import Library
 from .model.manifold import Manifold
-from .model.settings import Settings
+from .model.settings import BlendSettings, GplvmSettings
 from .render.ball import render_ball
 
 __version__: str
 
 __all__ = [
     "Bands",
+    "BlendSettings",
+    "GplvmSettings",
     "Library",
     "Manifold",
     "MeasuredBRDF",
-    "Settings",
     "analytic",
     "colour",
     "directions",

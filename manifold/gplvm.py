@@ -1,8 +1,9 @@
 """A Gaussian-process latent variable model: low-dimensional coordinates of materials from their Gram matrix.
 
-The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of outputs D. It
-starts from principal components, and is minimised by the direct local search of `manifold.dls`, as Hikichi & Iwasaki
-publish it (sections 3.3 and 3.4), or by L-BFGS. The likelihood itself is `manifold.gp.likelihood.LatentObjective`.
+The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of outputs D.
+The latents start at principal components. Direct local search (`manifold.dls`), as Hikichi & Iwasaki publish it
+(sections 3.3 and 3.4), or L-BFGS then minimises the negative log likelihood per output,
+`manifold.gp.likelihood.LatentObjective`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from manifold.core.errors import UsageError
 from manifold.core.records import Array
 from manifold.dls import STOPPED, FunctionObjective, MoveObjective, direct_local_search
 from manifold.gp.encoding import Encoder
-from manifold.gp.kernels import Kernel, kernel_named, require_mu
+from manifold.gp.kernels import DEFAULT_MU, Kernel, kernel_named, require_mu
 from manifold.gp.likelihood import (
     IncrementalObjective,
     LatentObjective,
@@ -44,7 +45,7 @@ _LAST_STEP = 100.0  # last step of direct local search, in length scales times t
 
 
 class Run:
-    """One fit: its limits, the best latents so far, and the counts over all stages.
+    """One fit as its optimiser sees it: the objective, limits, the best latents so far, and counts.
 
     The callback gets the best value so far after every round; its StopIteration ends the whole fit.
     """
@@ -62,11 +63,6 @@ class Run:
         self.n_iter, self.n_evaluations = 0, 1
         self.best_X, self.best = start, objective(start)[0]
 
-    def refine(self, optimizer: str) -> None:
-        """Minimise from the best latents so far by one of `OPTIMIZERS`."""
-        with suppress(StopIteration):
-            OPTIMIZERS[optimizer](self, self.best_X)
-
     def report(self, X: Array, value: float) -> None:
         """Count a round that ended at X (N, Q)."""
         self.n_iter += 1
@@ -77,16 +73,16 @@ class Run:
 
 
 def search(run: Run, X: Array) -> Array:
-    """Search from X (N, Q) by direct local search (Hooke & Jeeves), without a gradient; return latents.
+    """Minimise from X (N, Q) by direct local search (Hooke & Jeeves), without a gradient; return latents.
 
     Source: Hikichi & Iwasaki, section 3.4.
     """
     objective = run.objective
     l = objective.kernel.length_scale
     moves: MoveObjective
-    if objective.output_variance is None:
+    if objective.output_variance is None and objective.kernel.is_compiled:
         moves = IncrementalObjective(objective, X)
-    else:  # the compiled moves profile the output variance
+    else:  # the compiled moves profile the output variance of built-in kernels
         moves = FunctionObjective(lambda x: objective.value(x.reshape(X.shape)), X.reshape(-1).copy())
     result = direct_local_search(
         moves,
@@ -125,7 +121,7 @@ def descend(run: Run, X: Array) -> tuple[Array, float]:
 
 
 def log_likelihood(
-    X: Array, S: Array, n_outputs: int, *, mu: float = 1e-4, length_scale: float = 1.0,
+    X: Array, S: Array, n_outputs: int, *, mu: float = DEFAULT_MU, length_scale: float = 1.0,
     kernel: str | type[Kernel] = "se", output_variance: float | None = 1.0,
 ) -> float:  # fmt: skip
     """Return the log likelihood of latents, `log p(Y | X)`, with its constants.
@@ -205,7 +201,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self,
         n_components: int = 2,
         *,
-        mu: float = 1e-4,
+        mu: float = DEFAULT_MU,
         length_scale: float = 1.0,
         kernel: str | type[Kernel] = "se",
         optimizer: str = "dls",
@@ -283,8 +279,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         run = Run(objective, start[order], self.max_iter, self.tol, callback)
         objective_start = run.best
         if self.max_iter > 0:
-            with blas_threads(N):
-                run.refine(self.optimizer)
+            with blas_threads(N), suppress(StopIteration):
+                OPTIMIZERS[self.optimizer](run, run.best_X)
         found = fix_gauge(run.best_X)
         objective_end = objective(found)[0]
         if objective_end > objective_start:  # by rounding only: the start was optimal

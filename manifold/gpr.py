@@ -104,7 +104,7 @@ class LengthScaleBound:
         distance: distance to it, shape (M,).
         displacement: `||y* - y_i||`, in units of the outputs, shape (M,).
         bound: `s sqrt(2 N) * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,), with s the steepest slope of the
-            kernel, `e^(-1/2) / l` of the squared exponential.
+            kernel, `e^(-1/2) / l` of the squared exponential, and the Frobenius norm of the centred outputs Y.
     """
 
     nearest: Indices
@@ -191,7 +191,8 @@ class GaussianProcess:
     def variance(self, X_new: Array) -> Array:
         """Return the posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
 
-        Exactly 0 at a training latent, at most the prior's.
+        It is that of a new sample, with the delta of `c(x*, x*) = 1 + mu`: mu to 2 mu next to a training latent, but
+        exactly 0 on it, where the delta of k* makes the prediction the datum. At most the prior's.
         """
         A = scipy.linalg.solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
         variance = np.maximum(self.kernel.prior_variance - np.einsum("nm,nm->m", A, A), 0.0)

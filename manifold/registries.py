@@ -274,8 +274,10 @@ MAPPINGS: Registry[Any] = Registry(
         "log": "manifold.core.mapping:LOG",
         "log-relative": "manifold.core.mapping:LOG_RELATIVE",
     },
+    group="brdf_manifold.mappings",
+    attributes=("name", "forward", "inverse", "slope"),
 )
-"""Mappings of BRDF values, with their default parameters."""
+"""Mappings of BRDF values, each a `manifold.core.mapping.ValueMapping`, with their default parameters."""
 
 NAMED_GRIDS: Registry[Any] = Registry(
     "grid", places={"default": "manifold.core.pairs:DEFAULT", "hikichi": "manifold.core.pairs:HIKICHI"}
@@ -289,8 +291,10 @@ KERNELS: Registry[Any] = Registry(
         "matern32": "manifold.gp.kernels:Matern32",
         "matern52": "manifold.gp.kernels:Matern52",
     },
+    group="brdf_manifold.kernels",
+    attributes=("family", "steepest", "radial"),
 )
-"""Classes of covariance functions."""
+"""Classes of covariance functions, each a `manifold.gp.kernels.Kernel`."""
 
 FITTERS: Registry[type] = Registry(
     "method",

@@ -17,8 +17,11 @@ library = mf.Library("corpus.zarr")
 library.names, library.bands
 file = library.read("syn_satin_gold")
 
-# manifold.Settings
-settings = mf.Settings(latent_dim=2, kind="blend")
+# manifold.BlendSettings
+settings = mf.BlendSettings(latent_dim=2)
+
+# manifold.GplvmSettings
+published = mf.GplvmSettings.published()
 
 # manifold.Manifold
 model = mf.Manifold.fit(library, settings)
@@ -236,8 +239,8 @@ from manifold.estimate import suggest
 
 suggest(atoms, 3, completion, "ma-t12" if len(readings) < 12 else None).angles_deg
 
-# manifold.evaluate.embed
-from manifold.evaluate import embed
+# manifold.model.embed
+from manifold.model import embed
 
 embed(Path("corpus.zarr"), Path("others.h5"), settings, without=["syn_satin_gold"])
 

@@ -11,7 +11,8 @@ coat is not divided by the cosines.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -54,15 +55,19 @@ class Lobes(NamedTuple):
 class Diffuse:
     """Mitsuba's `diffuse` at M direction pairs, as `Principled`; it has no shared parameters."""
 
+    type: ClassVar[str] = "diffuse"
+    colour: ClassVar[str] = "reflectance"
+    defaults: ClassVar[Mapping[str, float]] = MappingProxyType({})
+
     def __init__(self, wi: Array, wo: Array) -> None:
         """Take unit vectors (M, 3)."""
         self._directions = wi, wo
         self._white = np.where((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0), wo[:, 2] / np.pi, 0.0)
 
-    def at(self, rows: Indices) -> Diffuse:
+    def at(self, rows: Indices) -> Self:
         """Return the model at some of the pairs."""
         wi, wo = self._directions
-        return Diffuse(wi[rows], wo[rows])
+        return type(self)(wi[rows], wo[rows])
 
     def coefficients(self, values: Mapping[str, Array | float]) -> Array:
         """Return the coefficients, (3, 1, M)."""
@@ -78,7 +83,16 @@ class Principled:
 
     Values are passed by name as arrays (P, 1), or numbers. Coefficients have shape (3, P, M): f cos(theta_o) in 1/sr
     is the first, plus the second times the base colour, plus the third times its tint.
+
+    Attributes:
+        type: Mitsuba's name of the plugin.
+        colour: the parameter with a value per band.
+        defaults: Mitsuba's values of the shared parameters; a family with others is evaluated by Mitsuba.
     """
+
+    type: ClassVar[str] = "principled"
+    colour: ClassVar[str] = "base_color"
+    defaults: ClassVar[Mapping[str, float]] = MappingProxyType(DEFAULTS)
 
     def __init__(self, wi: Array, wo: Array) -> None:
         """Take unit vectors (M, 3); the coefficients of pairs with a direction below the horizon are 0."""
@@ -104,10 +118,10 @@ class Principled:
         coat_fresnel = _COAT_F0 + (1.0 - _COAT_F0) * self._away
         self._coat = 0.25 * coat_fresnel * masking[0] * masking[1] * lit
 
-    def at(self, rows: Indices) -> Principled:
+    def at(self, rows: Indices) -> Self:
         """Return the model at some of the pairs."""
         wi, wo = self._directions
-        return Principled(wi[rows], wo[rows])
+        return type(self)(wi[rows], wo[rows])
 
     def coefficients(self, values: Mapping[str, Array | float]) -> Array:
         """Return the coefficients, (3, P, M), by all shared parameters."""
@@ -225,3 +239,7 @@ class Principled:
             "specular": {"fresnel": by_eta * eta_slope * by_specular, "f0": 2.0 * root * by_specular},
             "clearcoat_gloss": {"coat": by_square * 2.0 * alpha * (_COAT_ENDS[1] - _COAT_ENDS[0])},
         }
+
+
+MODELS: dict[str, type[Any]] = {model.type: model for model in (Principled, Diffuse)}
+"""The BSDFs that `render.bsdf_evaluation` evaluates in NumPy, by their names as plugins of Mitsuba."""

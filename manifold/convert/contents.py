@@ -31,6 +31,7 @@ from manifold.model.model_file import read_model
 
 if TYPE_CHECKING:
     from manifold.brdf.consistency import Consistency
+    from manifold.model.settings import Settings
 
 _MOST_LISTED = 40  # samples, or cells, one by one
 
@@ -414,6 +415,16 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
     return Inspection(f"{path}: library", rows, document, [(columns, table)], problems)
 
 
+def _process_rows(s: Settings) -> dict[str, object]:
+    """Return the rows of a Gaussian process, which blends have not."""
+    from manifold.model.settings import GplvmSettings
+
+    if not isinstance(s, GplvmSettings):
+        return {}
+    kernel = f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}"
+    return {"kernel": kernel, "optimizer": s.optimizer}
+
+
 def _inspect_model(path: Path, library: Path | None) -> Inspection:
     from manifold.model.manifold import Manifold
     from manifold.model.model_file import restore
@@ -427,7 +438,6 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         if library is not None:
             raise
         missing = str(error)
-    kernel = f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}"
     rows: dict[str, object] = {
         "materials": space.materials_in_words,
         "library": f"{missing}; predictions, renders and reports need it" if found is None else found.path,
@@ -435,8 +445,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "kind": _KINDS[s.kind],
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
-        **({} if s.kind == "blend" else {"kernel": kernel}),  # blends have no Gaussian process
-        "optimizer": s.optimizer,
+        **_process_rows(s),
         "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
@@ -462,7 +471,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "path": str(path),
         "library": str(stored.library if found is None else found.path),
         "library_problem": missing,
-        "settings": dict(vars(s)),
+        "settings": s.to_json(),
         "statistics": stored.statistics,
         "latents": {name: row.tolist() for name, row in zip(stored.names, space.X, strict=True)},
         "left_out": errors,

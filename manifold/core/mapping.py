@@ -6,7 +6,8 @@ All mappings follow the same rules:
 - values keep their shape, a floating dtype is kept, and NaN (a masked cell) stays NaN both ways;
 - an exact zero maps to a finite number and back to exactly zero;
 - negative values (measurement noise) keep their sign under `identity` and `cube-root`, and count as zero
-  under the logarithms, whose inverse is never negative.
+  under the logarithms, whose inverse is never negative;
+- they compute with the functions of `xp`, NumPy or Dr.Jit, so that the Mitsuba plugin evaluates them too.
 
 `inverse(forward(f))` is f only to rounding. Where a prediction has to be a measured value bit for bit, take
 that value instead of mapping it back and forth.
@@ -15,43 +16,33 @@ that value instead of mapping it back and forth.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from manifold.core.errors import ShapeError
 from manifold.core.records import Array
 
 
 class ValueMapping(Protocol):
-    """The interface of a mapping T and its inverse."""
+    """The interface of a mapping T and its inverse.
+
+    Values are in 1/sr. Weights are `cos(theta_i) cos(theta_o)`, for the mappings that weight by them, and broadcast
+    against the values: (..., 1) for values (..., B). None is a weight of 1. `xp` is the array library, with `exp`,
+    `log`, `cbrt`, `sqrt` and `maximum`.
+    """
 
     @property
     def name(self) -> str:
         """The name under which `MAPPINGS` has it."""
 
-    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Apply T to BRDF values in 1/sr.
+    def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
+        """Apply T to BRDF values, element by element."""
 
-        Args:
-            values: shape (..., B), bands last.
-            cosine_weight: `cos(theta_i) cos(theta_o)` per direction pair, shape (...), for the mappings that
-                weight by it; None is a weight of 1.
-
-        Returns:
-            Mapped values, shape (..., B).
-        """
-
-    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
-        """Apply T^-1 to mapped values (..., B), back to 1/sr, with the weight that `forward` had."""
+    def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
+        """Apply T^-1 to mapped values, with the weight that `forward` had."""
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Return the derivative of T^-1 at the mapped values that give these values (..., B)."""
-
-
-def _as_floating(values: Array) -> Array:
-    values = np.asarray(values)
-    return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.float64)
+        """Return the derivative of T^-1 at the mapped values that give these values, in NumPy."""
 
 
 @dataclass(frozen=True)
@@ -60,17 +51,17 @@ class Identity:
 
     name = "identity"
 
-    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+    def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the values unchanged."""
-        return _as_floating(values)
+        return values
 
-    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+    def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the values unchanged."""
-        return _as_floating(mapped)
+        return mapped
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """Return ones."""
-        return np.ones_like(_as_floating(values))
+        return np.ones_like(values)
 
 
 @dataclass(frozen=True)
@@ -83,18 +74,17 @@ class CubeRoot:
 
     name = "cube-root"
 
-    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+    def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the signed cube root."""
-        return np.cbrt(_as_floating(values))
+        return xp.cbrt(values)
 
-    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+    def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the cube."""
-        mapped = _as_floating(mapped)
         return mapped * mapped * mapped
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """Return `3 f^(2/3)`."""
-        root = np.cbrt(_as_floating(values))
+        root = np.cbrt(values)
         return 3.0 * root * root
 
 
@@ -109,17 +99,17 @@ class Log:
     epsilon: float = 1e-3
     name = "log"
 
-    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+    def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the logarithm; negative values count as 0."""
-        return np.log1p(np.maximum(_as_floating(values), 0.0) / self.epsilon)
+        return _log1p(xp.maximum(values, 0.0) / self.epsilon, xp)
 
-    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+    def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the exponential, at least 0."""
-        return np.expm1(np.maximum(_as_floating(mapped), 0.0)) * self.epsilon
+        return _expm1(xp.maximum(mapped, 0.0), xp) * self.epsilon
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """Return `f + epsilon`, also at 0, where the inverse stops, so that a search can leave 0."""
-        return _as_floating(values) + self.epsilon
+        return values + self.epsilon
 
 
 @dataclass(frozen=True)
@@ -140,30 +130,30 @@ class LogRelative:
     floor: float = 1e-3
     name = "log-relative"
 
-    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+    def forward(self, values: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the logarithm of the weighted value; negative values count as 0."""
-        values = _as_floating(values)
-        return np.log1p(np.maximum(values, 0.0) * (self._weight(values, cosine_weight) / self.epsilon))
+        return _log1p(xp.maximum(values, 0.0) * (self._weight(cosine_weight, xp) / self.epsilon), xp)
 
-    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+    def inverse(self, mapped: Any, cosine_weight: Any = None, xp: Any = np) -> Any:
         """Return the original values, at least 0."""
-        mapped = _as_floating(mapped)
-        return np.expm1(np.maximum(mapped, 0.0)) * self.epsilon / self._weight(mapped, cosine_weight)
+        return _expm1(xp.maximum(mapped, 0.0), xp) * self.epsilon / self._weight(cosine_weight, xp)
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """Return `f + epsilon / w`, also at 0, where the inverse stops, so that a search can leave 0."""
-        values = _as_floating(values)
-        return values + self.epsilon / self._weight(values, cosine_weight)
+        return values + self.epsilon / self._weight(cosine_weight, np)
 
-    def _weight(self, like: Array, cosine_weight: Array | None) -> Array | float:
-        if cosine_weight is None:
-            return 1.0
-        weight = np.asarray(cosine_weight, dtype=like.dtype)
-        if weight.shape != like.shape[:-1]:
-            raise ShapeError(
-                f"cosine_weight has shape {weight.shape}, expected {like.shape[:-1]}, one per direction pair"
-            )
-        return np.maximum(weight, self.floor)[..., None]
+    def _weight(self, cosine_weight: Any, xp: Any) -> Any:
+        return 1.0 if cosine_weight is None else xp.maximum(cosine_weight, self.floor)
+
+
+def _log1p(x: Any, xp: Any) -> Any:
+    """Return log(1 + x); Dr.Jit has no function for it."""
+    return np.log1p(x) if xp is np else xp.log(1.0 + x)
+
+
+def _expm1(x: Any, xp: Any) -> Any:
+    """Return exp(x) - 1, likewise."""
+    return np.expm1(x) if xp is np else xp.exp(x) - 1.0
 
 
 IDENTITY, CUBE_ROOT, LOG, LOG_RELATIVE = Identity(), CubeRoot(), Log(), LogRelative()

@@ -334,7 +334,9 @@ def measured(brdf: EvaluableBRDF, keys: Iterable[str]) -> dict[str, float]:
 
 
 def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: ColourChoice = NEAREST) -> Adjusted:
-    """Find the place on a map of blends and the colours nearest to a material at x that have some attributes.
+    """Find the place on a map and the colours nearest to a material at x that have some attributes.
+
+    Without attributes the place and its colours stay. Other colours need a map of blends.
 
     >>> adjust(model, "syn_card_brown", Attributes({"gloss_60": Wanted(40.0), "hue": Wanted(30.0)}))  # doctest: +SKIP
     """
@@ -345,10 +347,12 @@ def adjust(model: Manifold, x: PlaceLike, attributes: Attributes, colour: Colour
     if attributes.is_tinted:
         factor = tinted(factor, _from_lch(np.array([asked[each.key] for each in COLOUR])), model.bands)
     sought = {ATTRIBUTES[key]: value for key, value in asked.items() if ATTRIBUTES[key] not in COLOUR}
-    search = _Search(model, tuple(sought), place.rotation_rad)
-    latent = search.nearest(place.latent, factor, sought)
-    colours = search.colours(latent, factor) if sought or attributes.is_tinted else chosen.colours
-    moved = replace(place, latent=latent, walk=None) if sought else place
+    moved, colours = place, chosen.colours
+    if sought or attributes.is_tinted:
+        search = _Search(model, tuple(sought), place.rotation_rad)
+        latent = search.nearest(place.latent, factor, sought)
+        colours = search.colours(latent, factor)
+        moved = replace(place, latent=latent, walk=None) if sought else place
     reached = model.predict(moved, colours).turned(place.rotation_rad)
     return Adjusted(moved, colours, asked, measured(reached, asked))
 

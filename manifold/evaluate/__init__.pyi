@@ -1,7 +1,5 @@
 from .report import make_report
-from .selection import embed
 
 __all__ = [
-    "embed",
     "make_report",
 ]

@@ -19,10 +19,9 @@ from manifold.model.blend_fitting import BlendTables
 from manifold.model.blend_space import PlaceSearch
 from manifold.model.combination import Combination
 from manifold.model.decoding import appearance_pairs, appearance_weight, roots_at
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings, GplvmSettings, Settings
 from manifold.registries import MAPPINGS
 
-SAMPLE_BANDS = Settings().sample_bands
 _TOLERANCE = 1e-5  # tolerance of fits that are made once per left-out material
 
 
@@ -31,29 +30,27 @@ def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
 
     `tolerance` is that of the fit of a GPLVM.
     """
-    return (
-        _fit_blend(s)
-        if s.kind == "blend"
-        else lambda data, training: _process(s, data, training, tolerance).encode
-    )
+    if isinstance(s, BlendSettings):
+        return _fit_blend(s)
+    assert isinstance(s, GplvmSettings)
+    return lambda data, training: _process(s, data, training, tolerance).encode
 
 
 def fit_after_published(data: Data, training: Indices) -> Encode:
-    """Fit a model after Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search.
+    """Fit a model after Hikichi & Iwasaki: raw values, two dimensions, direct local search.
 
     Directions are weighted by their cosines, and the output variance maximises the likelihood.
 
     They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
     """
-    settings = Settings("gplvm", 2, "identity", mu=1e-4, optimizer="dls")
-    return _process(settings, data, training).encode
+    return _process(GplvmSettings(mapping="identity"), data, training).encode
 
 
-def _process(s: Settings, data: Data, training: Indices, tolerance: float = _TOLERANCE) -> LatentProcess:
+def _process(s: GplvmSettings, data: Data, training: Indices, tolerance: float = _TOLERANCE) -> LatentProcess:
     mapping, power = MAPPINGS[s.mapping], 0.0 if s.as_published else 1.0
     model = GPLVM(
         min(s.latent_dim, len(training) - 1), mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior,
-        optimizer=s.optimizer, tol=tolerance, output_variance=1.0 if s.as_published else None,
+        optimizer=s.optimizer, tol=tolerance, output_variance=s.output_variance,
         farthest_first=not s.as_published,
     ).fit_gram(data.gram(mapping, power=power)[np.ix_(training, training)], data.n_outputs)  # fmt: skip
     return LatentProcess(
@@ -61,7 +58,7 @@ def _process(s: Settings, data: Data, training: Indices, tolerance: float = _TOL
     )
 
 
-def _fit_blend(s: Settings) -> Fit:
+def _fit_blend(s: BlendSettings) -> Fit:
     def fit(data: Data, training: Indices) -> Encode:
         bands = data.available_bands(s.sample_bands)
         every: BlendTables = data.cached(

@@ -15,7 +15,7 @@ from manifold.core.metrics import relative_error
 from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import Array, Indices, evenly_spaced
 from manifold.gp.encoding import PAIR_STRIDE
-from manifold.model import fitting
+from manifold.model import gram
 from manifold.model.combination import Values
 
 MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
@@ -62,8 +62,8 @@ class Data(Values):
         bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
         selected = [material.select_bands(bands.tolist()) for material in materials]
         blocks = []
-        total = -(-grid.n_pairs // fitting.BLOCK_PAIRS)
-        for block in fitting.value_blocks(selected, grid):
+        total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
+        for block in gram.value_blocks(selected, grid):
             blocks.append(block)
             progress.report(len(blocks), total, "direction pairs")
         wi, wo, f = zip(*blocks, strict=True)

@@ -18,9 +18,9 @@ from manifold.evaluate.baselines import (
     fit_pca,
 )
 from manifold.evaluate.cross_validation import Method
-from manifold.evaluate.latent_models import SAMPLE_BANDS, fit_after_published, fit_settings
+from manifold.evaluate.latent_models import fit_after_published, fit_settings
 from manifold.evaluate.storage_forms import Storage
-from manifold.model.settings import Settings
+from manifold.model.settings import SAMPLE_BANDS, BlendSettings, GplvmSettings, Settings
 
 PUBLISHED = "published"
 AFTER_PUBLISHED = "after Hikichi & Iwasaki"
@@ -67,24 +67,24 @@ def gplvm_methods() -> list[Method]:
 
 def _gplvm(latent_dim: int, mapping: str = "cube-root") -> Settings:
     prior = 0.0 if latent_dim == 2 else 0.1
-    return Settings("gplvm", latent_dim, mapping, optimizer="l-bfgs", prior=prior)
+    return GplvmSettings(latent_dim, mapping, optimizer="l-bfgs", prior=prior)
 
 
 STANDARD = {
     "gplvm_2": _gplvm(2),
     "gplvm_6": _gplvm(6),
-    "blend_2": Settings("blend", 2),
-    "blend_3": Settings("blend", 3),
+    "blend_2": BlendSettings(2),
+    "blend_3": BlendSettings(3),
 }
 """Settings of the models among the methods, by key."""
 
 
 def _model(key: str, title: str, s: Settings) -> Method:
     """Return the model of a manifold with these settings: a coordinate per axis, and per band a colour and a gain."""
-    Q, per_band = s.latent_dim, {"blend": 2, "gplvm": 0}[s.kind]
+    Q, per_band = s.latent_dim, 2 if isinstance(s, BlendSettings) else 0
     return Method(
         key, title, lambda B: Q + per_band * B, fit_settings(s), fits_model=True, family=_FAMILIES[s.kind],
-        sample_bands=s.sample_bands if per_band else None,
+        sample_bands=s.sample_bands if isinstance(s, BlendSettings) else None,
     )  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def chart_methods(n_bands: int) -> list[Method]:
     mappings = ("identity", "cube-root", "log-relative")
     pcas = [_pca(f"pca_{k}_{T}", f"PCA {k}, {T}", T, k) for T in mappings for k in (2, 4, 6, 8)]
     gplvms = [_model(f"gplvm_{Q}_{T}", f"GPLVM {Q}, {T}", _gplvm(Q, T)) for T in mappings for Q in (2, 4, 6)]
-    blends = [_model(f"blend_{Q}", f"blend {Q}+2", Settings("blend", Q)) for Q in (2, 3)]
+    blends = [_model(f"blend_{Q}", f"blend {Q}+2", BlendSettings(Q)) for Q in (2, 3)]
     by_key = {setting.key: setting for setting in (*pcas, *gplvms)}
     pca, gplvm = by_key["pca_6_cube-root"], by_key["gplvm_6_cube-root"]
     nonnegative = _nonnegative("non-negative", _SAMPLES)

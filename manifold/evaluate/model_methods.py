@@ -14,6 +14,7 @@ from manifold.gpr import GaussianProcess
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
+from manifold.model.settings import GplvmSettings
 
 
 def model_methods(model: Manifold) -> list[Method]:
@@ -111,7 +112,8 @@ def _process(
 ) -> LatentProcess:
     """Return the process on the latents of some materials of the model."""
     gp, s = GaussianProcess(model.space.X[materials], model.space.kernel), model.settings
+    assert isinstance(s, GplvmSettings)
     return LatentProcess(
-        gp, data, model.mapping, materials, s.prior, 1.0 if s.as_published else output_variance,
+        gp, data, model.mapping, materials, s.prior, s.output_variance or output_variance,
         is_clipped=not s.as_published,
     )  # fmt: skip

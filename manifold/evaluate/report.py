@@ -38,18 +38,18 @@ from manifold.evaluate.errors import (
     plausibility_results,
     standardised_error,
 )
-from manifold.evaluate.latent_models import SAMPLE_BANDS
 from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares, block_pairs
 from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
-from manifold.model import fitting
+from manifold.model import gram
 from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialTable
+from manifold.model.settings import SAMPLE_BANDS
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -238,7 +238,7 @@ def make_report(
         n_error_bands=len(bands),
         grid=grid_name,
         n_pairs=grid.n_pairs,
-        settings=dict(vars(model.settings)),
+        settings=model.settings.to_json(),
         condition=model.gp.condition,
         methods=results,
         expected_errors=None if model.left_out is None else model.left_out.reliability(),
@@ -276,7 +276,7 @@ def _measured_blocks(
     selected = [material.select_bands(bands.tolist()) for material in materials]
     size = block_pairs(len(materials), len(bands))
     total = -(-grid.n_pairs // size)
-    for done, (wi, wo, f) in enumerate(fitting.value_blocks(selected, grid, size), start=1):
+    for done, (wi, wo, f) in enumerate(gram.value_blocks(selected, grid, size), start=1):
         yield Values(f, wi, wo)
         progress.report(done, total, "direction pairs")
 

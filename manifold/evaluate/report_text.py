@@ -255,14 +255,16 @@ def _heading(report: Report) -> list[str]:
     in_bands = "" if report.n_error_bands == report.n_bands else f", in {report.n_error_bands} bands"
     s = report.settings
     dimensions = counted(s["latent_dim"], "dimension")
-    process = (
-        f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
-        f"condition of K {report.condition:.3g}"
-    )
+    process = []  # blends have no Gaussian process
+    if s["kind"] == "gplvm":
+        process = [
+            f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
+            f"condition of K {report.condition:.3g}"
+        ]
     return [
         f"{len(report.names)} materials{kind}, {report.bands}",
         *textwrap.wrap(f"{_KINDS[s['kind']].format(dimensions)}; mapping {s['mapping']}", _WIDTH),
-        *([process] if s["kind"] == "gplvm" else []),  # blends have no Gaussian process
+        *process,
         f"Errors over {report.n_pairs:,} direction pairs (grid '{report.grid}'){in_bands}",
     ]
 

@@ -1,4 +1,4 @@
-"""Embedding of a library, with mapping and number of dimensions chosen by held-out error where they are not given.
+"""Mapping and number of dimensions of a manifold, chosen by held-out error.
 
 The materials are dealt into folds. Every candidate is fitted without a fold, embeds its materials from their data,
 and is judged by what it decodes; up to twenty materials every fold holds one, which is leave-one-out.
@@ -6,19 +6,14 @@ and is judged by what it decodes; up to twenty materials every fold holds one, w
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured_cells import fill_unmeasured
-from manifold.core import disk, progress, work
-from manifold.core.errors import ManifoldError, UsageError
+from manifold.core import progress
+from manifold.core.errors import UsageError
 from manifold.core.names import counted
 from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import evenly_spaced
@@ -26,10 +21,8 @@ from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_c
 from manifold.evaluate.errors import MethodErrors, measure_errors
 from manifold.evaluate.latent_models import fit_settings
 from manifold.evaluate.method_data import Data
-from manifold.library.store import Library
-from manifold.model.manifold import Manifold
-from manifold.model.materials import MaterialTable, names_without
-from manifold.model.settings import Settings
+from manifold.model.materials import MaterialTable
+from manifold.model.settings import SAMPLE_BANDS, BlendSettings, GplvmSettings, Settings
 from manifold.registries import MAPPINGS
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
@@ -79,7 +72,7 @@ def choose(
     trials = _Trials(materials, settings)
     most = min(MAX_DIMENSIONS, len(materials) - 2)
     tried: dict[tuple[str, int], Candidate] = {}
-    mappings = list(MAPPINGS) if mapping and settings.kind != "blend" else [settings.mapping]
+    mappings = list(MAPPINGS) if mapping and isinstance(settings, GplvmSettings) else [settings.mapping]
     total = len(mappings) * mapping + most * latent_dim
 
     def attempt(name: str, count: int) -> Candidate:
@@ -99,8 +92,15 @@ def choose(
                 best = more
             elif count > best.latent_dim + 1:
                 break  # two in a row that did not pay
-    chosen = replace(settings, mapping=best.mapping, latent_dim=best.latent_dim)
+    chosen = _candidate(settings, best.mapping, best.latent_dim)
     return chosen, [replace(c, is_chosen=c is best) for c in tried.values()]
+
+
+def _candidate(settings: Settings, mapping: str, latent_dim: int) -> Settings:
+    """Return settings with another number of dimensions and, of a GPLVM, another mapping."""
+    if isinstance(settings, GplvmSettings):
+        return replace(settings, mapping=mapping, latent_dim=latent_dim)
+    return replace(settings, latent_dim=latent_dim)
 
 
 class _Trials:
@@ -108,7 +108,8 @@ class _Trials:
 
     def __init__(self, materials: Sequence[MeasuredBRDF], settings: Settings) -> None:
         n_bands, N = materials[0].bands.count, len(materials)
-        bands = np.union1d(evenly_spaced(n_bands, MAX_BANDS), evenly_spaced(n_bands, settings.sample_bands))
+        sample_bands = settings.sample_bands if isinstance(settings, BlendSettings) else SAMPLE_BANDS
+        bands = np.union1d(evenly_spaced(n_bands, MAX_BANDS), evenly_spaced(n_bands, sample_bands))
         self._settings = settings
         self._data = Data.evaluate(materials, GRID, bands, stride=1)
         self._table = MaterialTable(materials, bands)
@@ -116,7 +117,7 @@ class _Trials:
 
     def run(self, name: str, latent_dim: int) -> Candidate:
         """Return the held-out errors of one setting."""
-        fit = fit_settings(replace(self._settings, mapping=name, latent_dim=latent_dim), tolerance=_TOLERANCE)
+        fit = fit_settings(_candidate(self._settings, name, latent_dim), tolerance=_TOLERANCE)
         encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))
         found = encoded.combinations
         (errors,) = measure_errors([found], self._data.bands, [self._data])
@@ -126,55 +127,3 @@ class _Trials:
             key=f"{name}_{latent_dim}", title=f"{name}, {latent_dim} dimensions", errors=of_each, mapping=name,
             latent_dim=latent_dim, error=mean, seconds=seconds,
         )  # fmt: skip
-
-
-def embed(
-    library: Path,
-    model: Path,
-    settings: Settings,
-    *,
-    without: Collection[str] = (),
-    auto_mapping: bool = False,
-    auto_latent_dim: bool = False,
-    workers: Executor | None = None,
-) -> tuple[Manifold, list[Candidate]]:
-    """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `choose`.
-
-    The whole is one task, whose progress workers do not tell.
-
-    Returns:
-        The manifold, and the settings that were tried, where any was to be chosen.
-
-    Raises:
-        ManifoldError: it failed where it ran, or the worker was lost.
-    """
-    if workers is not None:
-        task = partial(
-            _embed_there, library, settings=settings, without=tuple(without), auto_mapping=auto_mapping,
-            auto_latent_dim=auto_latent_dim,
-        )  # fmt: skip
-        with progress.shown("Embedding"):
-            ((_, tried, failure),) = work.run(task, [model], workers)
-        if tried is None:
-            raise ManifoldError(failure)
-        return Manifold.load(model, library), tried
-    disk.require_writable(model)
-    opened = Library(library)
-    names = names_without(opened, without)
-    candidates: list[Candidate] = []
-    if auto_mapping or auto_latent_dim:
-        with progress.shown("Reading materials"):
-            read = progress.each(names, str)
-            materials = [MeasuredBRDF(fill_unmeasured(opened.read(name))) for name in read]
-        with progress.shown("Leaving materials out"):
-            settings, candidates = choose(
-                materials, settings, mapping=auto_mapping, latent_dim=auto_latent_dim
-            )
-    with progress.shown("Embedding"):
-        fitted = Manifold.fit(opened, settings, names=names)
-    fitted.save(model)
-    return fitted, candidates
-
-
-def _embed_there(library: Path, model: Path, **how: Any) -> list[Candidate]:
-    return embed(library, model, **how)[1]

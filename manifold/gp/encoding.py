@@ -148,13 +148,12 @@ class Decoder:
 
     def combine(self, V: Array) -> tuple[Array, Array]:
         """Return values (R, P) of weights V (R, n), possibly negative, and their derivatives by the mapped values."""
-        rows = self._row_cosines(len(V))
-        values = self.mapping.inverse((V @ self.mapped)[..., None], rows)
-        return values[..., 0], self.mapping.slope(values, rows)[..., 0]
+        values = self.mapping.inverse(V @ self.mapped, self.cosines)
+        return values, self.mapping.slope(values, self.cosines)
 
     def map(self, f: Array) -> Array:
         """Apply T to values f (R, P), same shape."""
-        return self.mapping.forward(f[..., None], self._row_cosines(len(f)))[..., 0]
+        return self.mapping.forward(f, self.cosines)
 
     def relative_error(self, latents: Array, f: Array) -> float:
         """Return the error of the values decoded at latents (R, Q) against f (R, P); see `metrics.relative_error`."""
@@ -162,11 +161,7 @@ class Decoder:
 
     def _values(self, mapped: Array) -> Array:
         """Return the values f, at least 0, of mapped values, same shape (R, P)."""
-        rows = self._row_cosines(len(mapped))
-        return np.maximum(self.mapping.inverse(mapped[..., None], rows)[..., 0], 0.0)
-
-    def _row_cosines(self, rows: int) -> Array:
-        return np.broadcast_to(self.cosines, (rows, self.cosines.size))
+        return np.maximum(self.mapping.inverse(mapped, self.cosines), 0.0)
 
 
 _STARTS = 5  # nearest training materials to start from

@@ -8,7 +8,7 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.core.records import Array
-from manifold.gp.kernels import Kernel, first_equal_row, kernel_named
+from manifold.gp.kernels import DEFAULT_MU, Kernel, first_equal_row, kernel_named
 from manifold.gpr import GaussianProcess, LengthScaleBound
 
 
@@ -31,7 +31,7 @@ class GPRegressor(RegressorMixin, BaseEstimator):
     """
 
     def __init__(
-        self, mu: float = 1e-4, length_scale: float = 1.0, kernel: str | type[Kernel] = "se"
+        self, mu: float = DEFAULT_MU, length_scale: float = 1.0, kernel: str | type[Kernel] = "se"
     ) -> None:
         self.mu = mu
         self.length_scale = length_scale

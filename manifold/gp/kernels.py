@@ -20,6 +20,8 @@ from manifold.core.errors import UsageError
 from manifold.core.records import Array, Indices, Mask
 from manifold.registries import KERNELS
 
+DEFAULT_MU = 1e-4
+"""The noise filter of Hikichi & Iwasaki (section 3.3)."""
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 LARGEST_MU = 1e6  # above, everything is noise
 
@@ -37,7 +39,7 @@ class Kernel(ABC):
     Source: Rasmussen & Williams 2006, chapter 4; the delta: Hikichi & Iwasaki, eq. 14.
     """
 
-    mu: float = 1e-4
+    mu: float = DEFAULT_MU
     length_scale: float = 1.0
     family: ClassVar[str]
     steepest: ClassVar[float]
@@ -54,13 +56,13 @@ class Kernel(ABC):
         return self.family
 
     @property
+    def is_compiled(self) -> bool:
+        """Return whether compiled loops know this class; a subclass of another package may differ."""
+        return type(self) in _COMPILED
+
+    @property
     def numbers(self) -> tuple[int, float]:
         """Parameters for compiled loops: index of the class for `radial_of_pair`, `1 / l^2`."""
-        if type(self) not in _COMPILED:
-            raise UsageError(
-                f"kernel '{self.family}' is your own, and direct local search is compiled for "
-                f"{', '.join(kernel.family for kernel in _COMPILED)} only; use the optimizer l-bfgs"
-            )
         return _COMPILED.index(type(self)), 1.0 / self.length_scale**2
 
     @abstractmethod
@@ -150,7 +152,7 @@ class Matern52(Kernel):
 _COMPILED = (SquaredExponential, Matern32, Matern52)  # in the order of `radial_of_pair` in cpp/models.cpp
 
 
-def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
+def kernel_named(name: str | type[Kernel], mu: float = DEFAULT_MU, length_scale: float = 1.0) -> Kernel:
     """Return a kernel by its name in `KERNELS`, or of a class of your own with `family`, `steepest` and `radial`.
 
     >>> kernel_named("se", mu=1e-4).smooth(np.array([[0.0]]), np.array([[0.0], [1.0]])).round(3)

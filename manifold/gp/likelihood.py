@@ -18,13 +18,13 @@ _SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
 
 
 class LatentObjective:
-    """F(X) and its gradient, by a fresh factorisation.
+    """The negative log likelihood of latents per output, F(X), without constants, and its gradient.
 
     `F = 1/2 log|K| + N/2 log s^2 + tr(K^-1 S) / (2 D s^2) - N/2 + prior/2 ||X||^2`; S (N, N) is a centred Gram matrix
     of D outputs, the prior's weight per output. Where the output variance is None, s^2 maximises the likelihood,
     `s^2 = tr(K^-1 S) / (N D)`, and the third and fourth terms cancel.
 
-    Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, per output, where s^2 = 1.
+    Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, where s^2 = 1, divided by -D.
     """
 
     def __init__(

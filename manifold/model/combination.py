@@ -49,8 +49,7 @@ class Values:
     def mapped(self, mapping: ValueMapping) -> Array:
         """Return t(f) of all materials, shape (N, P, B); cached."""
         if mapping not in self._mapped:
-            cosines = np.broadcast_to(self.cosines, self.f.shape[:2])
-            self._mapped[mapping] = mapping.forward(self.f, cosines)
+            self._mapped[mapping] = mapping.forward(self.f, self.cosines[:, None])
         return self._mapped[mapping]
 
     @cached_property
@@ -63,9 +62,7 @@ class Values:
         key = (mapping, tuple(int(b) for b in bands))
         if key not in self._samples:
             f = np.ascontiguousarray(np.moveaxis(self.f[..., list(key[1])], 2, 1))  # [N, B_s, P]
-            flat = f.reshape(-1, f.shape[2], 1)
-            cosines = np.broadcast_to(self.cosines, flat.shape[:2])
-            self._samples[key] = mapping.forward(flat, cosines)[..., 0]
+            self._samples[key] = mapping.forward(f.reshape(-1, f.shape[2]), self.cosines)
         return self._samples[key]
 
     def mapped_lobes(self, mapping: ValueMapping, lobes: Lobes) -> Array:
@@ -158,11 +155,10 @@ def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool 
             mapped = values.mapped(first.mapping)
             weights = np.stack([combinations[m].weights for m in group])
             combined = (weights @ mapped.reshape(len(mapped), -1)).reshape(len(group), *mapped.shape[1:])
-            cosines = np.broadcast_to(values.cosines, combined.shape[:2])
-            predicted[group] = first.mapping.inverse(combined, cosines)
+            predicted[group] = first.mapping.inverse(combined, values.cosines[:, None])
         else:
             for m in group:
-                predicted[m] = first.mapping.inverse(combinations[m].mapped(values), values.cosines)
+                predicted[m] = first.mapping.inverse(combinations[m].mapped(values), values.cosines[:, None])
     for m, combination in enumerate(combinations):
         if combination.source is not None:
             predicted[m] = values.f[combination.source]

@@ -47,7 +47,7 @@ def decoder_at(
     for brdf in materials.in_bands(
         space.embedding_bands(materials.library.bands.count).tolist(), names=names
     ):
-        rows.append(mapping.forward(values_at(brdf, pairs), cosines).T)  # [B_e, P]
+        rows.append(mapping.forward(values_at(brdf, pairs), cosines[:, None]).T)  # [B_e, P]
     mapped, cosines = space.samples(np.stack(rows), cosines)
     return Decoder(space.gp, mapped, mapping, cosines)
 

@@ -17,9 +17,10 @@ from manifold.core.records import Array
 from manifold.core.results import Result, derived, entry
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice
 from manifold.model.expected_error import BELOW_TWICE, COARSE_BELOW, NOT_CALIBRATED
+from manifold.model.gplvm_space import GplvmSpace
 
 if TYPE_CHECKING:
-    from manifold.model.manifold import Manifold
+    from manifold.model.manifold import Manifold, Posterior
     from manifold.model.places import Place, PlaceLike
 
 AT_A_MATERIAL = "none, because a measured material lies there"
@@ -51,6 +52,8 @@ class DiagnosedPrediction(Result):
         materials: number of materials of the model, on whose left-out errors expected ones are based.
         expected: of a material that has the place, and the colour if that is known; None where the model is not
             calibrated, and of a step of a walk.
+        posterior: standard deviation of the Gaussian process there, with its unit; None for blends, and at a step of a
+            walk.
         expected_in_chosen_colour: what would be expected if the colour, which is blended from the surrounding
             materials, were chosen; None where it is not blended.
         is_extrapolation: whether the data do not support the place.
@@ -92,6 +95,14 @@ class DiagnosedPrediction(Result):
     materials: int = field(metadata=entry())
     expected: Errors[Array] | None = field(metadata=entry(columns={EXPECTED_BALL: ("ball",)}))
     expected_in_chosen_colour: Errors[Array] | None = field(metadata=entry())
+    posterior: Posterior | None = field(
+        default=None,
+        metadata=entry(
+            row="posterior standard deviation",
+            words=lambda result: result.posterior.words,
+            json=lambda result: None if result.posterior is None else result.posterior.to_json(),
+        ),
+    )
     is_extrapolation: bool = field(metadata=entry())
 
     @property
@@ -120,7 +131,7 @@ class DiagnosedPrediction(Result):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values; only a file that was written has the program's version, and values of the file."""
-        absent = set() if self.attributes is not None else {"attributes"}
+        absent = {name for name in ("attributes", "posterior") if getattr(self, name) is None}
         if self.path is None:
             absent |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
         program = {} if self.path is None else {"program": f"manifold {__version__}"}
@@ -174,6 +185,7 @@ def diagnose(
         materials=len(model.names),
         expected=model.expected_error(place, colours),
         expected_in_chosen_colour=in_chosen_colour,
+        posterior=model.posterior(place) if isinstance(model.space, GplvmSpace) and not is_step else None,
         is_extrapolation=is_extrapolation,
         plausibility=found,
         diagnostics=sentences + of_unmeasured(model.unmeasured_share(place, colours)) + model.notes,

@@ -21,6 +21,8 @@ from manifold.model.combination import Combination
 from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
 
+Statistics = dict[str, float]
+"""Objective at start and end of a fit."""
 LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
 """A function from a left-out material's index to its place (Q,), its prediction, and its residual.
 
@@ -80,7 +82,7 @@ class LatentSpace(ABC):
 
     @cached_property
     def gp(self) -> GaussianProcess:
-        """The Gaussian process of the training samples."""
+        """The Gaussian process on the latents: it predicts on a GPLVM, and tells how far the data reach on any map."""
         return GaussianProcess(self.X, self.kernel)
 
     @property

@@ -23,7 +23,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialCache, names_without
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
-from manifold.model.settings import Settings
+from manifold.model.settings import SAMPLE_BANDS
 
 _SHOWN_PARTS = 5
 
@@ -155,7 +155,7 @@ def reconstruct_file(
     brdf, notes = _filled(file)
     library.bands.require_same(brdf.bands, file.name, "resample it, or use its own library")
     materials = MaterialCache(library, names, is_nonnegative=True)
-    bands = evenly_spaced(library.bands.count, Settings().sample_bands)
+    bands = evenly_spaced(library.bands.count, SAMPLE_BANDS)
     trials = [0.0] if materials.is_isotropic else trial_rotations(file)
     tried = [reconstruct(materials, bands, _turned(brdf, -angle), numbers).turned(angle) for angle in trials]
     of_tried = [brdf_errors(brdf, reconstruction) for reconstruction in tried]

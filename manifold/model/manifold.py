@@ -1,10 +1,10 @@
-"""The fitted manifold: latents of the materials of a library, and predictions from them."""
+"""The fitted manifold: predictions from the latents of the materials of a library."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
@@ -19,22 +19,18 @@ from manifold.core.errors import UnknownNameError, UsageError
 from manifold.core.mapping import Identity, ValueMapping
 from manifold.core.metrics import Errors
 from manifold.core.names import names_like
-from manifold.core.records import Array, Bands, Indices, Mask, evenly_spaced
-from manifold.core.threads import one_blas_thread
+from manifold.core.records import Array, Bands, Indices, Mask, evenly_spaced, plain
 from manifold.gpr import GaussianProcess, LengthScaleBound
-from manifold.library.store import Library
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
-from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
-from manifold.model.fitting import Gram, fit_space
+from manifold.model.embedding import Embedding, LibraryChangedWarning
+from manifold.model.gplvm_space import GplvmSpace
+from manifold.model.gram import Gram
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
-from manifold.model.latent_space import Embedded, LatentSpace, fixed_colours
+from manifold.model.latent_space import Embedded, fixed_colours
 from manifold.model.map import map_svg
-from manifold.model.material_space import MaterialSpace
-from manifold.model.materials import MaterialCache, names_among
-from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
 from manifold.model.places import (
     Place,
     PlaceLike,
@@ -47,13 +43,11 @@ from manifold.model.places import (
 )
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
-from manifold.model.settings import Settings
+from manifold.model.settings import SAMPLE_BANDS, GplvmSettings
 from manifold.model.walks import Walk, Walked
 from manifold.registries import MAPPINGS
 
 _ONE = np.ones(1)
-_DEFAULTS = Settings()
-
 
 S = TypeVar("S", bound=np.generic)
 
@@ -61,37 +55,39 @@ _PICTURED = 80  # materials with ball and name in a picture of thousands
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 
 
-class LibraryChangedWarning(UserWarning):
-    """A model was opened with another library than the one it was fitted to."""
-
-
-class Manifold:
-    """Latent coordinates of measured materials, and predictions at any coordinate.
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Standard deviations of the Gaussian process at places.
 
     Attributes:
-        names: material names in the order of the latents, N of them.
-        left_out: places and errors of left-out materials; None for a model that is not calibrated.
-        statistics: objective at start and end of the fit.
-        notes: diagnostics that apply to all predictions, from `load`.
+        std: of the posterior, in `unit`, a number or shape (M,).
+        relative: the same, over that of the prior.
+        unit: what the outputs are whose deviation this is, in words.
     """
 
-    def __init__(
-        self,
-        materials: MaterialCache,
-        space: LatentSpace,
-        settings: Settings,
-        statistics: dict[str, float],
-        left_out: LeftOut | None = None,
-    ) -> None:
+    std: Array
+    relative: Array
+    unit: str
+
+    @property
+    def words(self) -> str:
+        """Return the deviation at one place in words."""
+        return f"{self.std:.3g} of {self.unit}; {self.relative:.2g} of the prior's"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return plain(vars(self))
+
+
+class Manifold(Embedding):
+    """Latent coordinates of measured materials, and predictions at any coordinate.
+
+    Attributes: those of `Embedding`.
+    """
+
+    def __init__(self, *fitted: Any) -> None:
         """Use `fit` or `load`."""
-        self.materials = materials
-        self.names = materials.names
-        self.space = space
-        self.space.X.setflags(write=False)
-        self.settings = settings
-        self.left_out = left_out
-        self.statistics = statistics
-        self.notes: tuple[str, ...] = ()
+        super().__init__(*fitted)
         self._walked: dict[str, Walked] = {}
         self._searches: dict[bool, LandmarkSearch] = {}  # keys: whether all materials are isotropic
 
@@ -105,54 +101,7 @@ class Manifold:
     def _repr_html_(self) -> str:
         return f"<div>{escape(repr(self))}</div>{map_svg(self.X, self.names)}"
 
-    @classmethod
-    def fit(
-        cls,
-        library: Library | Path | str,
-        settings: Settings = _DEFAULTS,
-        *,
-        names: Collection[str] | None = None,
-        latents: Array | None = None,
-        calibrate: bool = True,
-    ) -> Manifold:
-        """Embed the materials of a library, and leave each of them out once, which calibrates the expected errors.
-
-        Args:
-            library: at least two materials, or the path of a library.
-            settings: see `Settings`.
-            names: of the materials to embed, such as all but those that are held out; None for all of them.
-            latents: of a dimensionality reduction of your own, shape (N, Q), in the order of the library; they are
-                kept as they are. Only of kind gplvm.
-            calibrate: False saves the time of leaving materials out; expected errors are unknown then, as they are
-                with fewer than four materials.
-
-        Raises:
-            UsageError: fewer than two materials, more dimensions than materials less one, no such material, or latents
-                for kind blend.
-            ShapeError: the latents have another shape, or are not finite.
-            LibraryError: there is no such library, or a material cannot be read.
-        """
-        if not isinstance(library, Library):
-            library = Library.open(library)
-        chosen = library.names if names is None else names_among(library, names)
-        is_nonnegative = SPACES[settings.kind].is_nonnegative
-        materials = MaterialCache(
-            library, chosen, is_nonnegative=is_nonnegative, fills_cells=not settings.as_published
-        )
-        left_out = None
-        # A layout amplifies the rounding of sums, which depends on the number of threads.
-        with one_blas_thread:
-            space, statistics, samples = fit_space(materials, settings, latents)
-            if calibrate and len(chosen) >= LEAST_MATERIALS:
-                left_out = leave_out(space, materials, settings, samples)
-        return cls(materials, space, settings, statistics, left_out)
-
     # -- the map -------------------------------------------------------------------------------------------
-
-    @property
-    def X(self) -> Array:
-        """Latents of the materials, read-only, shape (N, Q)."""
-        return self.space.X
 
     @property
     def landmarks(self) -> Indices:
@@ -166,7 +115,7 @@ class Manifold:
 
     @property
     def gp(self) -> GaussianProcess:
-        """The Gaussian process on the latents of the materials."""
+        """The Gaussian process on the latents of the materials; predictions of blends take only its variance."""
         return self.space.gp
 
     def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
@@ -176,6 +125,24 @@ class Manifold:
     def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
         """Return the posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1]."""
         return np.sqrt(self._at(x, colours, self.space.variance_fraction))
+
+    def posterior(self, x: ArrayLike | PlaceLike) -> Posterior:
+        """Return the posterior standard deviation at a place (Q,) or latents x (M, Q), in the unit of the outputs.
+
+        The outputs of the process are `sqrt(cos(theta_i) cos(theta_o)) T(f)`, or `T(f)` as published, T the mapping and
+        f in 1/sr. They share one variance, so the deviation is that of each of them.
+
+        Raises:
+            UsageError: the model is of kind blend, which has no Gaussian process.
+        Source: Hikichi & Iwasaki, eq. 12.
+        """
+        space, settings = self._whole_materials(), self.settings
+        assert isinstance(settings, GplvmSettings)
+        variance = settings.output_variance or space.gp.output_variance(space.S, space.n_outputs)
+        relative = self.std(x)
+        prior = np.sqrt(variance * space.kernel.prior_variance)
+        weight = "" if settings.as_published else "sqrt(cos(theta_i) cos(theta_o)) "
+        return Posterior(prior * relative, relative, f"{weight}T(f), T = {settings.mapping}, f in 1/sr")
 
     def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
         """Return whether the data do not support predictions at a place (Q,) or latents x (M, Q).
@@ -291,11 +258,6 @@ class Manifold:
         return function(X[None], colours)[0] if X.ndim == 1 else function(X, colours)
 
     # -- materials -----------------------------------------------------------------------------------------
-
-    @property
-    def library(self) -> Library:
-        """The library of the measured materials."""
-        return self.materials.library
 
     @property
     def bands(self) -> Bands:
@@ -434,8 +396,8 @@ class Manifold:
         X = np.stack([self.place(place).latent for place in places])
         return self.gp.length_scale_bound(X, self._whole_materials().S)
 
-    def _whole_materials(self) -> MaterialSpace:
-        if not isinstance(self.space, MaterialSpace):
+    def _whole_materials(self) -> GplvmSpace:
+        if not isinstance(self.space, GplvmSpace):
             raise UsageError(
                 f"a model of kind {self.space.kind}, expected gplvm: embed the library with that kind"
             )
@@ -502,55 +464,8 @@ class Manifold:
         self.bands.require_same(
             brdf.bands, "the material to reconstruct", "resample it, or use its own library"
         )
-        bands = evenly_spaced(self.bands.count, self.settings.sample_bands)
+        bands = evenly_spaced(self.bands.count, SAMPLE_BANDS)
         return reconstruct(self.materials, bands, brdf, numbers)
-
-    # -- files ---------------------------------------------------------------------------------------------
-
-    def save(self, path: Path | str) -> None:
-        """Write the model as HDF5, atomically.
-
-        Raises:
-            UsageError: the file cannot be written.
-        """
-        library, settings = self.library, dict(vars(self.settings))
-        arrays = self.space.arrays | ({} if self.left_out is None else self.left_out.arrays)
-        record = ModelRecord(
-            library.path, library.content_hash, self.names, settings, self.statistics, arrays
-        )
-        write_model(Path(path), record)
-
-    @classmethod
-    def load(cls, path: Path | str, library: Library | Path | str | None = None) -> Manifold:
-        """Read a model and open its library.
-
-        Args:
-            path: the model.
-            library: path of the library, if it was moved.
-
-        Raises:
-            ModelError: no such file, no model of this package, another version, or damaged.
-            LibraryError: the library is not there, or lacks materials of the model.
-
-        Warns:
-            LibraryChangedWarning: the library's content is not what the model was fitted to.
-        """
-        path = Path(path)
-        stored = read_model(path)
-        library = open_library(path, stored, library)
-        settings, space, left_out = restore(path, stored)
-        materials = MaterialCache(
-            library, stored.names, is_nonnegative=space.is_nonnegative, fills_cells=not settings.as_published
-        )
-        model = cls(materials, space, settings, stored.statistics, left_out)
-        if library.content_hash != stored.library_hash:
-            change = (
-                f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
-                f"expected {stored.library_hash[:12]}); predictions use the present files: embed again"
-            )
-            model.notes = (change,)
-            warnings.warn(change, LibraryChangedWarning, stacklevel=2)
-        return model
 
 
 @lru_cache(maxsize=4)

@@ -28,13 +28,14 @@ from manifold.formats.recognition import MODEL_MAGIC
 from manifold.library.store import Library
 from manifold.model.blend_space import BlendSpace
 from manifold.model.expected_error import LeftOut
+from manifold.model.gplvm_space import GplvmSpace
 from manifold.model.latent_space import LatentSpace
-from manifold.model.material_space import MaterialSpace
-from manifold.model.settings import Settings
+from manifold.model.settings import KINDS, Settings
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 4
 _ADDED_SETTINGS = {"as_published": False}  # of earlier files of this version, which lack them
+_OLD_KINDS = {"material": "gplvm"}  # names of earlier versions
 
 _HEADER = struct.Struct("<16sI16x")  # magic, version
 _DIGEST = slice(_HEADER.size, _HEADER.size + 32)
@@ -172,7 +173,7 @@ def _finite(values: Any, name: str) -> Any:
     return values
 
 
-SPACES: dict[str, type[LatentSpace]] = {space.kind: space for space in (BlendSpace, MaterialSpace)}
+SPACES: dict[str, type[LatentSpace]] = {space.kind: space for space in (BlendSpace, GplvmSpace)}
 """The kinds of latent space, by name."""
 
 
@@ -203,7 +204,8 @@ def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, Lef
     """Restore settings, latent space, and errors of left-out materials from a model file."""
     try:
         held = _ADDED_SETTINGS | stored.settings
-        settings = Settings(**{f.name: held[f.name] for f in fields(Settings)})
+        kind = KINDS[_OLD_KINDS.get(str(held["kind"]), str(held["kind"]))]
+        settings = kind(**{f.name: held[f.name] for f in fields(kind)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), stored.n_bands or 0)
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:

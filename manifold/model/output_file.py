@@ -44,10 +44,10 @@ class OutputOptions:
 
 
 DEFAULT_OPTIONS = OutputOptions()
-COMPLETION_OPTIONS = OutputOptions(incidences=24)
-"""The resolution of completions: eight incidences change colours at the readings by up to 2.3 CIEDE2000, 24 by 0.3."""
-
-FINE_OPTIONS = OutputOptions(resolution=48, incidences=24)
+FINE_INCIDENCES = 24
+"""Incidences of completions: eight change colours at the readings by up to 2.3 CIEDE2000, 24 by 0.3."""
+COMPLETION_OPTIONS = OutputOptions(incidences=FINE_INCIDENCES)
+FINE_OPTIONS = OutputOptions(resolution=48, incidences=FINE_INCIDENCES)
 """The resolution of temporary files in place of a prediction.
 
 Near mirror directions of 20 real files they differ by 0.2 to 7 % (median 1.3 %), where the default differs by

@@ -248,7 +248,7 @@ class PredictedBRDF(NotebookPicture):
         else:
             mapped = np.zeros(out.shape, dtype)
             self._sums[0].add_to(mapped, pairs)
-        out[...] = self._mapping.inverse(mapped, cosines)
+        out[...] = self._mapping.inverse(mapped, cosines[:, None])
         out[cosines <= 0] = 0.0
 
     @cached_property
@@ -278,7 +278,7 @@ class _MappedSum:
     def add_to(self, total: Array, pairs: Pairs) -> None:
         """Add the sum at K direction pairs to total (K, B)."""
         for brdf, weight in self._terms:
-            total += weight * self._mapping.forward(values_at(brdf, pairs), pairs.cosines)
+            total += weight * self._mapping.forward(values_at(brdf, pairs), pairs.cosines[:, None])
 
 
 class ClippedBRDF(WrappedBRDF):

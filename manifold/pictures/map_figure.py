@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
@@ -14,6 +16,7 @@ from manifold.core.directions import from_spherical
 from manifold.core.judged_lights import BALL
 from manifold.core.records import Array, Indices
 from manifold.library.identity import origins_in_words
+from manifold.model.gplvm_space import GplvmSpace
 from manifold.model.manifold import Manifold
 from manifold.pictures.figures import fix_layout, new_figure, place_names, shortened
 
@@ -22,6 +25,7 @@ _POINTS_AREA, _MOST_AREA = 60000.0, 30.0  # area of all small points together, a
 MARK = "#d55e00"
 _UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
 _BALL_RANGE, _BALL_TICKS = (0.5, 16.0), (0.5, 1, 2, 4, 8, 16)  # CIEDE2000; a difference of 1 is visible
+_LINES = 4  # lines of equal posterior standard deviation, about
 _GRID = 120  # background samples per axis
 _MARGIN = 0.18  # margin around the latents, as a share of their range
 
@@ -83,15 +87,19 @@ def two_dimensions(X: Array) -> Array:
 def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
     """Draw the expected error as the background of a two-dimensional map, with its colour bar.
 
-    Without calibration it is the posterior over the prior standard deviation; hatched regions are not
-    supported by the data.
+    Without calibration it is the posterior standard deviation, over that of the prior for blends; hatched regions are
+    not supported by the data. Lines of a GPLVM that is calibrated are at equal posterior standard deviation.
     """
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     margin = _MARGIN * (high - low)
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], _GRID) for k in (0, 1))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     left_out = model.left_out
-    if left_out is None:
+    posterior = model.posterior(points) if isinstance(model.space, GplvmSpace) else None
+    if left_out is None and posterior is not None:
+        ground, norm = posterior.std, Normalize(0.0)
+        words = f"posterior standard deviation of {posterior.unit}"
+    elif left_out is None:
         ground, norm, words = (
             model.std(points),
             Normalize(0.0, 1.0),
@@ -112,11 +120,19 @@ def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
     if left_out is not None:
         bar.set_ticks(_BALL_TICKS, labels=[f"{tick:g}" for tick in _BALL_TICKS])
     unsupported = model.is_extrapolation(points).reshape(_GRID, _GRID).astype(float)
+    keys: list[Artist] = []
+    if left_out is not None and posterior is not None:
+        lines = axes.contour(
+            x, y, posterior.std.reshape(_GRID, _GRID), levels=_LINES, colors="0.35", linewidths=0.7
+        )
+        axes.clabel(lines, fmt="%.2g", fontsize=7)
+        keys.append(Line2D([], [], color="0.35", lw=0.7, label=f"posterior std of {posterior.unit}"))
     if unsupported.any():
         hatched = axes.contourf(x, y, unsupported, levels=[0.5, 1.5], colors="none", hatches=["//"])
         hatched.set(edgecolor="0.45", linewidth=0.0)
-        legend = Patch(facecolor="none", edgecolor="0.45", hatch="//", label="not supported by the data")
-        axes.legend(handles=[legend], loc="lower right", fontsize=8, framealpha=0.9)
+        keys.append(Patch(facecolor="none", edgecolor="0.45", hatch="//", label="not supported by the data"))
+    if keys:
+        axes.legend(handles=keys, loc="lower right", fontsize=8, framealpha=0.9)
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
 

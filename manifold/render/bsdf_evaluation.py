@@ -1,6 +1,6 @@
 """BSDFs evaluated for many parameter vectors at many direction pairs, with derivatives.
 
-`principled` and `diffuse` are evaluated in NumPy (`manifold.analytic.principled`), all others by Mitsuba itself, on its
+BSDFs of `manifold.analytic.principled.MODELS` are evaluated in NumPy, all others by Mitsuba itself, on its
 LLVM backend: every texture slot of a plugin holds a *lane texture*, whose value is an array with one entry per lane of
 the wavefront. One kernel then evaluates any number of parameter vectors at all direction pairs, and a second one, with
 a different tangent per lane, all columns of a Jacobian.
@@ -24,11 +24,6 @@ _LANES = 1 << 20  # lanes of one wavefront; more are evaluated one after the oth
 _BLOCK = 1 << 16  # pairs times vectors that NumPy evaluates at once: what a processor's cache holds
 _COLOUR = 0.5  # Mitsuba's, of a family without a free one
 _TINTS = ("spec_tint", "sheen_tint")
-# The model of each type that NumPy evaluates, and its colour.
-_MODELS: dict[str, tuple[type[Any], str]] = {
-    "principled": (principled.Principled, "base_color"),
-    "diffuse": (principled.Diffuse, "reflectance"),
-}
 
 
 class Evaluator(Protocol):
@@ -74,17 +69,17 @@ def variant(family: BsdfFamily) -> str:
 def is_analytic(family: BsdfFamily) -> bool:
     """Return whether NumPy evaluates a family.
 
-    It is `principled` or `diffuse`, with a colour per band and numbers from 0 to 1 for everything else.
+    It is one of `principled.MODELS`, with a colour per band and numbers from 0 to 1 for everything else.
     """
-    if family.type not in _MODELS:
+    model = principled.MODELS.get(family.type)
+    if model is None:
         return False
-    colour = _MODELS[family.type][1]
-    shared = [parameter for parameter in family.parameters if parameter.name != colour]
+    shared = [parameter for parameter in family.parameters if parameter.name != model.colour]
     names = {*family.fixed, *(parameter.name for parameter in shared)}
     ends = [end for parameter in shared for end in (parameter.minimum, parameter.maximum)]
     return (
-        names <= set(principled.DEFAULTS if family.type == "principled" else ())
-        and all(parameter.per_band == (parameter.name == colour) for parameter in family.parameters)
+        names <= set(model.defaults)
+        and all(parameter.per_band == (parameter.name == model.colour) for parameter in family.parameters)
         and all(
             isinstance(value, int | float) and 0.0 <= value <= 1.0
             for value in (*family.fixed.values(), *ends)
@@ -103,21 +98,21 @@ def require_independent_bands(family: BsdfFamily) -> None:
 
 
 class AnalyticEvaluator:
-    """The evaluator of `principled` and `diffuse`, in NumPy."""
+    """The evaluator of `principled.MODELS`, in NumPy."""
 
     def __init__(self, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
         if n_bands != 3:
             require_independent_bands(family)
         self.layout = Layout(family, n_bands)
-        model, self._colour = _MODELS[family.type]
+        model = principled.MODELS[family.type]
         self._model = model(np.asarray(wi, float), np.asarray(wo, float))
         self._n_pairs = len(wi)
-        self._fixed = principled.DEFAULTS | {name: float(value) for name, value in family.fixed.items()}
-        self._colour_place = self.layout.slices.get(self._colour)
+        self._fixed = {**model.defaults, **{name: float(value) for name, value in family.fixed.items()}}
+        self._colour_place = self.layout.slices.get(model.colour)
         self._shared = {
             parameter.name: self.layout.slices[parameter.name].start
             for parameter in family.parameters
-            if parameter.name != self._colour
+            if parameter.name != model.colour
         }
 
     def values(self, p: Array, rows: Indices | None = None) -> Array:

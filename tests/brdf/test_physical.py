@@ -26,7 +26,7 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
-from manifold.model.settings import Settings
+from manifold.model.settings import KINDS, BlendSettings
 
 BANDS = Bands((500.0, 600.0))
 
@@ -133,9 +133,9 @@ def test_grids_are_refined_until_the_file_is_reciprocal_at_most_threefold(enough
     assert (file.spectra.shape[1], file.spectra.shape[-1]) == expected
 
 
-@pytest.mark.parametrize("kind", ["blend", "material"])
+@pytest.mark.parametrize("kind", ["blend", "gplvm"])
 def test_a_physical_prediction_is_a_physical_file(kind, tmp_path, rng):
-    model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(kind=kind), calibrate=False)
+    model = Manifold.fit(Library.open(small_library(tmp_path)), KINDS[kind](), calibrate=False)
     x = rng.dirichlet(np.ones(len(model.names))) @ model.X
     made = predict(model, x, tmp_path / "p.bsdf", options=OutputOptions(physical=True))
     file = MeasuredBRDF(read_bsdf(tmp_path / "p.bsdf"))
@@ -148,7 +148,7 @@ def test_a_physical_prediction_is_a_physical_file(kind, tmp_path, rng):
 def test_what_returns_more_light_than_it_gets_is_written_with_a_warning_or_refused_if_strict(
     tmp_path, monkeypatch
 ):
-    model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(), calibrate=False)
+    model = Manifold.fit(Library.open(small_library(tmp_path)), BlendSettings(), calibrate=False)
     x = model.X.mean(axis=0)
     brighter = replace(model.combination(x, None), weights=2.0 * model.space.weights(x, None))
     monkeypatch.setattr(Manifold, "combination", lambda *_: brighter)

@@ -74,20 +74,28 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
         (["predict", "--latnt", "0,0"], "--latent"),
         (["predict"], "no place is given"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
-        (["embed", "--optimizer", "adam"], "optimizer 'adam' for kind blend, expected l-bfgs"),
+        (["embed", "--optimizer", "dls"], "found --optimizer dls, which goes with --kind gplvm"),
         (["predict", "--latent", "0.3", "1.2"], "coordinates have commas and no blanks, such as 0.3,1.2"),
         (["complete", "--lab", "40", "50", "30"], "a colour has commas, such as 50,20,10"),
         (["calibrate", "samples"], "pairs of files or folders"),
-        (["embed", "--kernel", "cubic"], "matern32"),
+        (["embed", "--kind", "gplvm", "--kernel", "cubic"], "matern32"),
         (
             ["embed", "--kind", "gplvm", "--mapping", "cuberoot"],
             "expected one of identity, cube-root, log",
         ),
         (["embed", "--mapping", "cube-root"], "which goes with --kind gplvm"),
         (["embed", "--grid", "hikichi"], "which goes with --kind gplvm"),
+        (["embed", "--kernel", "se"], "found --kernel se, which goes with --kind gplvm"),
+        (["embed", "--mu", "1e-3"], "found --mu 0.001, which goes with --kind gplvm"),
+        (["embed", "--mapping", "auto"], "found --mapping auto, which goes with --kind gplvm"),
+        (
+            ["embed", "--kind", "gplvm", "--landmarks", "9"],
+            "found --landmarks 9, which goes with --kind blend",
+        ),
+        (["embed", "--kind", "gplvm", "--optimizer", "adam"], "optimizer 'adam', expected dls or l-bfgs"),
         (["embed", "--kind", "gplvm", "--grid", "huge"], "no grid is called"),
         (["embed", "--as-published", "--mu", "0.1"], "expected none: it fixes them all"),
-        (["embed", "--mu", "0"], "mu = 0.0, expected 1e-10 to 1e+06"),
+        (["embed", "--kind", "gplvm", "--mu", "0"], "mu = 0.0, expected 1e-10 to 1e+06"),
         (["report", "--grid", "huge"], "hikichi"),
         (["render", "--size", "1"], "--size"),
         (["corpus", "x", "--seed", "one"], "--seed"),
@@ -192,7 +200,7 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
         pytest.fail("the work was done first")
 
     monkeypatch.setattr("manifold.evaluate.report.Manifold.load", fail)
-    monkeypatch.setattr("manifold.evaluate.selection.Manifold.fit", fail)
+    monkeypatch.setattr("manifold.model.embedding.Embedding.fit", fail)
     status, out, err = run(*arguments, cwd=folder)
     assert (status, out) == (2, "")
     reasons = ("expected one of .png", "cannot write this file", "in the library", "ends in .bsdf")

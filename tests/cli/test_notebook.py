@@ -21,7 +21,8 @@ from manifold.formats import read_readings
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import KINDS, BlendSettings
 from manifold.render.ball import render_ball
 
 
@@ -67,7 +68,7 @@ def test_bands_take_any_sequence_and_refuse_what_is_no_axis():
 )
 def test_settings_are_refused_before_a_library_is_read(settings, message):
     with pytest.raises(UsageError, match=message):
-        Settings(**settings)
+        BlendSettings(**settings)
 
 
 def test_several_latents_have_the_errors_and_support_of_each(model):
@@ -154,9 +155,9 @@ def test_records_are_short_to_read_and_go_to_other_processes(tmp_path):
     assert dict(read.texture) == {"graininess": 1.0}
 
 
-@pytest.mark.parametrize("kind", ["blend", "material"])
+@pytest.mark.parametrize("kind", ["blend", "gplvm"])
 def test_held_out_names_are_as_if_their_files_had_never_been_imported(model, tmp_path, kind):
-    settings, kept = Settings(kind=kind), NAMES[1:]
+    settings, kept = KINDS[kind](), NAMES[1:]
     shorter = Manifold.fit(small_library(tmp_path, names=kept), settings, calibrate=False)
     Manifold.fit(model.library, settings, calibrate=False)  # whose Gram matrix the library remembers
     held_out = Manifold.fit(model.library.path, settings, names=kept, calibrate=False)

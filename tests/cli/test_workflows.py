@@ -22,7 +22,7 @@ from manifold.cli import demo as demo_module
 from manifold.cli.main import app
 from manifold.core.directions import from_spherical
 from manifold.estimate.predictions import predict
-from manifold.evaluate import embed, make_report
+from manifold.evaluate import make_report
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.report_text import lead
 from manifold.evaluate.seen_fits import METHODS
@@ -30,7 +30,9 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.embedding import embed
+from manifold.model.manifold import Manifold
+from manifold.model.settings import BlendSettings
 from manifold.pictures import fit_comparison as comparison
 from manifold.render.images import read_image
 from manifold.render.render import RenderSettings
@@ -211,7 +213,8 @@ def test_the_main_job_runs_on_real_files(tmp_path, share):
     library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
     result = import_files(library, files)
     assert not result.failed
-    fitted = embed(library, model, Settings())[0]
+    embed(library, model, BlendSettings())
+    fitted = Manifold.load(model)
     assert len(fitted.names) == len(result.imported)
     suffix = "rgb" if fitted.bands.is_rgb else "spec"
     made = predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")

@@ -22,7 +22,7 @@ from manifold.io_rgl import write_bsdf
 from manifold.library.compacting import compact_library
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import KINDS
 from manifold.render import fit_json
 from manifold.render.bsdf_parameters import principled
 
@@ -109,9 +109,9 @@ def test_a_model_lists_its_latents(folder):
         assert found.document["latents"][name] == x.tolist()
 
 
-@pytest.mark.parametrize("kind", ["blend", "material"])
+@pytest.mark.parametrize("kind", ["blend", "gplvm"])
 def test_a_model_without_its_library_tells_what_it_knows(copy, kind):
-    Manifold.fit(copy / "library.zarr", Settings(kind=kind), calibrate=False).save(copy / "m.h5")
+    Manifold.fit(copy / "library.zarr", KINDS[kind](), calibrate=False).save(copy / "m.h5")
     whole = inspect(copy / "m.h5")
     (copy / "library.zarr").rename(copy / "elsewhere.zarr")
     found = inspect(copy / "m.h5")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from helpers.paths import REPOSITORY
 from helpers.small_library import small_model
 
 READER = """
@@ -132,7 +135,61 @@ def test_a_method_of_another_package_embeds(work, packages):
     assert "shake" in run(work, packages, "info", "shaken.h5").stdout
     without = run(work, work, "info", "shaken.h5")
     assert without.returncode == 1
-    assert "optimizer 'shake' for kind gplvm, expected dls or l-bfgs" in without.stderr
+    assert "optimizer 'shake', expected dls or l-bfgs" in without.stderr
+
+
+@pytest.fixture(scope="module")
+def lab_kernels(tmp_path_factory):
+    """The folder of packages that the example of the documentation installs, as it is printed there."""
+    page = (REPOSITORY / "docs/how-to/extend.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^```\{code-cell\} python3\n%%bash\n(.*?)^```$", page, flags=re.DOTALL | re.MULTILINE)
+    (cell,) = [cell for cell in cells if "pip install" in cell]
+    folder = tmp_path_factory.mktemp("lab")
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    subprocess.run(
+        ["bash", "-e"], input=cell, text=True, check=True, cwd=folder, env=os.environ | {"PATH": path}
+    )
+    return folder / "packages"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="cells of commands are for bash")
+def test_a_kernel_and_a_mapping_of_another_package_embed_and_predict(work, lab_kernels):
+    own = ("--kernel", "rational-quadratic", "--mapping", "fourth-root")
+    done = run(work, lab_kernels, "embed", "--kind", "gplvm", *own, "-M", "own.h5")
+    assert done.returncode == 0, done.stderr
+    shown = run(work, lab_kernels, "info", "own.h5").stdout
+    assert "rational-quadratic" in shown
+    assert "fourth-root" in shown
+    done = run(work, lab_kernels, "predict", "0.3,0.2", "-M", "own.h5", "-o", "own.bsdf")
+    assert done.returncode == 0, done.stderr
+    assert (work / "own.bsdf").exists()
+    without = run(work, work, "predict", "0.3,0.2", "-M", "own.h5", "-o", "lost.bsdf")
+    assert without.returncode == 1
+    assert "no mapping is called 'fourth-root'" in without.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="cells of commands are for bash")
+def test_the_kernel_and_the_mapping_of_the_documentation_are_right(lab_kernels):
+    script = """
+import numpy as np
+from manifold.gp.kernels import kernel_named
+from manifold.registries import MAPPINGS
+
+kernel, T = kernel_named("rational-quadratic"), MAPPINGS["fourth-root"]
+r = np.linspace(0.0, 5.0, 100_001)
+g, slope = kernel.radial(r * r)
+np.testing.assert_allclose(np.gradient(g, r)[1:-1], (2.0 * r * slope)[1:-1], atol=1e-8)  # of second order in 5e-5
+assert abs(np.abs(2.0 * r * slope).max() / kernel.steepest - 1.0) < 1e-8
+f = np.geomspace(1e-4, 1e4, 9)
+np.testing.assert_allclose(T.inverse(T.forward(f)), f, rtol=1e-14)
+t, h = T.forward(f), 1e-6 * T.forward(f)
+np.testing.assert_allclose((T.inverse(t + h) - T.inverse(t - h)) / (2.0 * h), T.slope(f), rtol=1e-9)
+"""
+    env = os.environ | {"PYTHONPATH": str(lab_kernels)}
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, env=env
+    )
+    assert done.returncode == 0, done.stderr
 
 
 BROKEN = {

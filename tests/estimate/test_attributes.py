@@ -33,14 +33,15 @@ from manifold.estimate.gloss import gloss_units
 from manifold.estimate.predictions import predict
 from manifold.formats.readings import Readings, Viewing
 from manifold.io_rgl import read_bsdf
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
 from manifold.model.places import Place
+from manifold.model.settings import BlendSettings, GplvmSettings
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory) -> Manifold:
     library = small_library(tmp_path_factory.mktemp("attributes"))
-    return Manifold.fit(library, Settings(kind="blend"), calibrate=False)
+    return Manifold.fit(library, BlendSettings(), calibrate=False)
 
 
 def factor(brdf):
@@ -128,6 +129,21 @@ def test_what_was_not_reached_is_said():
     found = Adjusted(Place(np.zeros(2)), None, asked, reached)
     assert [text.split(":")[0] for text in found.shortfalls] == ["gloss at 60 degrees", "colour"]
     assert found.to_json()["reached"]["gloss"] == {"60": 40.0}
+
+
+def test_a_gplvm_takes_gloss_by_the_coat_and_no_colour(run, model, tmp_path):
+    whole = Manifold.fit(model.library, GplvmSettings(), calibrate=False)
+    whole.save(tmp_path / "gplvm.h5")
+    given = ["predict", "syn_felt_green", "-M", tmp_path / "gplvm.h5", "-o", tmp_path / "a_rgb.bsdf"]
+    code, out, _ = run(*given, "--gloss", "60=20", "--json", "-", cwd=tmp_path)
+    assert code == 0
+    found = json.loads(out)["attributes"]
+    assert found["reached"]["gloss"]["60"] == pytest.approx(20.0, rel=GLOSS_TOLERANCE)
+    assert found["ciede2000"] < 1.0
+    assert np.array_equal(found["latent"], whole.latent("syn_felt_green"))
+    code, _, err = run(*given, "--hue", "+20", cwd=tmp_path)
+    assert code == 2
+    assert "a map of kind gplvm, expected blend" in err
 
 
 def test_the_command_writes_the_material_and_says_what_it_has(run, model, tmp_path):

@@ -27,9 +27,10 @@ from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.comparison import brdf_errors
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
+from manifold.model.settings import BlendSettings
 from manifold.pictures import figures
 from manifold.render.images import write_image
 from manifold.render.render import render_floating_ball
@@ -47,7 +48,7 @@ def folder(tmp_path_factory, library):
     write_image(made / "ball.exr", ball)
     write_image(made / "light.exr", light)
     write_image(made / "negative.exr", light - 0.25 - light.min())
-    Manifold.fit(library, Settings()).save(made / "model.h5")
+    Manifold.fit(library, BlendSettings()).save(made / "model.h5")
     return made
 
 

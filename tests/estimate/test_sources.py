@@ -31,7 +31,7 @@ from manifold.model import diagnostics
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
-from manifold.model.settings import Settings
+from manifold.model.settings import GplvmSettings
 from manifold.pictures import map_figure
 from manifold.pictures.renders import ball_material
 
@@ -118,9 +118,7 @@ def test_every_command_takes_a_material_by_any_name(run, folder, command, made):
 @pytest.fixture(scope="module")
 def negative(folder):
     """A Gaussian process on values as they are, and a place where a good part of its values is negative."""
-    model = Manifold.fit(
-        folder / "library.zarr", Settings(kind="material", mapping="identity"), calibrate=False
-    )
+    model = Manifold.fit(folder / "library.zarr", GplvmSettings(mapping="identity"), calibrate=False)
     model.save(folder / "process.h5")
     grid = encoding_pairs()
     places = model.X[:, None] * 0.5 + model.X[None] * 0.5

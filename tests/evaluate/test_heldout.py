@@ -54,8 +54,9 @@ def test_a_unit_vector_gives_the_measured_values_bit_for_bit(data, mapping):
 def test_a_combination_is_the_inverse_of_a_weighted_sum(data, mapping, rng):
     T = MAPPINGS[mapping]
     weights = rng.dirichlet(np.ones(len(NAMES)))
+    cosines = data.cosines[:, None]
     expected = T.inverse(
-        sum(w * T.forward(f, data.cosines) for w, f in zip(weights, data.f, strict=True)), data.cosines
+        sum(w * T.forward(f, cosines) for w, f in zip(weights, data.f, strict=True)), cosines
     )
     found = Combination(T, weights, is_clipped=False).evaluate(data)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)

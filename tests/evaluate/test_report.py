@@ -28,11 +28,12 @@ from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.decoding import appearance_pairs
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialCache, MaterialTable
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.pictures import figures, map_figure
 
-KINDS = ("material",)
+KINDS = ("gplvm",)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -51,7 +52,7 @@ def small_grid(short_search):
 @pytest.fixture(scope="module")
 def models(tmp_path_factory):
     library = Library.open(small_library(tmp_path_factory.mktemp("report")))
-    return {kind: Manifold.fit(library, Settings(kind=kind), calibrate=False) for kind in KINDS}
+    return {kind: Manifold.fit(library, GplvmSettings(), calibrate=False) for kind in KINDS}
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +62,12 @@ def reports(models):
 
 @pytest.fixture(scope="module")
 def model(models):
-    return models["material"]
+    return models["gplvm"]
 
 
 @pytest.fixture(scope="module")
 def made(reports):
-    return reports["material"]
+    return reports["gplvm"]
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +119,7 @@ def test_held_out_methods_never_use_the_material_itself(models, data, kind):
 
 def test_latents_kept_are_the_closed_form_of_leave_one_out(models, data):
     """Rasmussen & Williams 2006, eq. 5.12, for weights and variances."""
-    model = models["material"]
+    model = models["gplvm"]
     combinations = encode_all(data, method_of(model, "gp_latents_kept")).combinations
     found = np.array([c.weights for c in combinations])
     np.testing.assert_allclose(found, model.gp.leave_one_out_weights(), atol=1e-8)
@@ -147,12 +148,12 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
     negative = 0
     for i in range(len(f)):
         c = left_out(chosen, data, i)
-        T = c.mapping.forward(f, np.broadcast_to(w, f.shape[:2]))
+        T = c.mapping.forward(f, w[:, None])
         if c.sample_bands is None:
             mapped = np.tensordot(c.weights, T, axes=1)
         else:
             mapped = np.einsum("bns,nps->pb", c.weights.reshape(3, len(f), 3), T)
-        predicted = c.mapping.inverse(mapped, w)
+        predicted = c.mapping.inverse(mapped, w[:, None])
         negative += np.count_nonzero(predicted < 0)
         if c.is_clipped:
             predicted = np.maximum(predicted, 0.0)
@@ -164,7 +165,7 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
 
 def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
     """The reconstruction of the nearest material is a measured BRDF: it can be asked directly."""
-    model, result = models["material"], method(reports["material"], "nearest")
+    model, result = models["gplvm"], method(reports["gplvm"], "nearest")
     materials = model.materials.filled()
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     nearest = [c.source for c in encode_all(data, standard_methods()[0]).combinations]
@@ -182,7 +183,7 @@ def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
 
 def test_three_errors_stand_side_by_side(models, reports):
     """Of the nearest material, which is a measured BRDF: all three can be had directly."""
-    model, result = models["material"], method(reports["material"], "nearest")
+    model, result = models["gplvm"], method(reports["gplvm"], "nearest")
     materials = model.materials.filled()
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     nearest = [c.source for c in encode_all(data, standard_methods()[0]).combinations]
@@ -208,7 +209,7 @@ def test_other_grids_are_walked_in_blocks(models, monkeypatch):
     grid = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
     monkeypatch.setitem(pairs.NAMED_GRIDS, "hikichi", grid)
     monkeypatch.setattr(method_data, "_BLOCK_VALUES", 2000)
-    model = models["material"]
+    model = models["gplvm"]
     made = report.make_report(model, "hikichi")
     wi, wo, above = grid.directions()
     f = np.stack([m.eval(wi[above], wo[above]) for m in model.materials.filled()])
@@ -224,7 +225,7 @@ def test_eq_22_is_that_of_all_bands_within_the_error_that_is_printed(tmp_path):
     for name, file in list(spectral_files().items())[:4]:
         write_bsdf(tmp_path / f"{name}_spec.bsdf", file)
     import_files(tmp_path / "library.zarr", sorted(tmp_path.glob("*.bsdf")))
-    settings = Settings("material", mapping="identity")
+    settings = GplvmSettings(mapping="identity")
     model = Manifold.fit(tmp_path / "library.zarr", settings, calibrate=False)
     some, every = (report.make_report(model, all_bands=all_bands) for all_bands in (False, True))
     assert (some.n_error_bands, every.n_error_bands, every.n_bands) == (23, 60, 60)
@@ -267,11 +268,11 @@ def test_long_methods_are_left_out_unless_asked_for(models):
         "published", "gplvm_2", "gplvm_6", "blend_2", "blend_3", "nonnegative", "few_atoms",
     }  # fmt: skip
     assert not any(report.is_long(m, 20, 3) for m in standard_methods())
-    assert report.is_long(method_of(models["material"], "gp_refitted"), 51, 195)
+    assert report.is_long(method_of(models["gplvm"], "gp_refitted"), 51, 195)
 
 
 def test_no_method_is_listed_twice(models, reports):
-    assert replaced_keys(models["material"]) == {"pca_2_log_relative"}  # gplvm_2 is by another optimizer
+    assert replaced_keys(models["gplvm"]) == {"pca_2_log_relative"}  # gplvm_2 is by another optimizer
     for made in reports.values():
         keys = [m.key for m in made.methods]
         assert len(set(keys)) == len(keys)
@@ -279,7 +280,7 @@ def test_no_method_is_listed_twice(models, reports):
 
 def test_a_map_of_blends_is_refitted_and_has_no_process(models):
     """It finds places in one way: rows of a Gaussian process on its coordinates would say nothing of it."""
-    blend = Manifold.fit(models["material"].library, Settings(kind="blend"), calibrate=False)
+    blend = Manifold.fit(models["gplvm"].library, BlendSettings(), calibrate=False)
     assert [m.key for m in model_methods(blend)] == [
         "reconstruction", "blend_encoded", "blend_refitted", "pca_log_relative",
     ]  # fmt: skip
@@ -289,7 +290,7 @@ def test_a_map_of_blends_is_refitted_and_has_no_process(models):
 def test_a_report_leads_with_the_models_own_error_for_left_out_materials(models, monkeypatch):
     """Also where refits take too long: then with that of a calibration, which finds the same places."""
     monkeypatch.setattr(report, "LONGEST_REFITS", 0.0)
-    blend = Manifold.fit(models["material"].library, Settings(kind="blend"))
+    blend = Manifold.fit(models["gplvm"].library, BlendSettings())
     made = report.make_report(blend)
     own, nearest = method(made, "blend_encoded"), method(made, "nearest")
     assert "blend_refitted" not in {m.key for m in made.methods}
@@ -307,8 +308,8 @@ def test_a_report_leads_with_the_models_own_error_for_left_out_materials(models,
 
 def test_legends_are_printed_only_for_methods_that_have_a_row(models, reports, monkeypatch):
     monkeypatch.setattr(report, "LONGEST_REFITS", 0.0)
-    blend = Manifold.fit(models["material"].library, Settings(kind="blend"), calibrate=False)
-    of_gplvm, of_blend = format_report(reports["material"]), format_report(report.make_report(blend))
+    blend = Manifold.fit(models["gplvm"].library, BlendSettings(), calibrate=False)
+    of_gplvm, of_blend = format_report(reports["gplvm"]), format_report(report.make_report(blend))
     of_a_process = ("Kernel: ", "condition of K", "others' latents kept: ", "without delta: ")
     for words in (*of_a_process, "Q + 2 per band: ", "few samples and lobes: "):
         assert words in of_gplvm  # which a comparison with other models has
@@ -407,7 +408,7 @@ def test_blends_are_judged_by_the_files_with_their_negative_values(tmp_path):
         write_bsdf(tmp_path / f"{name}_rgb.bsdf", replace(file, spectra=file.spectra - np.float32(0.02)))
     import_files(tmp_path / "library.zarr", [tmp_path])
     library = Library.open(tmp_path / "library.zarr")
-    made = report.make_report(Manifold.fit(library, Settings(kind="blend"), calibrate=False))
+    made = report.make_report(Manifold.fit(library, BlendSettings(), calibrate=False))
     filled = MaterialCache(library, library.names).filled()
     data = Data.evaluate(filled, RusinkiewiczGrid.named("default"))
     assert data.f.min() < 0.0

@@ -12,7 +12,7 @@ from manifold.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.core.errors import UsageError
 from manifold.evaluate.selection import PAYS, choose
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.registries import MAPPINGS
 
 NAMES = [m.name for m in corpus.isotropic_materials()][::6]
@@ -24,9 +24,7 @@ def materials():
 
 
 def test_the_mapping_with_the_least_held_out_error_is_chosen(materials):
-    settings, tried = choose(
-        materials, Settings(kind="material", optimizer="l-bfgs"), mapping=True, latent_dim=False
-    )
+    settings, tried = choose(materials, GplvmSettings(optimizer="l-bfgs"), mapping=True, latent_dim=False)
     assert {c.mapping for c in tried} == set(MAPPINGS)
     best = min(tried, key=lambda c: c.error)
     assert settings.mapping == best.mapping
@@ -35,9 +33,7 @@ def test_the_mapping_with_the_least_held_out_error_is_chosen(materials):
 
 
 def test_dimensions_are_added_while_they_pay(materials):
-    settings, tried = choose(
-        materials, Settings(kind="material", optimizer="l-bfgs"), mapping=False, latent_dim=True
-    )
+    settings, tried = choose(materials, GplvmSettings(optimizer="l-bfgs"), mapping=False, latent_dim=True)
     by_count = {c.latent_dim: c.error for c in tried}
     chosen = settings.latent_dim
     assert by_count[chosen] == min(error for count, error in by_count.items() if count <= chosen)
@@ -47,16 +43,14 @@ def test_dimensions_are_added_while_they_pay(materials):
 
 def test_a_copy_in_the_library_makes_a_left_out_material_easy(materials):
     error = [
-        choose(known, Settings(kind="material", optimizer="l-bfgs"), mapping=False, latent_dim=False)[1][
-            0
-        ].error
+        choose(known, GplvmSettings(optimizer="l-bfgs"), mapping=False, latent_dim=False)[1][0].error
         for known in (materials[:5], materials[:5] * 2)
     ]
     assert error[1] < 0.5 * error[0]
 
 
 def test_candidates_have_three_errors_and_plain_json(materials):
-    tried = choose(materials[:5], Settings(), mapping=False, latent_dim=False)[1][0]
+    tried = choose(materials[:5], BlendSettings(), mapping=False, latent_dim=False)[1][0]
     median, p90 = tried.median, tried.p90
     assert 0 < median.linear <= p90.linear
     assert 0 < median.ball <= p90.ball
@@ -67,10 +61,10 @@ def test_candidates_have_three_errors_and_plain_json(materials):
 
 def test_of_mappings_only_those_are_tried_that_the_kind_takes(materials):
     """Blends are non-negative combinations of cube roots: nothing is left to choose."""
-    settings, tried = choose(materials[:5], Settings(kind="blend"), mapping=True, latent_dim=False)
+    settings, tried = choose(materials[:5], BlendSettings(), mapping=True, latent_dim=False)
     assert [c.mapping for c in tried] == [settings.mapping] == ["cube-root"]
 
 
 def test_three_materials_are_too_few(materials):
     with pytest.raises(UsageError, match="at least 4"):
-        choose(materials[:3], Settings(), mapping=True, latent_dim=True)
+        choose(materials[:3], BlendSettings(), mapping=True, latent_dim=True)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 
-from manifold.analytic.principled import DEFAULTS
+from manifold.analytic.principled import DEFAULTS, MODELS, Diffuse
 from manifold.core.directions import from_spherical
 from manifold.core.errors import UsageError
 from manifold.core.records import Bands
+from manifold.fit.principled import fit_bsdf
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import AnalyticEvaluator, bsdf_dict, evaluator, is_analytic
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter, diffuse, principled
@@ -85,6 +88,43 @@ def test_a_fixed_parameter_is_that_of_mitsubas_plugin(rng):
     assert not is_analytic(BsdfFamily("principled", fixed.parameters, {"spec_trans": 0.5}))
     for odd in (FreeParameter("roughness", 0.1, 2.0, 0.5), FreeParameter("base_color", 0.0, 1.0, 0.5)):
         assert not is_analytic(BsdfFamily("principled", (odd,)))
+
+
+def test_free_parameters_of_principled_are_those_of_its_model():
+    """One that the model does not know would go to Mitsuba, which refuses it as an unreferenced property."""
+    assert {parameter.name for parameter in EVERYTHING.parameters} == {"base_color", *DEFAULTS}
+
+
+def test_a_bsdf_of_ones_own_needs_one_registration(rng, monkeypatch):
+    class Minnaert(Diffuse):
+        """A lobe that Mitsuba does not have: `colour (cos_i cos_o)^(k - 1)` of a Lambertian."""
+
+        type, colour, defaults = "minnaert", "albedo", MappingProxyType({"darkening": 1.0})
+
+        def slopes(self, values, names):
+            cosines = np.prod([w[:, 2] for w in self._directions], axis=0)
+            white = self._white * cosines ** (values["darkening"] - 1.0)
+            none = 0.0 * white
+            slope = np.stack([none, white * np.log(cosines), none])
+            return np.stack([none, white, none]), dict.fromkeys(names, slope)
+
+        def coefficients(self, values):
+            return np.moveaxis(
+                [self.slopes({"darkening": k}, ())[0] for k in np.ravel(values["darkening"])], 0, 1
+            )
+
+    monkeypatch.setitem(MODELS, "minnaert", Minnaert)
+    family = BsdfFamily(
+        "minnaert",
+        (
+            FreeParameter("albedo", 0.0, 1.0, 0.5, per_band=True, affine=True),
+            FreeParameter("darkening", 0.0, 1.0, 0.9),
+        ),
+    )
+    truth = FittedBRDF.of(family, {"albedo": [0.6, 0.3, 0.1], "darkening": 0.4}, Bands(None), {})
+    made = fit_bsdf(truth, family)
+    np.testing.assert_allclose(made.values["albedo"], [0.6, 0.3, 0.1], rtol=1e-3)
+    assert made.values["darkening"] == pytest.approx(0.4, rel=1e-3)
 
 
 def test_a_fit_is_evaluated_in_blocks(rng, monkeypatch):

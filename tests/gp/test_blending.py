@@ -32,7 +32,7 @@ from manifold.model.blending import (
 )
 from manifold.model.colour_paths import WHITE, fit_paths
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings
 
 
 @given(st.integers(1, 8), st.integers(1, 3), st.integers(0, 10_000), st.floats(1e-3, 1e3))
@@ -250,7 +250,7 @@ def test_a_chosen_reflectance_is_reached(rng):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     return Manifold.fit(
-        Library.open(small_library(tmp_path_factory.mktemp("blend"))), Settings(kind="blend"), calibrate=False
+        Library.open(small_library(tmp_path_factory.mktemp("blend"))), BlendSettings(), calibrate=False
     )
 
 
@@ -323,7 +323,7 @@ def test_a_material_in_its_own_colours_is_the_file(model):
 
 
 def test_a_prediction_reads_only_the_materials_that_it_blends(tmp_path, monkeypatch):
-    model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(kind="blend"), calibrate=False)
+    model = Manifold.fit(Library.open(small_library(tmp_path)), BlendSettings(), calibrate=False)
     model.save(tmp_path / "m.h5")
     fresh = Manifold.load(tmp_path / "m.h5")
     read, whole = [], Library.read

@@ -16,7 +16,7 @@ from manifold.core.errors import UsageError
 from manifold.gp.estimators import GPRegressor
 from manifold.gp.kernels import SquaredExponential, kernel_named
 from manifold.gplvm import GPLVM
-from manifold.model.settings import Settings
+from manifold.model.settings import GplvmSettings
 from manifold.registries import KERNELS
 
 
@@ -92,4 +92,4 @@ def test_estimators_take_kernels_of_ones_own(rng):
     np.testing.assert_array_equal(own, named)
     assert clone(GPLVM(kernel=Own)).kernel is Own
     with pytest.raises(UsageError, match="expected a name, which a model's file can hold"):
-        Settings(kind="material", kernel=Own)
+        GplvmSettings(kernel=Own)

@@ -22,8 +22,8 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.many import commands as many
 from manifold.many.batch import batch
-from manifold.model.manifold import Settings
 from manifold.model.output_file import OutputOptions
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.study.chart import make_chart
 from manifold.study.stability.catalogue import MODES
 from manifold.study.stability.trials import run_modes, select_modes
@@ -79,7 +79,7 @@ def test_a_material_that_is_stored_again_is_the_same(tmp_path, monkeypatch):
 def test_an_embedding_is_the_same(tmp_path, workers):
     library, models = small_library(tmp_path), {}
     for name, someone in (("here", None), ("there", workers)):
-        model, _ = embed(library, tmp_path / f"{name}.h5", Settings(), workers=someone)
+        model, _ = embed(library, tmp_path / f"{name}.h5", BlendSettings(), workers=someone)
         models[name] = model
     here, there = models.values()
     # Where arrays lie in memory may decide the last bits of sums, which the search for places carries on.
@@ -104,7 +104,7 @@ def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
     monkeypatch.setitem(pairs.NAMED_GRIDS, "default", pairs.RusinkiewiczGrid(20, 11, 6))
     sent, submit = [], workers.submit
     monkeypatch.setattr(workers, "submit", lambda f, *args: (sent.append(args[-1]), submit(f, *args))[1])
-    embed(small_library(tmp_path), tmp_path / "model.h5", Settings(kind="material"))
+    embed(small_library(tmp_path), tmp_path / "model.h5", GplvmSettings())
     here, there = (make_report(tmp_path / "model.h5", workers=who) for who in (None, workers))
     assert {task.method for task in sent} >= {"published", "gp_refitted"}
     assert numbers_of(there) == numbers_of(here)

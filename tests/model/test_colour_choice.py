@@ -13,7 +13,8 @@ from manifold.core.records import Bands
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.library.store import Library
 from manifold.model.colours import NEAREST, ColourChoice, parse_srgb
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import GplvmSettings
 
 BANDS = Bands.from_array(rgl_wavelengths_nm())
 
@@ -76,7 +77,7 @@ def test_two_colours_are_refused():
 
 
 def test_whole_materials_carry_their_colours(model):
-    whole = Manifold.fit(model.library, Settings(kind="material"), calibrate=False)
+    whole = Manifold.fit(model.library, GplvmSettings(), calibrate=False)
     assert whole.choose_colour(whole.X[0], NEAREST).colours is None
     with pytest.raises(UsageError, match="cannot be chosen"):
         whole.choose_colour(whole.X[0], ColourChoice(like="syn_felt_green"))

@@ -20,7 +20,7 @@ from manifold.model.colours import ColourChoice
 from manifold.model.diagnostics import in_words, predict_and_diagnose
 from manifold.model.expected_error import LEVEL, ExpectedError, LeftOut
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import KINDS
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +97,9 @@ def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_ex
     assert other.ball > 2.0 * place.ball
 
 
-@pytest.mark.parametrize("kind", ["blend", "material"])
+@pytest.mark.parametrize("kind", ["blend", "gplvm"])
 def test_every_kind_is_calibrated_and_a_model_file_remembers(library, tmp_path, kind):
-    fitted = Manifold.fit(library, Settings(kind=kind))
+    fitted = Manifold.fit(library, KINDS[kind]())
     assert np.all(fitted.left_out.errors.ball > 0.0)
     assert np.all(np.isfinite(fitted.left_out.places))
     fitted.save(tmp_path / "model.h5")

@@ -13,10 +13,10 @@ from manifold.colour import ball_colours
 from manifold.core.errors import UsageError
 from manifold.evaluate.report import make_report
 from manifold.library.store import Library
-from manifold.model import expected_error, fitting, landmarks
+from manifold.model import embedding, expected_error, landmarks
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.page.page_data import tabulate, to_document
 from manifold.pictures import map_figure
 
@@ -34,7 +34,7 @@ def model(folder):
         patch.setattr(expected_error, "_SAMPLE", 6)
         patch.setattr(landmarks, "_AROUND", 6)
         library = Library.open(small_library(folder, names=NAMES + MORE))
-        return Manifold.fit(library, Settings(landmarks=5))
+        return Manifold.fit(library, BlendSettings(landmarks=5))
 
 
 def test_predictions_at_all_materials_are_their_files_with_unmeasured_cells_filled(model):
@@ -100,13 +100,11 @@ def test_a_report_on_a_map_by_landmarks_is_refused(model):
 
 
 def test_the_kind_that_grows_with_the_cube_refuses_many_materials(model, monkeypatch):
-    monkeypatch.setattr(fitting, "MOST_LAID_OUT", 9)
+    monkeypatch.setattr(embedding, "MOST_LAID_OUT", 9)
     with pytest.raises(UsageError, match="10 materials for kind gplvm, expected at most 9"):
-        Manifold.fit(model.library, Settings(kind="material"))
+        Manifold.fit(model.library, GplvmSettings())
 
 
 def test_landmarks_are_refused_where_they_cannot_span_the_map():
-    with pytest.raises(UsageError, match="landmarks = 3 for kind blend in 2 dimensions"):
-        Settings(landmarks=3)
-    with pytest.raises(UsageError, match="kind gplvm"):
-        Settings(kind="material", landmarks=20)
+    with pytest.raises(UsageError, match="landmarks = 3 in 2 dimensions, expected at least 4"):
+        BlendSettings(landmarks=3)

@@ -20,7 +20,7 @@ from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.model.places import parse_walk
-from manifold.model.settings import KINDS, Settings
+from manifold.model.settings import KINDS
 from manifold.pictures import maps
 
 MOST = 0.5  # CIEDE2000: half of what is noticed side by side
@@ -31,7 +31,7 @@ def model(request, tmp_path_factory):
     """The path of a model of each kind, its library beside it."""
     folder = tmp_path_factory.mktemp(request.param)
     library = Library.open(small_library(folder))
-    Manifold.fit(library, Settings(kind=request.param)).save(folder / "model.h5")
+    Manifold.fit(library, KINDS[request.param]()).save(folder / "model.h5")
     return folder / "model.h5"
 
 

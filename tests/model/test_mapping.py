@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.core.errors import ShapeError, UsageError
+from manifold.core.errors import UsageError
 from manifold.core.mapping import CubeRoot, Identity, Log, LogRelative
 from manifold.registries import MAPPINGS
 
@@ -16,7 +16,7 @@ EVERY = pytest.mark.parametrize("name", list(MAPPINGS))
 @pytest.mark.parametrize("weighted", [False, True])
 def test_inverse_undoes_forward_over_nine_decades(rng, name, weighted):
     values = 10.0 ** rng.uniform(-4, 5, size=(200, 3))
-    weight = rng.random(200) if weighted else None
+    weight = rng.random((200, 1)) if weighted else None
     mapping = MAPPINGS[name]
     again = mapping.inverse(mapping.forward(values, weight), weight)
     np.testing.assert_allclose(again, values, rtol=1e-10)  # exp of ln loses log10(1e8) digits of 16
@@ -56,16 +56,14 @@ def test_logarithms_take_negatives_for_zero_and_never_return_any(mapping):
 
 
 def test_log_relative_is_the_formula(rng):
-    f, weight = rng.random((6, 3)), rng.random(6)
-    expected = np.log((f * np.maximum(weight, 0.3)[:, None] + 1e-2) / 1e-2)
+    f, weight = rng.random((6, 3)), rng.random((6, 1))
+    expected = np.log((f * np.maximum(weight, 0.3) + 1e-2) / 1e-2)
     mapping = LogRelative(epsilon=1e-2, floor=0.3)
     np.testing.assert_allclose(mapping.forward(f, weight), expected, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(mapping.inverse(expected, weight), f, rtol=1e-12)
 
 
-def test_what_does_not_fit_and_unknown_names_are_refused():
-    with pytest.raises(ShapeError, match="one per direction pair"):
-        LogRelative().forward(np.ones((4, 3)), np.ones(3))
+def test_unknown_names_are_refused():
     with pytest.raises(
         UsageError, match=f"no mapping is called 'sqrt'; expected one of {', '.join(MAPPINGS)}"
     ):

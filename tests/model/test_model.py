@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import pickle
 import shutil
 import warnings
 from dataclasses import replace
@@ -34,11 +35,11 @@ from manifold.gp.kernels import Kernel
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model import blending, fitting, model_file
-from manifold.model.fitting import BrightMaterialWarning
-from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
+from manifold.model import blending, gram, model_file
+from manifold.model.embedding import BrightMaterialWarning
+from manifold.model.manifold import LibraryChangedWarning, Manifold
 from manifold.model.model_file import read_model, write_model
-from manifold.model.settings import KINDS
+from manifold.model.settings import KINDS, BlendSettings, GplvmSettings, Settings
 from manifold.registries import KERNELS, MAPPINGS
 
 
@@ -49,18 +50,19 @@ def library(tmp_path_factory):
 
 @pytest.fixture(scope="module", params=KINDS)
 def model(request, library):
-    return Manifold.fit(library, Settings(kind=request.param), calibrate=False)
+    return Manifold.fit(library, KINDS[request.param](), calibrate=False)
 
 
 @pytest.mark.parametrize(
     ("kind", "mapping"),
     [
         ("blend", "cube-root"),
-        *itertools.product(("material",), ("identity", "cube-root", "log", "log-relative")),
+        *itertools.product(("gplvm",), ("identity", "cube-root", "log", "log-relative")),
     ],
 )
 def test_prediction_at_a_training_latent_is_the_measured_material(library, mapping, kind):
-    model = Manifold.fit(library, Settings(kind=kind, mapping=mapping), calibrate=False)
+    settings = GplvmSettings(mapping=mapping) if kind == "gplvm" else BlendSettings()
+    model = Manifold.fit(library, settings, calibrate=False)
     wi, wo, above = RusinkiewiczGrid().directions()
     wi, wo = wi[above][::7], wo[above][::7]
     for name in model.names:
@@ -77,7 +79,7 @@ def test_weights_sum_to_one_and_are_unit_at_the_materials(model):
 
 
 def test_weights_that_are_cut_are_invisible(library, monkeypatch, rng):
-    model = Manifold.fit(library, Settings(), calibrate=False)
+    model = Manifold.fit(library, BlendSettings(), calibrate=False)
     places, lights, n_cut = blending.inside_hull(model.X, 12, rng) @ model.X, panel.judged(), 0
     for x in places:
         cut = model.predict(x).eval(lights.wi, lights.wo)
@@ -107,7 +109,7 @@ def test_nearest_material_of_a_latent_is_the_nearest(model):
 def test_gram_matrix_agrees_with_a_loop(library, model):
     materials = model.materials.filled()
     grid = RusinkiewiczGrid(6, 5, 4)
-    found = fitting.gram_matrix(materials, MAPPINGS["cube-root"], grid)
+    found = gram.gram_matrix(materials, MAPPINGS["cube-root"], grid)
     S = np.zeros((len(materials), len(materials)))
     wi, wo, above = grid.directions()
     for k in np.flatnonzero(above):
@@ -119,9 +121,9 @@ def test_gram_matrix_agrees_with_a_loop(library, model):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_gram_matrix_is_remembered_by_the_library(library, monkeypatch, kind):
-    first = Manifold.fit(library, Settings(kind=kind), calibrate=False)
-    monkeypatch.setattr(fitting, "gram_matrix", lambda *_, **__: pytest.fail("computed again"))
-    np.testing.assert_array_equal(Manifold.fit(library, Settings(kind=kind), calibrate=False).X, first.X)
+    first = Manifold.fit(library, KINDS[kind](), calibrate=False)
+    monkeypatch.setattr(gram, "gram_matrix", lambda *_, **__: pytest.fail("computed again"))
+    np.testing.assert_array_equal(Manifold.fit(library, KINDS[kind](), calibrate=False).X, first.X)
 
 
 def test_a_saved_model_is_the_same_model(model, tmp_path):
@@ -284,10 +286,9 @@ def test_a_model_without_a_hash_is_refused_in_one_line(tmp_path):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", ["blend", "material"])
 @pytest.mark.parametrize("kernel", ["matern32", "matern52"])
-def test_a_model_keeps_its_kernel(library, tmp_path, kind, kernel):
-    made = Manifold.fit(library, Settings(kind=kind, kernel=kernel), calibrate=False)
+def test_a_model_keeps_its_kernel(library, tmp_path, kernel):
+    made = Manifold.fit(library, GplvmSettings(kernel=kernel), calibrate=False)
     made.save(tmp_path / "model.h5")
     found = Manifold.load(tmp_path / "model.h5", library)
     assert found.gp.kernel == made.settings.covariance() == found.settings.covariance()
@@ -305,9 +306,7 @@ def test_a_model_with_a_kernel_of_ones_own_is_loaded_where_it_is_registered(libr
             return g, -(g**2)
 
     monkeypatch.setitem(KERNELS, "cauchy", Cauchy)
-    with pytest.raises(UsageError, match=r"kernel 'cauchy' is your own, .* use the optimizer l-bfgs"):
-        Settings(kind="material", kernel="cauchy")
-    settings = Settings(kind="material", kernel="cauchy", optimizer="l-bfgs")
+    settings = GplvmSettings(kernel="cauchy")
     Manifold.fit(library, settings, calibrate=False).save(tmp_path / "model.h5")
     assert isinstance(Manifold.load(tmp_path / "model.h5", library).gp.kernel, Cauchy)
     monkeypatch.delitem(KERNELS, "cauchy")
@@ -343,13 +342,32 @@ def test_latents_that_are_none_are_refused(model, x, words):
 
 def test_impossible_settings_are_refused(library):
     with pytest.raises(UsageError, match="latent dimensions"):
-        Manifold.fit(library, Settings(latent_dim=len(NAMES)), calibrate=False)
+        Manifold.fit(library, BlendSettings(latent_dim=len(NAMES)), calibrate=False)
     with pytest.raises(UsageError, match="cube-root"):
-        Manifold.fit(library, Settings(mapping="cuberoot"), calibrate=False)
-    with pytest.raises(UsageError, match="blend or gplvm"):
-        Settings(kind="metal")
-    with pytest.raises(UsageError, match="expected l-bfgs"):
-        Settings(kind="blend", optimizer="dls")
+        GplvmSettings(mapping="cuberoot")
+    with pytest.raises(UsageError, match="optimizer 'adam', expected dls or l-bfgs"):
+        GplvmSettings(optimizer="adam")
+    with pytest.raises(UsageError, match="expected BlendSettings or GplvmSettings"):
+        Settings(latent_dim=2)
+
+
+@pytest.mark.parametrize(
+    "settings", [BlendSettings(landmarks=9), GplvmSettings(3, kernel="matern32", mu=1e-3)]
+)
+def test_settings_of_each_kind_are_values(settings):
+    assert pickle.loads(pickle.dumps(settings)) == settings
+    assert replace(settings, length_scale=2.0).covariance().length_scale == 2.0
+    assert json.loads(json.dumps(settings.to_json()))["kind"] == settings.kind
+
+
+def test_a_model_of_the_kind_material_is_read_as_gplvm(library, tmp_path):
+    """Until 0.4 the GPLVM had this name, and both kinds had the settings of both."""
+    made = Manifold.fit(library, GplvmSettings(mu=1e-3), calibrate=False)
+    made.save(tmp_path / "model.h5")
+    record = read_model(tmp_path / "model.h5")
+    old = {**record.settings, "kind": "material", "sample_bands": 5, "landmarks": None}
+    write_model(tmp_path / "old.h5", replace(record, settings=old))
+    assert Manifold.load(tmp_path / "old.h5").settings == made.settings
 
 
 def test_unknown_materials_are_refused_with_near_names(model):
@@ -400,7 +418,7 @@ def test_a_reflectance_out_of_reach_is_met_as_nearly_as_can_be(library):
 
 
 def test_colours_are_refused_where_materials_carry_them(library):
-    model = Manifold.fit(library, Settings(kind="material"), calibrate=False)
+    model = Manifold.fit(library, GplvmSettings(), calibrate=False)
     for ask in (
         lambda: model.colours.like(model.X[0], model.names[0]),
         lambda: model.colours.of_reflectance(model.X[0], np.full(3, 0.5)),
@@ -417,7 +435,7 @@ def test_a_material_that_is_too_bright_to_be_one_is_named(tmp_path):
         write_bsdf(tmp_path / f"{file.name}_rgb.bsdf", file)
     import_files(tmp_path / "library.zarr", [tmp_path])
     with pytest.warns(BrightMaterialWarning, match=r"^bright has a directional albedo of [0-9.]+") as caught:
-        Manifold.fit(Library.open(tmp_path / "library.zarr"), Settings(latent_dim=1), calibrate=False)
+        Manifold.fit(Library.open(tmp_path / "library.zarr"), BlendSettings(latent_dim=1), calibrate=False)
     assert len(caught) == 1
 
 

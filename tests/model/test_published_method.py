@@ -12,7 +12,7 @@ from helpers.small_library import NAMES, measured
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.core.directions import from_spherical
 from manifold.core.errors import ShapeError, UsageError
-from manifold.core.pairs import NAMED_GRIDS, RusinkiewiczGrid
+from manifold.core.pairs import NAMED_GRIDS, RusinkiewiczGrid, cosine_weight
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.model_methods import model_methods
 from manifold.gplvm import log_likelihood
@@ -21,9 +21,10 @@ from manifold.library.compacting import compact_library
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.comparison import rmse22
+from manifold.model.diagnostics import predict_and_diagnose
 from manifold.model.location import locate
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
+from manifold.model.settings import GplvmSettings
 
 T = {"identity": lambda f: f, "cube-root": np.cbrt}
 
@@ -51,7 +52,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module", params=T)
 def model(request, folder):
     library = Library.open(folder / "library.zarr")
-    return Manifold.fit(library, Settings("gplvm", mapping=request.param), calibrate=False)
+    return Manifold.fit(library, GplvmSettings(mapping=request.param), calibrate=False)
 
 
 @pytest.fixture
@@ -79,6 +80,33 @@ def test_a_prediction_is_the_posterior_mean_of_the_materials_that_the_model_name
         np.testing.assert_allclose(
             model.space.variance_fraction(X_new, None) * (1.0 + model.settings.mu), variance, atol=1e-9
         )
+
+
+def test_the_posterior_deviation_is_that_of_the_weighted_mapped_values(model, rng):
+    """s^2 = tr(K^-1 Y Y^T) / (N D) of the rows `sqrt(cos_i cos_o) T(f)` that the Gram matrix is made of."""
+    wi, wo, above = RusinkiewiczGrid.named("default").directions()
+    wi, wo = wi[above], wo[above]
+    mapped = T[model.settings.mapping](np.array([model.material(name).eval(wi, wo) for name in model.names]))
+    Y = (np.sqrt(cosine_weight(wi, wo))[:, None] * mapped).reshape(len(NAMES), -1)
+    between = rng.dirichlet(np.ones(len(NAMES)), 5) @ model.X
+    _, variance = reference.posterior(model.X, Y, between, model.settings.mu, 1.0)
+    K = reference.covariance_matrix(model.X, model.X, model.settings.mu, 1.0)
+    Y -= Y.mean(axis=0)
+    s2 = np.trace(np.linalg.solve(K, Y @ Y.T)) / Y.size
+    found = model.posterior(between)
+    np.testing.assert_allclose(found.std, np.sqrt(s2 * variance), rtol=1e-6)
+    np.testing.assert_array_equal(found.relative, model.std(between))
+    assert found.unit == f"sqrt(cos(theta_i) cos(theta_o)) T(f), T = {model.settings.mapping}, f in 1/sr"
+    assert model.posterior(NAMES[0]).std == 0.0  # the datum itself
+
+
+def test_a_prediction_states_its_posterior_deviation_with_the_unit(model):
+    found = predict_and_diagnose(model, model.X.mean(axis=0))
+    posterior = model.posterior(model.X.mean(axis=0))
+    assert found.to_json()["posterior"] == {
+        "std": float(posterior.std), "relative": float(posterior.relative), "unit": posterior.unit,
+    }  # fmt: skip
+    assert found.rows["posterior standard deviation"].startswith(f"{posterior.std:.3g} of sqrt(cos")
 
 
 def test_the_prediction_at_a_latent_is_the_material_with_its_unmeasured_cells_filled(model, folder, pairs):
@@ -132,7 +160,7 @@ def literal(folder):
     """The published settings to the letter, on one in a thousand of the published pairs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(NAMED_GRIDS, "hikichi", COARSE)
-        return Manifold.fit(folder / "library.zarr", Settings.published())
+        return Manifold.fit(folder / "library.zarr", GplvmSettings.published())
 
 
 @pytest.fixture(scope="module")
@@ -177,6 +205,8 @@ def test_the_letter_predicts_the_posterior_mean_with_its_negative_values(literal
     weights = literal.gp.weights(between)
     np.testing.assert_allclose(weights @ raw, expected, atol=1e-7 * np.abs(raw).max())
     np.testing.assert_allclose(literal.gp.variance(between), variance, atol=1e-9)
+    np.testing.assert_allclose(literal.posterior(between).std ** 2, variance, atol=1e-9)  # s^2 = 1
+    assert literal.posterior(between).unit == "T(f), T = identity, f in 1/sr"
     np.testing.assert_array_equal(weights[20:], np.eye(len(NAMES)))  # the delta of eq. 11
     K = reference.covariance_matrix(literal.X, literal.X, 1e-4, 1.0)
     np.testing.assert_allclose(literal.gp.K, K, atol=1e-14)
@@ -212,8 +242,8 @@ def test_reports_of_the_letter_keep_negative_values_and_the_unit_variance(litera
 
 
 def test_the_letter_refuses_other_mappings():
-    with pytest.raises(UsageError, match=r"expected Settings\.published"):
-        Settings("gplvm", mapping="cube-root", as_published=True)
+    with pytest.raises(UsageError, match=r"expected GplvmSettings\.published"):
+        GplvmSettings(mapping="cube-root", as_published=True)
 
 
 def test_the_research_interface_gives_the_quantities_of_the_paper(literal, raw, rng):
@@ -252,7 +282,3 @@ def test_latents_of_ones_own_are_kept(folder, model, rng):
         Manifold.fit(folder / "library.zarr", model.settings, latents=own[:, :1])
     with pytest.raises(UsageError, match="expected kind gplvm"):
         Manifold.fit(folder / "library.zarr", latents=own)
-
-
-def test_the_old_name_of_the_kind_still_works():
-    assert Settings(kind="material") == Settings(kind="gplvm")

@@ -374,9 +374,9 @@ def test_nothing_is_wider_than_the_window(visited):
 
 def test_three_dimensions_have_a_slider(browser, tmp_path):
     from manifold.library.store import Library
-    from manifold.model.settings import Settings
+    from manifold.model.settings import BlendSettings
 
-    model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(latent_dim=3))
+    model = Manifold.fit(Library.open(small_library(tmp_path)), BlendSettings(latent_dim=3))
     (tmp_path / "map.html").write_text(make_page(to_document(model, tabulate(model))), encoding="utf-8")
     made = visit(browser, (tmp_path / "map.html").as_uri())
     before = state(made.page)["x"]

@@ -16,7 +16,8 @@ from manifold.core.directions import to_rusinkiewicz
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL
 from manifold.library.store import Library
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import GplvmSettings
 from manifold.page import explore, page_data
 from manifold.page.page import make_page, page_script, widget_module
 from manifold.page.page_data import error_field
@@ -121,7 +122,7 @@ def test_expected_errors_of_few_materials_are_called_coarse_on_the_page(model, m
 
 def test_only_maps_of_blends_have_a_page(tmp_path):
     library = Library.open(small_library(tmp_path))
-    model = Manifold.fit(library, Settings(kind="material"), calibrate=False)
+    model = Manifold.fit(library, GplvmSettings(), calibrate=False)
     with pytest.raises(UsageError, match="kind gplvm, expected blend"):
         page_data.tabulate(model)
 

@@ -14,7 +14,8 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.estimate.sources import LibrarySource
 from manifold.model import diagnostics
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import BlendSettings
 from manifold.pictures import maps
 from manifold.pictures.ball_figures import ball_map, spread, walk_strip
 from manifold.render import thumbnails
@@ -174,7 +175,7 @@ def test_long_names_are_broken_where_they_have_spaces(model, balls):
 
 
 def test_balls_on_a_line_stay_on_it_where_there_is_room(model, balls):
-    line = Manifold.fit(model.library, Settings(latent_dim=1), names=NAMES[:2], calibrate=False)
+    line = Manifold.fit(model.library, BlendSettings(latent_dim=1), names=NAMES[:2], calibrate=False)
     axes = ball_map(line, balls[:2]).axes[0]
     heights = [axes.transData.transform(box.xy)[1] for box in axes.artists if isinstance(box, AnnotationBbox)]
     below, above = axes.bbox.intervaly

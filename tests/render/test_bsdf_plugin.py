@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -28,14 +28,14 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.model.combination import Combination
-from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings, load_model
+from manifold.model.manifold import LibraryChangedWarning, Manifold, load_model
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import PredictedBRDF
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.registries import MAPPINGS
 from manifold.render import backend, scenes
 from manifold.render.plugin import mixture
 from manifold.render.plugin.bsdf import NAME
-from manifold.render.plugin.evaluation import DrJitMapping
 from manifold.render.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 
 pytestmark = pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
@@ -93,12 +93,12 @@ def models(tmp_path_factory) -> dict[str, Path]:
     brushed = brushed_library(tmp_path_factory.mktemp("brushed"))
     paths = {}
     for name, source, settings in (
-        ("rgb", rgb, Settings(kind="material")),
-        ("material", library, Settings(kind="material")),
-        ("six bands", few, Settings(kind="material")),
-        ("blend", rgb, Settings(kind="blend")),
-        ("spectral blend", library, Settings(kind="blend")),
-        ("brushed", brushed, Settings(kind="blend")),
+        ("rgb", rgb, GplvmSettings()),
+        ("material", library, GplvmSettings()),
+        ("six bands", few, GplvmSettings()),
+        ("blend", rgb, BlendSettings()),
+        ("spectral blend", library, BlendSettings()),
+        ("brushed", brushed, BlendSettings()),
     ):
         paths[name] = folder / f"{name}.h5"
         Manifold.fit(Library.open(source), settings, calibrate=False).save(paths[name])
@@ -171,6 +171,36 @@ def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     tolerance = 1e-3 if is_rgb else 1e-2
     np.testing.assert_allclose(value, f_cos, rtol=tolerance, atol=tolerance * np.median(f_cos))
     np.testing.assert_allclose(pdf, expected.pdf(wi, wo), rtol=1e-3, atol=1e-5)
+
+
+@dataclass(frozen=True)
+class FourthRoot:
+    """A mapping as another package may add it."""
+
+    name = "fourth-root"
+
+    def forward(self, values, cosine_weight=None, xp=np):
+        return xp.sqrt(xp.sqrt(xp.maximum(values, 0.0)))
+
+    def inverse(self, mapped, cosine_weight=None, xp=np):
+        return xp.maximum(mapped, 0.0) ** 4
+
+    def slope(self, values, cosine_weight=None):
+        return 4.0 * np.maximum(values, 0.0) ** 0.75
+
+
+def test_the_plugin_evaluates_a_mapping_of_another_package(tmp_path, monkeypatch, rng):
+    monkeypatch.setitem(MAPPINGS, "fourth-root", FourthRoot())
+    model = Manifold.fit(small_library(tmp_path), GplvmSettings(mapping="fourth-root"), calibrate=False)
+    model.save(tmp_path / "own.h5")
+    x = model.between(model.names[0], model.names[2], 0.4)
+    scene = {"type": "manifold", "model": str(tmp_path / "own.h5"), "latent": words(x)}
+    wi, wo = random_directions(rng, 500), random_directions(rng, 500)
+    value, _ = InMitsuba(backend.mitsuba("rgb"), scene).eval_pdf(wi, wo)
+    expected = model.predict(x).eval_cos(wi, wo)
+    np.testing.assert_allclose(
+        value, expected, rtol=2e-3, atol=2e-3 * np.median(expected)
+    )  # halves, as above
 
 
 @pytest.mark.parametrize(("kind", "share"), [("material", 0.0), ("six bands", 0.3)])
@@ -302,13 +332,12 @@ def test_a_texture_with_a_texel_that_is_no_number_is_refused(models):
 
 @pytest.mark.parametrize("mapping", MAPPINGS.values(), ids=MAPPINGS)
 def test_the_plugin_has_every_mapping_both_ways(rng, mapping):
-    mi = backend.mitsuba("rgb")
-    there = DrJitMapping(mi, backend.drjit(), mapping)
+    mi, dr = backend.mitsuba("rgb"), backend.drjit()
     f, cosines = 10.0 ** rng.uniform(-2.0, 3.0, 50), rng.random(50)
-    mapped = mapping.forward(f[:, None], cosines)[:, 0]
+    mapped = mapping.forward(f, cosines)
     for found, expected in (
-        (there.forward(mi.Float(f), mi.Float(cosines)), mapped),
-        (there.inverse(mi.Float(mapped), mi.Float(cosines)), f),
+        (mapping.forward(mi.Float(f), mi.Float(cosines), dr), mapped),
+        (mapping.inverse(mi.Float(mapped), mi.Float(cosines), dr), f),
     ):
         np.testing.assert_allclose(
             np.array(found), expected, rtol=1e-4

@@ -14,7 +14,8 @@ from manifold.core.errors import LatentError, UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.render import backend, scenes
 from manifold.render.plugin import mixture
 from manifold.render.plugin.evaluation import Evaluation, VaryingWeights
@@ -44,9 +45,9 @@ def models(tmp_path_factory) -> dict[str, Path]:
     assert not import_files(rgb, [folder / "coarse_rgb.bsdf"]).failed
     paths = {}
     for name, source, settings in (
-        ("rgb blend", rgb, Settings(kind="blend")),
-        ("rgb material", rgb, Settings(kind="material", kernel="matern32")),
-        ("spectral blend", spectral, Settings(kind="blend")),
+        ("rgb blend", rgb, BlendSettings()),
+        ("rgb material", rgb, GplvmSettings(kernel="matern32")),
+        ("spectral blend", spectral, BlendSettings()),
     ):
         paths[name] = folder / f"{name}.h5"
         Manifold.fit(Library.open(source), settings, calibrate=False).save(paths[name])

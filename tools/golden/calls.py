@@ -48,8 +48,8 @@ def python_fit_of_a_model(folder: Path) -> dict[str, Any]:
     names = [f.name.removesuffix("_rgb.bsdf") for f in sorted((folder / "corpus").iterdir())]
     made: dict[str, Any] = {}
     for title, settings in {
-        "blend": mf.Settings(latent_dim=3, kernel="matern32"),
-        "material": mf.Settings(kind="material", optimizer="l-bfgs", mapping="log", mu=1e-3),
+        "blend": mf.BlendSettings(latent_dim=3),
+        "material": mf.GplvmSettings(optimizer="l-bfgs", mapping="log", mu=1e-3),
     }.items():
         model = mf.Manifold.fit(folder / "corpus.zarr", settings, names=names[:6], calibrate=title == "blend")
         made[title] = {"latents": model.X, "statistics": model.statistics}
@@ -163,7 +163,7 @@ def python_report(folder: Path) -> dict[str, Any]:
     """Errors of a map in 3 dimensions."""
     from manifold.evaluate import make_report
 
-    model = mf.Manifold.fit(folder / "corpus.zarr", mf.Settings(latent_dim=3))
+    model = mf.Manifold.fit(folder / "corpus.zarr", mf.BlendSettings(latent_dim=3))
     return make_report(model).to_json()
 
 

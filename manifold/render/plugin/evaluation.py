@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from manifold.core.errors import UsageError
-from manifold.core.mapping import CubeRoot, Identity, Log, LogRelative, ValueMapping
 from manifold.core.records import Array
 from manifold.model.blending import NEGLIGIBLE
 from manifold.render.plugin.mixture import Mixture
@@ -218,7 +217,7 @@ class Evaluation:
         self._warps = PackedWarps(
             mi, dr, mi.Float(tables.warps), mi.Float(tables.marginals), tables.most_nodes
         )
-        self._mapping = DrJitMapping(mi, dr, mixture.mapping)
+        self._mapping = mixture.mapping
         self._is_rgb = mixture.bands.is_rgb
         self._is_clipped = mixture.is_clipped
         if mixture.bands.wavelengths_nm is not None:
@@ -404,7 +403,7 @@ class Evaluation:
                 labels=("material", "sum", "tangents", "density"),
             )
         total += sum(tangent * offset for tangent, offset in zip(tangents, offsets, strict=True))
-        f = self._mapping.inverse(total, cosines)
+        f = self._mapping.inverse(total, cosines, dr)
         if self._is_clipped:
             f = dr.maximum(f, 0.0)
         return f * cos_o, density / jacobian
@@ -426,7 +425,7 @@ class Evaluation:
         ]
 
         def forward(value: Any) -> Any:
-            return self._mapping.forward(value * scale, cosines)
+            return self._mapping.forward(value * scale, cosines, dr)
 
         if self._is_rgb or self._has_samples:
             mapped = [forward(value) for value in self._all_bands(packets, active)]
@@ -569,37 +568,3 @@ def _azimuth(dr: Any, w: Any) -> Any:
 def _turned(mi: Any, w: Any, turn: Any) -> Any:
     """Turn vectors about the normal by an angle with this cosine and sine."""
     return mi.Vector3f(turn.x * w.x - turn.y * w.y, turn.y * w.x + turn.x * w.y, w.z)
-
-
-class DrJitMapping:
-    """T and its inverse on Dr.Jit arrays; see `manifold.core.mapping`."""
-
-    def __init__(self, mi: Any, dr: Any, mapping: ValueMapping) -> None:
-        self._dr, self._mapping = dr, mapping
-        if type(mapping) not in (Identity, CubeRoot, Log, LogRelative):  # subclasses may differ
-            raise UsageError(f"the plugin `manifold` does not know the mapping {mapping.name}")
-
-    def forward(self, f: Any, cosines: Any) -> Any:
-        """Apply T to values f in 1/sr."""
-        dr, mapping = self._dr, self._mapping
-        if isinstance(mapping, CubeRoot):
-            return dr.cbrt(f)
-        if isinstance(mapping, Log | LogRelative):
-            return dr.log(1.0 + dr.maximum(f, 0.0) * self._factor(cosines))
-        return f
-
-    def inverse(self, mapped: Any, cosines: Any) -> Any:
-        """Apply T^-1 to mapped values."""
-        dr, mapping = self._dr, self._mapping
-        if isinstance(mapping, CubeRoot):
-            return mapped * mapped * mapped
-        if isinstance(mapping, Log | LogRelative):
-            return (dr.exp(dr.maximum(mapped, 0.0)) - 1.0) / self._factor(cosines)
-        return mapped
-
-    def _factor(self, cosines: Any) -> Any:
-        """Return the factor of values inside the logarithm."""
-        if isinstance(self._mapping, LogRelative):
-            return self._dr.maximum(cosines, self._mapping.floor) / self._mapping.epsilon
-        assert isinstance(self._mapping, Log)
-        return 1.0 / self._mapping.epsilon

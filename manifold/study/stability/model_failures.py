@@ -22,8 +22,8 @@ from manifold.gplvm import GPLVM
 from manifold.gpr import GaussianProcess
 from manifold.model.combination import Combination
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
+from manifold.model.gplvm_space import GplvmSpace
 from manifold.model.manifold import Manifold
-from manifold.model.material_space import MaterialSpace
 from manifold.model.prediction import PredictedBRDF
 from manifold.registries import MAPPINGS
 from manifold.study.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, in_space, named, predict
@@ -84,11 +84,12 @@ def _rescaled(kind: str, bed: TestBed, length_scale: float) -> Measurement:
 
 def _with_prior(kind: str, bed: TestBed, length_scale: float) -> Measurement:
     """Measure the held-out plastic under a length scale that the prior keeps the latents from following."""
-    return _held_out_in(bed, bed.fit(bed.family, kind, prior=1.0, length_scale=length_scale))
+    prior = {"prior": 1.0} if kind == "gplvm" else {}  # blends have none
+    return _held_out_in(bed, bed.fit(bed.family, kind, length_scale=length_scale, **prior))
 
 
-def _with_noise(kind: str, bed: TestBed, power: float) -> Measurement:
-    return _held_out_in(bed, bed.fit(bed.family, kind, mu=10.0**-power))
+def _with_noise(bed: TestBed, power: float) -> Measurement:
+    return _held_out_in(bed, bed.fit(bed.family, "gplvm", mu=10.0**-power))
 
 
 # -- the library -------------------------------------------------------------------------------------------
@@ -155,10 +156,10 @@ Places = Callable[[TestBed, float], Iterator[tuple[PredictedBRDF, tuple[str, ...
 
 
 def _from_outermost(
-    kind: str, mapping: str, bed: TestBed, distance: float
+    kind: str, settings: dict[str, str], bed: TestBed, distance: float
 ) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
     """Yield predictions beyond the outermost material in each of several directions."""
-    model = bed.model(kind, mapping)
+    model = bed.model(kind, **settings)
     angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
     for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
         outermost = model.X[np.argmax(model.X @ ray)]
@@ -227,7 +228,7 @@ def _fit(bed: TestBed, S: Array, optimizer: str, start: Array | None = None) -> 
 def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
     """Measure the held-out plastic, embedded in a manifold with these latents of the family."""
     truth = held_out(bed)
-    space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
+    space = GplvmSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
     brdf, messages = bed.embed(in_space(bed.model("gplvm"), space), truth)
     return Measurement(in_error_of_nearest(bed, brdf), messages)
 
@@ -280,7 +281,7 @@ MODES: tuple[Mode, ...] = (
     ),
     Mode(
         "no_noise", "the observation noise mu of a fit", "-log10 mu", (3.0, 10.0, 11.0), HALF_OF_NEAREST,
-        _of_kinds(_with_noise),
+        {"gplvm": _with_noise},
         "Keep the default mu; below 1e-10 the covariance cannot be factorised, and the fit is refused.",
     ),
     Mode(
@@ -337,9 +338,9 @@ MODES: tuple[Mode, ...] = (
         Limit("CIEDE2000 (studio 0) between the balls of the prediction and of the nearest "
         "plastic", BALL.value, BALL.reason),
         {
-            "gplvm": partial(_outside, partial(_from_outermost, "gplvm", "cube-root")),
-            "raw values": partial(_outside, partial(_from_outermost, "gplvm", "identity")),
-            "blend": partial(_outside, partial(_from_outermost, "blend", "cube-root")),
+            "gplvm": partial(_outside, partial(_from_outermost, "gplvm", {})),
+            "raw values": partial(_outside, partial(_from_outermost, "gplvm", {"mapping": "identity"})),
+            "blend": partial(_outside, partial(_from_outermost, "blend", {})),
             "brighter": partial(_outside, _brighter),
         },
         "Stay between the materials, or write a physical file: negative values are clipped, the albedo is scaled, "

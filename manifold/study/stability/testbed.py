@@ -36,7 +36,7 @@ from manifold.model import diagnostics
 from manifold.model.latent_space import LatentSpace
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
-from manifold.model.settings import Settings
+from manifold.model.settings import KINDS, GplvmSettings
 
 BANDS = Bands((450.0, 550.0, 650.0))
 ALPHAS = (0.1, 0.17, 0.29, 0.5)
@@ -103,11 +103,12 @@ class TestBed:
         """Fit a manifold to a new library of files; the family's library is shared."""
         is_family = len(files) == len(self.family) and all(map(operator.is_, files, self.family))
         path = self.cached("library", lambda: self.library(files)) if is_family else self.library(files)
-        return Manifold.fit(Library.open(path), Settings(kind=kind, **settings), calibrate=False)
+        return Manifold.fit(Library.open(path), KINDS[kind](**settings), calibrate=False)
 
-    def model(self, kind: str, mapping: str = "cube-root") -> Manifold:
+    def model(self, kind: str, **settings: Any) -> Manifold:
         """Return the manifold of the family, which must not be changed."""
-        return self.cached(("model", kind, mapping), lambda: self.fit(self.family, kind, mapping=mapping))
+        key = ("model", kind, *settings.items())
+        return self.cached(key, lambda: self.fit(self.family, kind, **settings))
 
     @cached_property
     def data(self) -> Data:
@@ -172,7 +173,9 @@ class TestBed:
 
 def in_space(model: Manifold, space: LatentSpace) -> Manifold:
     """Return a manifold of the same materials with other latents, or another kernel on them."""
-    settings = replace(model.settings, length_scale=space.kernel.length_scale, mu=space.kernel.mu)
+    settings = replace(model.settings, length_scale=space.kernel.length_scale)
+    if isinstance(settings, GplvmSettings):
+        settings = replace(settings, mu=space.kernel.mu)
     return Manifold(model.materials, space, settings, {})
 
 

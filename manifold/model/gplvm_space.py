@@ -1,4 +1,4 @@
-"""Whole materials as points of a latent space, the method of Hikichi & Iwasaki."""
+"""The latent space of the GPLVM: whole materials as points, the method of Hikichi & Iwasaki."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ import numpy as np
 from manifold.core.records import AnyArray, Array, Indices, evenly_spaced
 from manifold.gp.encoding import Decoder, Encoder
 from manifold.gp.kernels import Kernel
+from manifold.gp.likelihood import LatentObjective, centre_gram, require_start
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
-from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_shapes
+from manifold.model.gram import cached_gram
+from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, Statistics, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
-from manifold.model.settings import Settings
+from manifold.model.settings import GplvmSettings, Settings
 
 _SAME = 1e-2  # cube-root error below which a file is that material; compact libraries keep it by default
 _EMBEDDING_BANDS = 20  # bands of a whole material that serve to embed it, evenly spaced
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MaterialSpace(LatentSpace):
+class GplvmSpace(LatentSpace):
     """Whole materials as points, with the same weights in all bands: the method of Hikichi & Iwasaki.
 
     Attributes:
@@ -37,7 +39,7 @@ class MaterialSpace(LatentSpace):
     kernel: Kernel
     kind: ClassVar[str] = "gplvm"
 
-    def without(self, material: int) -> MaterialSpace:
+    def without(self, material: int) -> GplvmSpace:
         """Return the latents without that of one material."""
         others = np.delete(np.arange(len(self.X)), material)
         return replace(self, X=self.X[others], S=self.S[np.ix_(others, others)])
@@ -48,7 +50,7 @@ class MaterialSpace(LatentSpace):
         return {"X": self.X, "S": self.S, "n_outputs": np.array(self.n_outputs)}
 
     @classmethod
-    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> MaterialSpace:
+    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> GplvmSpace:
         """Restore the space from a file's arrays. Raises ValueError if they do not fit each other."""
         X = stored["X"]
         S, n_outputs = require_shapes(stored, {"S": (len(X), len(X)), "n_outputs": ()})
@@ -83,6 +85,7 @@ class MaterialSpace(LatentSpace):
         if error <= _SAME:
             error = decoder.relative_error(self.X[own][None], values[None])
             return Embedded(self.X[own], None, error, error)
+        assert isinstance(settings, GplvmSettings)
         latent = Encoder.of_decoder(decoder, settings.prior).by_values(decoder, values)
         error = decoder.relative_error(latent[None], values[None])
         return Embedded(latent, None, error, error)
@@ -104,3 +107,28 @@ class MaterialSpace(LatentSpace):
             return found.latent, Combination(whole.mapping, every), found.residual
 
         return find
+
+
+def fit_gplvm(
+    materials: MaterialCache, s: GplvmSettings, latents: Array | None = None
+) -> tuple[GplvmSpace, Statistics]:
+    """Fit a GPLVM to all materials of a cache, or keep latents (N, Q); return its space and the objectives.
+
+    Source: Hikichi & Iwasaki, section 3.4.
+    """
+    from manifold.gplvm import GPLVM  # imports scikit-learn, most of a second that predictions need not spend
+
+    matrix, kernel = cached_gram(materials, s), s.covariance()
+    if latents is not None:
+        X = require_start(latents, len(materials.names), s.latent_dim)
+        objective = LatentObjective(
+            centre_gram(matrix.S), matrix.n_outputs, kernel, s.prior, output_variance=s.output_variance
+        )
+        start = end = objective.value(X)
+    else:
+        fitted = GPLVM(
+            s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior,
+            output_variance=s.output_variance, farthest_first=not s.as_published,
+        ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
+        X, start, end = fitted.embedding_, float(fitted.objective_start_), float(fitted.objective_)
+    return GplvmSpace(X, matrix.S, matrix.n_outputs, kernel), {"objective_start": start, "objective": end}

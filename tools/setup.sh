@@ -3,6 +3,7 @@
 #
 #   tools/setup.sh          what running the program needs, all extras included
 #   tools/setup.sh dev      what its tests and checks need as well
+#   tools/setup.sh docs     what the documentation site needs as well: Sphinx, and KaTeX, which converts formulas
 #   tools/setup.sh engines  Blender's module and MaterialX's renderer, into .venv-engines; what `make engines` needs
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
@@ -94,6 +95,12 @@ fi
 if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_modules/three ]; then
     npm install --silent --no-fund --no-audit --prefix .venv three@0 gltf-validator >/dev/null 2>&1 ||
         echo "setup: three and gltf-validator could not be installed; tests of glTF files by them are skipped" >&2
+fi
+
+if [ "$extra" = docs ] && [ ! -d .venv/node_modules/katex ]; then
+    command -v npm >/dev/null 2>&1 || apt_install npm || true
+    npm install --silent --no-fund --no-audit --prefix .venv katex@0.16 >/dev/null 2>&1 ||
+        echo "setup: KaTeX could not be installed; install Node.js with npm (Debian: apt install npm)" >&2
 fi
 
 target=".[${extra:-all}]"

@@ -57,7 +57,7 @@ def write_commands(*_: object) -> None:
         lines += [f"## {title}", ""]
         for name in names:
             context = type(commands[name]).context_class(commands[name], info_name=f"manifold {name}")
-            context.terminal_width = context.max_content_width = 100
+            context.terminal_width = 80
             lines += [f"### {name}", "", "```text", commands[name].get_help(context).rstrip(), "```", ""]
     application.Command.shows_all = False
     write_if_changed(REFERENCE / "commands.md", "\n".join(lines))

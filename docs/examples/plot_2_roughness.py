@@ -2,8 +2,8 @@
 Roughness
 =========
 
-A dielectric coat over a coloured base, from polished to matt. Every BRDF with ``eval`` can be rendered, fitted, or written
-to a file.
+A dielectric coat over a coloured base, from polished to matt. Every BRDF with ``eval`` can be rendered, fitted, or
+written to a file.
 """
 
 import matplotlib.pyplot as plt

@@ -22,7 +22,7 @@ _FEW = 512  # pairs of directions of a block: fewer take less time than starting
 
 
 def values_at(brdf: EvaluableBRDF, pairs: Pairs) -> Array:
-    """Return f in 1/sr at K direction pairs, shape (K, B), fast for measured materials with shared grids."""
+    """Return f in 1/sr at K direction pairs, (K, B); a `MeasuredBRDF` reuses what `pairs` has computed."""
     return brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
 
 

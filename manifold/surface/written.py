@@ -1,4 +1,4 @@
-"""A surface as `manifold surface` has written it, read again."""
+"""Reading a surface that `manifold surface` has written."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ _LEAST_UP = 0.05  # z component of a normal: slopes stay finite whatever a pictu
 
 @dataclass(frozen=True, eq=False)
 class WrittenSurface:
-    """A surface in files.
+    """A surface that was read from its files.
 
     Attributes:
         name: of the sample.
         brdf: of the mean.
-        textures: as they were written: in 8 bits, colours cut where they are brighter than white.
-        flakes: those that were drawn; None where there are none.
-        expected_ball: expected error of the ball of the mean, CIEDE2000; None where it is not known.
+        textures: the written textures: 8 bits, with colours clipped at white.
+        flakes: the drawn flakes, or None.
+        expected_ball: expected ball error of the mean BRDF, CIEDE2000; None if unknown.
     """
 
     name: str
@@ -54,11 +54,11 @@ def read_surface(path: Path | str) -> WrittenSurface:
     """Read a surface that `manifold surface` wrote.
 
     Args:
-        path: its folder, or its `NAME.json` where the folder has several.
+        path: the folder, or `NAME.json` if the folder has several surfaces.
 
     Raises:
-        FileFormatError: it is no such surface, or has no BRDF of the mean.
-        MissingFileError: one of its files is missing, or the folder has no surface.
+        FileFormatError: the files are no such surface, or have no mean BRDF.
+        MissingFileError: a file is missing, or the folder has no surface.
         UsageError: the folder has several.
     """
     path = Path(path)

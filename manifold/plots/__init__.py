@@ -1,1 +1,1 @@
-"""Figures of maps, balls and slices; those of other subjects lie in their folders. None shows a window."""
+"""Figures of maps, balls and slices, drawn to files without a window."""

@@ -49,10 +49,21 @@ def to_html(tex: str, *, display: bool) -> str:
 
 def visit(page: object, node: nodes.math | nodes.math_block) -> None:
     """Write a formula into a page of Sphinx's HTML writer."""
-    display = isinstance(node, nodes.math_block)
-    formula = to_html(node.astext(), display=display)
-    page.body.append(f'<div class="formula">{formula}</div>' if display else formula)
+    tex = node.astext()
+    if isinstance(node, nodes.math_block):
+        page.body.append('<div class="formula">')
+        page.body += [to_html(part, display=True) for part in parts_of(tex)]
+        page.body.append("</div>")
+    else:
+        page.body.append(to_html(tex, display=False))
     raise nodes.SkipNode
+
+
+def parts_of(tex: str) -> list[str]:
+    r"""Return the equations of a display between `\qquad`, which a narrow page shows one below the other."""
+    parts = tex.split(r"\qquad")
+    are_whole = all(part.count("{") == part.count("}") and r"\begin" not in part for part in parts)
+    return parts if are_whole else [tex]
 
 
 def copy_styles(target: Path) -> None:

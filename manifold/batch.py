@@ -180,7 +180,7 @@ def _known(
         try:
             require_material_name(source.name)
             if command.what in (alike(source.name), alike(path.stem)):
-                raise UsageError("has the name of the table of all; rename it")
+                raise UsageError("has the name of the table of results; rename it")
             first = taken.setdefault(alike(path.name), source)
             if first is not source:
                 raise UsageError(f"{source} and {first} have the same name, {path.name}; use two folders")
@@ -408,7 +408,7 @@ def only_run_in(folder: Path, what: str) -> Iterator[None]:
         lock.acquire(blocking=False)
     except Timeout:
         raise UsageError(
-            f"{folder}: another run writes to it; wait until it is done, or name another"
+            f"{folder}: another run writes to this folder; wait until it is done, or name another folder"
         ) from None
     except OSError as error:
         raise UsageError(f"{folder}: cannot be written ({error.strerror}); name another folder") from error

@@ -69,7 +69,7 @@ class Identity:
         return _as_floating(mapped)
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Return ones."""
+        """Return the derivative of the mapping, 1."""
         return np.ones_like(_as_floating(values))
 
 

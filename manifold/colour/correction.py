@@ -111,7 +111,7 @@ def learn_correction(
     x, y = np.maximum(np.asarray(x, np.float64), 0.0), np.asarray(y, np.float64)
     if len(x) < 4 or not x.max() > 0.0:
         raise UsageError(
-            f"{len(x)} directions are shared, expected four or more with light to learn a colour correction from"
+            f"the instruments share {len(x)} directions, expected four or more with light for a colour correction"
         )
     scale = float(x.max())
     unit, wanted = x / scale, y / scale

@@ -54,8 +54,8 @@ class Illuminant:
         nm, power = read_spectrum(path, "power")
         if power.min() < 0 or not 0 < power.max() < _MOST_POWER:
             raise FileFormatError(
-                f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0, one above, and none "
-                f"of {_MOST_POWER:g} or more"
+                f"{path}: powers from {power.min():g} to {power.max():g}, expected powers from 0 to below "
+                f"{_MOST_POWER:g}, one of them above 0"
             )
         return cls(path.name, tuple(nm.tolist()), tuple(power.tolist()))
 

@@ -103,11 +103,11 @@ class ReflectanceSpectrum:
         nm, values = (np.asarray(a, dtype=np.float64) for a in (self.wavelengths_nm, self.values))
         if nm.ndim != 1 or nm.shape != values.shape or len(nm) < 2:
             raise UsageError(
-                f"{self.name}: wavelengths {nm.shape} and reflectances {values.shape}, expected as many, at least 2"
+                f"{self.name}: {nm.shape} wavelengths and {values.shape} reflectances, expected equal numbers >= 2"
             )
         if not np.all(np.diff(nm) > 0) or not np.isfinite(nm[-1]):
             raise UsageError(
-                f"{self.name}: wavelengths do not increase, expected finite ones in nm, each once; sort them"
+                f"{self.name}: wavelengths do not increase, expected different, finite ones in nm; sort them"
             )
         if not np.all((values >= 0) & (values <= 1)):
             raise UsageError(

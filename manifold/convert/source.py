@@ -127,9 +127,9 @@ def open_source(
     if of_rgl and len(paths) > 1:
         raise UsageError(f"{of_rgl[0]}: an RGL file among {len(paths)} files; convert it alone")
     if of_rgl and unit is not None:
-        raise UsageError(f"{paths[0]}: an RGL file says its unit, expected none; leave --unit {unit} out")
+        raise UsageError(f"{paths[0]}: an RGL file states its unit; leave --unit {unit} out")
     if of_rgl and sample is not None:
-        raise UsageError(f"{paths[0]}: holds one material, expected no name of a sample")
+        raise UsageError(f"{paths[0]}: an RGL file holds one material; leave the name of the sample out")
     record: BsdfFile | registry.Record
     if of_rgl:
         record = read_bsdf(paths[0])
@@ -138,8 +138,8 @@ def open_source(
         names = list(dict.fromkeys(part.name for part in parts))
         if len(names) > 1 and not merge:
             raise UsageError(
-                f"{len(paths)} files of different samples, {first_few(names)}; convert them into a folder, or merge "
-                "them if they are one sample's"
+                f"{len(paths)} files of different samples, {first_few(names)}; convert them into a folder, or add "
+                "--merge if they belong to one sample"
             )
         record = registry.merge(parts)
     if correction is not None and not isinstance(record, Readings):

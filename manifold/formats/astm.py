@@ -251,7 +251,7 @@ def _readings(
 def write(path: Path, readings: Readings) -> None:
     """Write the table in radians, azimuths from 0 to 2 pi, in order of the readings."""
     if not np.all(readings.measured):
-        raise ShapeError(f"{readings.name}: values that were not measured, expected all; select the others")
+        raise ShapeError(f"{readings.name}: some values are missing, expected all; select other pairs")
     lines = [
         f"SAMPLE_NAME {_quoted(readings.name)}", f"SYSTEM_NAME {_quoted(readings.instrument)}", 'MEAS_NAME "BRDF"',
         f"NUM_POINTS {len(readings)}", "VARS theta_i,phi_i,theta_s,phi_s," + ",".join(band_heads(readings)),

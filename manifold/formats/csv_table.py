@@ -154,7 +154,9 @@ def _row(line: str, separator: str | None, number_of_line: int, context: ErrorCo
     """
     if line.count('"') % 2:
         raise context.error(
-            "not cells of a table (a quote that does not end)", f"row {number_of_line}", remedy=CORRECT_CELL
+            "a quote that does not end, expected cells of a table",
+            f"row {number_of_line}",
+            remedy=CORRECT_CELL,
         )
     row = split_cells(line, separator)
     while separator != "," and row and not row[-1]:

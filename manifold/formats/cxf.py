@@ -270,7 +270,9 @@ def _wavelengths(
     step_nm = context.number(own_step or common.get("Increment", _USUAL_STEP_NM), where)
     first_nm = context.number(start, where)
     if step_nm <= 0 or first_nm <= 0 or not count:
-        raise context.error("no wavelengths or no values, expected StartWL, Increment and reflectance", where)
+        raise context.error(
+            "has no wavelengths or no values, expected StartWL, Increment and reflectance", where
+        )
     nm: Array = first_nm + step_nm * np.arange(count, dtype=float)
     end = spectrum.get("EndWL")
     if end is not None and abs(context.number(end, where) - nm[-1]) > step_nm / 2.0:

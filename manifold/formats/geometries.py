@@ -212,8 +212,8 @@ def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> di
     alone = {name: a for name in names if name not in angles and (a := parse_aspecular(name)) is not None}
     if set(alone.values()) == _THREE:
         raise context.error(
-            "geometries 25, 45 and 75 alone: aspecular angles with light at 45 degrees, or incidences with a detector "
-            "along the normal; write 45as25 ... or 25/0 ..."
+            "geometries 25, 45 and 75 are ambiguous: write 45as25 ... if they are aspecular angles, or 25/0 ... if "
+            "they are angles of incidence"
         )
     if alone and angles:
         raise context.error(

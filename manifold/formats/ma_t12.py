@@ -163,7 +163,7 @@ def _sheets(workbook: io.BytesIO, context: ErrorContext) -> dict[str, list[list[
                     cells += len(row)
                     if cells > _MOST_CELLS or len(rows) >= _MOST_ROWS:
                         raise context.error(
-                            f"sheet '{sheet.title}' makes more than {_MOST_ROWS} rows, or {_MOST_CELLS} cells in all"
+                            f"sheet '{sheet.title}' has more than {_MOST_ROWS} rows, or {_MOST_CELLS} cells in total"
                         )
                     last = next((k for k in range(len(row), 0, -1) if row[k - 1] is not None), 0)
                     rows.append([c if isinstance(c, int | float | None) else str(c) for c in row[:last]])

@@ -207,9 +207,7 @@ class Readings:
         if unit not in UNITS:
             raise UsageError(f"no unit is called {unit!r}, expected one of {', '.join(UNITS)}")
         if self.assumed_unit is None:
-            raise UsageError(
-                f"{self.name}: {self.instrument} says its unit, expected none; leave --unit {unit} out"
-            )
+            raise UsageError(f"{self.name}: {self.instrument} states its unit; leave --unit {unit} out")
         values = self.values * (UNITS[unit] / UNITS[self.assumed_unit])
         notes = tuple(note for note in self.notes if not note.startswith("no unit given"))
         return replace(self, values=values, notes=notes, assumed_unit=None)

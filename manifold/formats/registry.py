@@ -166,7 +166,7 @@ def read(
 
 def _in_unit(record: Record, unit: str, path: Path) -> Readings:
     if not isinstance(record, Readings):
-        raise UsageError(f"{path}: a dense table says its unit, expected none; leave --unit {unit} out")
+        raise UsageError(f"{path}: a dense table states its unit; leave --unit {unit} out")
     return record.in_unit(unit)
 
 

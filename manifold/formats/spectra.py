@@ -180,7 +180,7 @@ def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[in
     column, unit = next(iter(units.items()), (0, ""))
     values = table.values[:, column]
     if not np.all(values > 0.0):
-        raise context.error("wavelengths that are not above 0, expected nm")
+        raise context.error("found wavelengths of 0 or less, expected wavelengths in nm")
     nm = nanometres(values, unit or "nm")
     assert nm is not None  # `wavelength_unit` knows these units alone
     return nm, [k for k in range(width) if k != column]

@@ -145,7 +145,7 @@ def sources(materials: Sequence[MaterialSource]) -> list[Source]:
             label = file.name if is_told else f"{file.name}, {file.origin}"
             found.append((given, Source(label, MeasuredBRDF(blank_unmeasured(file)))))
     if not found:
-        raise UsageError("nothing to draw is given; give files, materials of a library, or places on a map")
+        raise UsageError("no material to draw; give files, materials of a library, or places on a map")
     labels = [source.label for _, source in found]
     return [
         replace(source, label=given) if labels.count(source.label) > 1 else source for given, source in found

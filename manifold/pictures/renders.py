@@ -136,7 +136,7 @@ def ball_material(
             yield made
         return
     if direct:
-        raise UsageError(f"{source}: direct renders are of places; a file holds its values")
+        raise UsageError(f"{source}: --direct evaluates predictions; leave it out to render a file")
     with source_file(source) as path:
         yield read_material(path), None
 
@@ -161,16 +161,14 @@ def latent_material(
             yield BallMaterial(f"latent {at}", file.bsdf, file.is_rgb, "predicted file"), made
         return
     if not backend.choose().is_llvm:
-        raise UsageError(f"direct renders need Mitsuba's LLVM variants; {backend.INSTALL}, or render a file")
+        raise UsageError(f"--direct needs Mitsuba's LLVM variants; {backend.INSTALL}, or leave it out")
     if isinstance(colour.reflectance, ReflectanceSpectrum):
-        raise UsageError("direct renders take reflectances from a file; name one, or render a predicted file")
+        raise UsageError("--direct takes reflectances only from a file; name one, or leave --direct out")
     loaded = load_model(model, library)
     warn_if_invisible(loaded.bands)
     predicted = diagnostics.predict_and_diagnose(loaded, latent, colour)
     if predicted.latent is None:
-        raise UsageError(
-            f"{at}: direct renders are of latents, not of steps of walks; render a predicted file"
-        )
+        raise UsageError(f"{at}: --direct evaluates latents, but no steps of walks; leave it out")
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}
@@ -226,7 +224,9 @@ def compare(
         if isinstance(source, FileSource) and kind_of(source.path) is Kind.PICTURE
     ]
     if len(pictures) == 1:
-        raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")
+        raise UsageError(
+            f"{a} and {b}: found a material and a picture, expected two materials or two pictures"
+        )
     ball = None
     diagnostics: list[str] = []
     if pictures:

@@ -130,12 +130,12 @@ def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
     found = read_lamps(lamps, [path.name for path in pictures])
     if len(found) != len(pictures) or len(found) < _LEAST_LAMPS:
         raise UsageError(
-            f"{lamps}: found {len(found)} lamps for {len(pictures)} pictures, expected one a picture, of "
+            f"{lamps}: found {len(found)} lamps for {len(pictures)} pictures, expected one per picture, at least "
             f"{_LEAST_LAMPS} or more"
         )
     directions = np.array([lamp.direction for lamp in found])
     if np.any(directions[:, 2] <= 0.0):
-        raise UsageError(f"{lamps}: a lamp does not stand above the sample, expected z above 0")
+        raise UsageError(f"{lamps}: a lamp is below the surface, expected z above 0")
     read = (read_picture(path).values / lamp.colour for path, lamp in zip(pictures, found, strict=True))
     values = _stacked(lamps, read, len(pictures))
     np.maximum(values, _HALF_CODE, out=values)

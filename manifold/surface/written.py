@@ -66,7 +66,7 @@ def read_surface(path: Path | str) -> WrittenSurface:
     if path.is_dir():  # the JSON beside the only BRDF of a mean
         there = [mean.with_suffix(".json") for mean in sorted(path.glob("*.bsdf"))]
         if not there:
-            raise MissingFileError(f"{path}: no surface; run manifold surface of a workbook")
+            raise MissingFileError(f"{path}: no surface in this folder; run `manifold surface` on a workbook")
         if len(there) > 1:
             raise UsageError(f"{path}: {len(there)} surfaces; name the JSON of one, such as {there[0].name}")
         document = there[0]
@@ -84,17 +84,19 @@ def read_surface(path: Path | str) -> WrittenSurface:
             raise TypeError(f"sample {name!r}")
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         reason = printable(repr(error), 120)
-        raise FileFormatError(f"{document}: is not the JSON of a surface ({reason}); {_ADVICE}") from None
+        raise FileFormatError(
+            f"{document}: not a JSON file of `manifold surface` ({reason}); {_ADVICE}"
+        ) from None
     if missing := [kind for kind in _NEEDED if kind not in files]:
         raise FileFormatError(
-            f"{document}: no file of its {missing[0]}; {_ADVICE}, of a workbook with readings"
+            f"{document}: names no file of the {missing[0]}; {_ADVICE}, on a workbook with readings"
         )
     pictures = {kind: read_display(files[kind]) for kind in ("albedo", "normal")}
     pictures["height"] = read_image(files["height"])
     if drawn is not None:
         pictures |= {kind: read_display(files[kind]) for kind in ("flakes", "flake_weights")}
     if odd := [kind for kind, values in pictures.items() if values.shape != pictures["albedo"].shape]:
-        raise FileFormatError(f"{files[odd[0]]}: of another size than {files['albedo'].name}; {_ADVICE}")
+        raise FileFormatError(f"{files[odd[0]]}: has another size than {files['albedo'].name}; {_ADVICE}")
     normal = _normals(pictures["normal"])
     textures = Textures(
         decode_srgb(pictures["albedo"]) / mean, normal[..., :2] / normal[..., 2:], pictures["height"][..., 0]

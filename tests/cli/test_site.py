@@ -33,6 +33,12 @@ def test_indices_of_accented_letters_stand_beside_them():
     assert "<msubsup><mover" in mathml(r"\hat y_q^{1/3}")
 
 
+def test_equations_beside_each_other_are_converted_one_by_one():
+    assert formulas.parts_of(r"a = b, \qquad c = d") == ["a = b, ", " c = d"]
+    whole = r"\begin{aligned} a &= b \qquad c \end{aligned}"
+    assert formulas.parts_of(whole) == [whole]
+
+
 def test_a_formula_with_an_unknown_command_is_an_error():
     with pytest.raises(Exception, match=r"\\unknown"):
         formulas.to_html(r"\unknown{x}", display=True)

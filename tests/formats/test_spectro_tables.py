@@ -285,7 +285,7 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         ("45as25,1,2\nGeometry,400,410\n45as15,1,2\n", "row 1: readings above the header"),
         ("Geometry,400,410\n45as15,1,2\n45as15,1,3\n", "row 3: geometry '45as15' is also in row 2"),
         ("Name,Geometry,400,410\nA,45as15,1,2\nA,195as25,1,3\n", "row 3: found geometry '195as25'"),
-        ('Name,Geometry,400,410\nA,45as15,"1,2\nA,45as25,1,3\n', "row 2: not cells of a table"),
+        ('Name,Geometry,400,410\nA,45as15,"1,2\nA,45as25,1,3\n', "row 2: a quote that does not end"),
         (
             "Name,Mode,Geometry,400,410\nA,M1,45/0,0.9,0.9\nB,M2,45/0,0.8,0.8\nA,M2,45/0,0.8,0.8\n",
             "row 4, column 2: M2 beside M1 at '45/0', expected one measuring condition",

@@ -327,7 +327,7 @@ def _require_no_inputs(target: Path, names: Iterable[str], inputs: Sequence[Path
     read = {path.resolve() for path in inputs}
     for path in (target, *(target.parent / name for name in names)):
         if path.resolve() in read:
-            raise UsageError(f"{path}: is read by this command and would be replaced; name another folder")
+            raise UsageError(f"{path}: this command would replace its own input; name another folder")
 
 
 def _write(

@@ -203,7 +203,7 @@ def _dictionary(scene: Path | Mapping[str, Any], origin: str) -> dict[str, Any]:
     content = disk.read_json(scene, "a Mitsuba scene, .xml or .json") if isinstance(scene, Path) else scene
     if not isinstance(content, Mapping) or content.get("type") != "scene":
         raise FileFormatError(
-            f"{origin}: no dictionary of the type scene; expected what `mi.load_dict` takes"
+            f"{origin}: not a scene, expected a dictionary of the type scene as for `mi.load_dict`"
         )
     if holds_none(content):  # ends Mitsuba's process
         raise FileFormatError(f"{origin}: null in the scene, expected a value; remove that entry")

@@ -103,7 +103,8 @@ class ReflectanceSpectrum:
         nm, values = (np.asarray(a, dtype=np.float64) for a in (self.wavelengths_nm, self.values))
         if nm.ndim != 1 or nm.shape != values.shape or len(nm) < 2:
             raise UsageError(
-                f"{self.name}: {nm.shape} wavelengths and {values.shape} reflectances, expected equal numbers >= 2"
+                f"{self.name}: {nm.shape} wavelengths and {values.shape} reflectances, "
+                "expected equal numbers, at least 2"
             )
         if not np.all(np.diff(nm) > 0) or not np.isfinite(nm[-1]):
             raise UsageError(

@@ -266,7 +266,10 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         ("Name,Geometry,r,g,b\nx,45as15,120,100,90\n", "a header without values .Name, Geometry, r, g, b."),
         ("Geometry,400,500,600\nd/8 SPIN,1,2,3\n", "found geometry 'd/8 SPIN', expected one such as 45as15"),
         ("Name,400,500,600\nA,1,2,3\n", "no header .* such as 'Name, Geometry, 400, 410'"),
-        ("Name,Angle,400,500,600\nA,25,1,2,3\nA,45,1,2,3\nA,75,1,2,3\n", "45as25 ... or 25/0"),
+        (
+            "Name,Angle,400,500,600\nA,25,1,2,3\nA,45,1,2,3\nA,75,1,2,3\n",
+            "write 45as25 ... if they are aspecular angles, or 25/0",
+        ),
         ("Geometry,400,500\n45/25,1,2\n45/75,1,2\n", "found geometry '45/25', expected one such as 45as15"),
         (TURNED.replace("500,", "5OO,"), "row 12, column 1: found '5OO', expected a wavelength in nm"),
         (TURNED.replace("500,1,2,", "500,1,two,"), "row 12, column 3: found 'two'"),

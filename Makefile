@@ -18,7 +18,7 @@ help:
 	@echo "make test-slow   run the slow ones"
 	@echo "make test-machines run the tests as processors of other core types compute, with one thread and two: hours"
 	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
-	@echo "make check       ruff, mypy, import-linter, circular imports, spelling, English"
+	@echo "make check       ruff, mypy, import-linter, circular imports, spelling, formulas"
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"

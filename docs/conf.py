@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import importlib
-import inspect
-import itertools
-import json
 import os
 import re
 import shutil
@@ -14,18 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
-import typer
 from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.transforms.post_transforms import SphinxPostTransform
 
 from manifold import __version__
-from manifold.cli.main import app
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE / "examples")]
-from figures import RESULTS  # noqa: E402  # beside this file
+sys.path.insert(0, str(HERE))
+import formulas  # noqa: E402  # beside this file
+import reference_pages  # noqa: E402
 
-WORK = HERE / "_work"  # library and model of the gallery, kept between builds
+WORK = HERE / "_work"  # kept between builds
+GALLERY, EXTRA, STATIC = WORK / "gallery", WORK / "extra", WORK / "static"
 
 project = "manifold"
 author = "The manifold developers"
@@ -55,13 +50,18 @@ exclude_patterns = [
 suppress_warnings = ["config.cache"]  # sphinx_gallery_conf holds a function
 nitpicky = False
 
-html_math_renderer = "mathml"  # by the browser, without a script from the network
+html_math_renderer = "katex"
 html_theme = "pydata_sphinx_theme"
-html_title = "manifold"
+html_title = f"manifold {version}"
+html_static_path = ["_static", "_work/static"]
+html_favicon = "_static/favicon.svg"
 html_extra_path = ["_work/extra"]  # the explorer of the corpus, embedded in the gallery
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
+    "show_nav_level": 1,
+    "header_links_before_dropdown": 7,
+    "navbar_persistent": ["search-button"],
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": [],
@@ -78,6 +78,12 @@ nb_output_stderr = "remove"  # progress of commands
 nb_execution_cache_path = str(WORK / "notebooks")
 
 autodoc_typehints = "signature"
+autodoc_type_aliases = {
+    name: name for name in ("Array", "AnyArray", "Indices", "Mask")
+}  # of manifold.core.records
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 88
+toc_object_entries = False
 autodoc_member_order = "bysource"
 autosummary_generate = True
 napoleon_google_docstring = True
@@ -85,10 +91,9 @@ napoleon_numpy_docstring = False
 napoleon_custom_sections = ["Source"]
 
 sphinx_gallery_conf = {
-    "examples_dirs": "examples",
+    "examples_dirs": "_work/gallery",
     "gallery_dirs": "gallery",
     "filename_pattern": "/plot_",
-    "ignore_pattern": "balls",
     "image_scrapers": ("matplotlib",),
     "remove_config_comments": True,
     "show_memory": False,
@@ -98,101 +103,24 @@ sphinx_gallery_conf = {
 }
 
 
-def _write_commands(*_: object) -> None:
-    """The reference of the command line, from the commands themselves: reference/commands.md."""
-    lines = ["# Commands", "", "Every command has `--help`, which shows what stands here.", ""]
-    group = typer.main.get_command(app)
-    for name, command in group.commands.items():
-        context = type(command).context_class(command, info_name=f"manifold {name}")
-        help_text = command.get_help(context)
-        lines += [f"## {name}", "", "```text", help_text.rstrip(), "```", ""]
-    _write_if_changed(HERE / "reference" / "commands.md", "\n".join(lines))
-
-
-def _examples() -> dict[str, str]:
-    """Return the examples of names, from reference/examples.py, by full name."""
-    text = (HERE / "reference" / "examples.py").read_text(encoding="utf-8")
-    parts = re.split(r"^# (manifold(?:\.\w+)+)$", text, flags=re.MULTILINE)
-    return {name: code.strip() for name, code in zip(parts[1::2], parts[2::2], strict=True)}
-
-
-def _write_api(*_: object) -> None:
-    """Write the reference of the Python interface, from its docstrings and examples: reference/api.md."""
-    lines = [
-        "# Python reference",
-        "",
-        "Signatures, parameters and examples of the names that stay the same between versions. The examples run in "
-        "this order; `manifold corpus corpus --rgb` writes the files of `corpus`.",
-        "",
-    ]
-    examples = _examples()
-    for stub in sorted((HERE.parent / "manifold").rglob("__init__.pyi")):
-        package = ".".join(stub.parent.relative_to(HERE.parent).parts)
-        module = importlib.import_module(package)
-        lines += [f"## {package}", ""]
-        for name in sorted(module.__all__, key=str.lower):
-            value, full = getattr(module, name), f"{package}.{name}"
-            lines += [f"### {name}", ""]
-            if inspect.ismodule(value):
-                lines += [inspect.getdoc(value) or "", ""]
-                own = {} if hasattr(value, "__path__") else vars(value)
-                members = {k: v for k, v in own.items() if getattr(v, "__module__", "") == value.__name__}
-            else:
-                members = {name: value} if callable(value) else {}
-                lines += [] if members else [f"Every {value.what}, by name.", ""]
-            for member, found in members.items():
-                if callable(found) and not member.startswith("_") and inspect.getdoc(found):
-                    kind = "autoclass" if inspect.isclass(found) else "autofunction"
-                    place = f"{value.__name__}.{member}" if inspect.ismodule(value) else full
-                    requests = ", ".join(
-                        name for name in dir(found) if re.fullmatch(r"set_\w+_request", name)
-                    )
-                    options = (
-                        ["   :members:", f"   :exclude-members: {requests}"] if kind == "autoclass" else []
-                    )
-                    lines += ["```{eval-rst}", f".. {kind}:: {place}", *options, "```", ""]
-            lines += ["```python", examples[full], "```", ""]
-    _write_if_changed(HERE / "reference" / "api.md", "\n".join(lines))
-
-
-def _write_if_changed(target: Path, text: str) -> None:
-    if not target.exists() or target.read_text(encoding="utf-8") != text:
-        target.write_text(text, encoding="utf-8")
-
-
-def _write_failure_modes(*_: object) -> None:
-    """The table of failure modes, from the results of `manifold stability`: explanation/failure-modes.csv."""
-    kept = json.loads((RESULTS / "stability.json").read_text(encoding="utf-8"))
-    rows = []
-    for mode in kept["modes"]:
-        outcomes: dict[str, list[str]] = {}
-        for row in kept["rows"]:
-            if row["mode"] == mode["key"]:
-                found = [(one["outcome"], one["severity"]) for one in row["results"]]
-                changes = [f"{b} from {s:g}" for (a, _), (b, s) in itertools.pairwise(found) if a != b]
-                outcomes.setdefault(", ".join([found[0][0], *changes]), []).append(row["method"])
-        said = [f"{', '.join(methods)}: {outcome}" for outcome, methods in outcomes.items()]
-        severity = f"{mode['severity']} ({', '.join(f'{s:g}' for s in mode['severities'])})"
-        rows.append((f"{mode['key']}: {mode['concerns']}", severity, "; ".join(said), mode["advice"]))
-    with (HERE / "explanation" / "failure-modes.csv").open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([("mode", "severity", "what happened", "what to do"), *rows])
-
-
 def _make_materials(*_: object) -> None:
-    """What the gallery begins with, once: the corpus in RGB, its model and page."""
-    (WORK / "extra").mkdir(parents=True, exist_ok=True)
-    if (WORK / "extra" / "explorer.html").exists():
+    """Make what the gallery's scripts find in their folder, once: the corpus in RGB, its library and its map."""
+    GALLERY.mkdir(parents=True, exist_ok=True)
+    for script in (HERE / "examples").iterdir():
+        reference_pages.write_if_changed(GALLERY / script.name, script.read_text(encoding="utf-8"))
+    if (EXTRA / "explorer.html").exists():
         return
+    EXTRA.mkdir(parents=True, exist_ok=True)
     for command in (
         "corpus corpus --rgb",
         "import corpus",
         "embed",
-        "explore -o extra/explorer.html",
+        f"explore -o {EXTRA / 'explorer.html'}",
     ):
-        subprocess.run([sys.executable, "-m", "manifold", *command.split()], cwd=WORK, check=True)
+        subprocess.run([sys.executable, "-m", "manifold", *command.split()], cwd=GALLERY, check=True)
 
 
-os.environ["MANIFOLD_DOCS_WORK"] = str(WORK)
+os.environ["COLUMNS"] = "80"  # of the outputs of cells: as wide as the text
 os.environ["IPYTHONDIR"] = str(WORK / "ipython")  # whose profile begins with shell_cells
 STARTUP = WORK / "ipython" / "profile_default" / "startup"
 STARTUP.mkdir(parents=True, exist_ok=True)
@@ -200,17 +128,42 @@ shutil.copy(HERE / "shell_cells.py", STARTUP)
 os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))  # `manifold`
 
 
-def _formula(page: object, node: nodes.math | nodes.math_block) -> None:
-    """A formula as MathML."""
-    formula = tex2mathml(node.astext(), as_block=isinstance(node, nodes.math_block))
-    page.body.append(f"<p>{formula}</p>" if isinstance(node, nodes.math_block) else formula)
-    raise nodes.SkipNode
+class KeepPairsTogether(SphinxPostTransform):
+    """Put no-break spaces around the slash of pairs of numbers such as 2.6 / 9.8, which else break across lines."""
+
+    default_priority = 400
+
+    def run(self, **_: object) -> None:
+        """Replace the texts of the page."""
+        for text in list(self.document.findall(nodes.Text)):
+            if not isinstance(
+                text.parent, nodes.literal | nodes.literal_block | nodes.math | nodes.math_block
+            ):
+                joined = re.sub(r"(?<=\d) / (?=\d)", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}", text)
+                if joined != text:
+                    text.parent.replace(text, nodes.Text(joined))
+
+
+def _keep_colons_of_properties(_app: object, what: str, *given: object) -> None:
+    """Begin docstrings of properties with an empty comment: napoleon takes words before a colon for a type."""
+    lines = given[-1]
+    if what in ("attribute", "property") and lines:
+        lines[:0] = ["..", ""]
 
 
 def setup(sphinx: object) -> None:
-    """Write what pages are made from; formulas."""
-    sphinx.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
-    sphinx.connect("config-inited", _write_commands)
-    sphinx.connect("config-inited", _write_api)
-    sphinx.connect("config-inited", _write_failure_modes)
-    sphinx.connect("config-inited", _make_materials)
+    """Write the pages that are made from code and results, and register what changes pages."""
+    sphinx.add_html_math_renderer("katex", (formulas.visit, None), (formulas.visit, None))
+    sphinx.add_css_file("katex/katex.min.css")
+    sphinx.add_css_file("site.css")
+    sphinx.add_post_transform(KeepPairsTogether)
+    sphinx.connect("autodoc-process-docstring", _keep_colons_of_properties, priority=400)
+    for write in (
+        reference_pages.write_commands,
+        reference_pages.write_api,
+        reference_pages.write_citation,
+        reference_pages.write_failure_modes,
+        lambda *_: formulas.copy_styles(STATIC / "katex"),
+        _make_materials,
+    ):
+        sphinx.connect("config-inited", write)

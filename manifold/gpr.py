@@ -156,7 +156,7 @@ class GaussianProcess:
 
     @property
     def n_samples(self) -> int:
-        """N."""
+        """Number of training points, N."""
         return int(self.X.shape[0])
 
     def weights(self, X_new: Array) -> Array:

@@ -4,6 +4,7 @@
 #   tools/setup.sh          what running the program needs, all extras included
 #   tools/setup.sh dev      what its tests and checks need as well
 #   tools/setup.sh engines  Blender's module, MaterialX's renderer, and GLM for Adobe's OpenPBR; what `make engines` needs
+#   tools/setup.sh docs     what the documentation site needs as well: Sphinx, and KaTeX, which converts formulas
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
 # g++ compiles the loops of cpp/, and libllvm19 lets Mitsuba run its fast variants: without it everything works, slower.
@@ -96,6 +97,12 @@ fi
 if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_modules/three ]; then
     npm install --silent --no-fund --no-audit --prefix .venv three@0 gltf-validator >/dev/null 2>&1 ||
         echo "setup: three and gltf-validator could not be installed; tests of glTF files by them are skipped" >&2
+fi
+
+if [ "$extra" = docs ] && [ ! -d .venv/node_modules/katex ]; then
+    command -v npm >/dev/null 2>&1 || apt_install npm || true
+    npm install --silent --no-fund --no-audit --prefix .venv katex@0.16 >/dev/null 2>&1 ||
+        echo "setup: KaTeX could not be installed; install Node.js with npm (Debian: apt install npm)" >&2
 fi
 
 target=".[${extra:-all}]"

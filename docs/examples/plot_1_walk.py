@@ -2,16 +2,19 @@
 Between two materials
 =====================
 
-A walk from a matt felt to a satin metal, in steps that look equally large. It changes what differs between its ends and
-nothing else: gloss and hue never go back and forth.
+A walk interpolates from a matt felt to a satin metal, in steps that look equally large. Only the properties change in
+which the two materials differ: gloss and hue never go back and forth.
 """
 
-import os
-from pathlib import Path
-
-from balls import show
+import matplotlib.pyplot as plt
 
 import manifold as mf
 
-model = mf.Manifold.load(Path(os.environ["MANIFOLD_DOCS_WORK"]) / "model.h5")
-show({f"{k / 4:.2f}": model.interpolate("syn_felt_purple", "syn_satin_gold", k / 4) for k in range(5)})
+model = mf.Manifold.load("model.h5")
+
+_, axes = plt.subplots(1, 5, figsize=(11, 2.5), layout="constrained")
+for k, axis in enumerate(axes):
+    material = model.interpolate("syn_felt_purple", "syn_satin_gold", k / 4)
+    axis.imshow(mf.render_ball(material, size=192).clip(0, 1) ** (1 / 2.2))
+    axis.set(title=f"{k / 4:.2f}")
+    axis.axis("off")

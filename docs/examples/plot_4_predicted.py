@@ -2,25 +2,24 @@
 Predicted and measured
 ======================
 
-Materials that a map never saw, found on it from their own data: above as predicted, below as measured.
+Four materials are left out of a map, located on it from their own data, and predicted (top row). The bottom row shows
+the measured files.
 """
 
-import os
-from pathlib import Path
-
-from balls import show
+import matplotlib.pyplot as plt
 
 import manifold as mf
 
-work = Path(os.environ["MANIFOLD_DOCS_WORK"])
-unseen = ["syn_metal_copper", "syn_gloss_green", "syn_paper_blue", "syn_satin_purple"]
-names = [name for name in mf.Library.open(work / "library.zarr").names if name not in unseen]
-model = mf.Manifold.fit(work / "library.zarr", names=set(names[::2]), calibrate=False)
+left_out = ["syn_metal_copper", "syn_gloss_green", "syn_paper_blue", "syn_satin_purple"]
+names = [name for name in mf.Library("library.zarr").names if name not in left_out]
+model = mf.Manifold.fit("library.zarr", names=set(names[::2]), calibrate=False)
 
-measured = {name[4:]: mf.MeasuredBRDF(mf.read_bsdf(work / "corpus" / f"{name}_rgb.bsdf")) for name in unseen}
-found = {name: model.embed(brdf) for name, brdf in measured.items()}
-show({name: model.predict(place.latent, place.colours) for name, place in found.items()})
-
-# %%
-# Measured:
-show(measured)
+_, axes = plt.subplots(2, 4, figsize=(9, 5), layout="constrained")
+for name, (above, below) in zip(left_out, axes.T, strict=True):
+    measured = mf.MeasuredBRDF(mf.read_bsdf(f"corpus/{name}_rgb.bsdf"))
+    located = model.embed(measured)
+    predicted = model.predict(located.latent, located.colours)
+    for axis, material in ((above, predicted), (below, measured)):
+        axis.imshow(mf.render_ball(material, size=192).clip(0, 1) ** (1 / 2.2))
+        axis.axis("off")
+    above.set(title=name.removeprefix("syn_"))

@@ -2,19 +2,27 @@
 Spectra under a fluorescent lamp
 ================================
 
-A file in RGB describes a material under one illuminant. Under the lamp F11, whose light is in a few lines, its 195
-bands give another colour than three channels do, also after the eye has adapted to the lamp.
+An RGB file describes a material under one illuminant. The fluorescent lamp F11 emits most of its light in a few lines,
+so that 195 bands give another colour than three channels, even after chromatic adaptation.
 """
 
-import os
-from pathlib import Path
-
-from balls import show
+import matplotlib.pyplot as plt
 
 import manifold as mf
 from manifold.analytic import corpus
 
-rgb = mf.MeasuredBRDF(mf.read_bsdf(Path(os.environ["MANIFOLD_DOCS_WORK"]) / "corpus/syn_satin_gold_rgb.bsdf"))
-recipes = {material.name: material for material in corpus.isotropic_materials()}
-spectral = mf.MeasuredBRDF(corpus.measure(recipes["syn_satin_gold"]))
-show({"RGB, any light": rgb, "195 bands, D65": spectral, "195 bands, F11": (spectral, "F11")})
+rgb = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf"))
+gold = next(material for material in corpus.isotropic_materials() if material.name == "syn_satin_gold")
+spectral = mf.MeasuredBRDF(corpus.measure(gold))
+
+_, axes = plt.subplots(1, 3, figsize=(7, 2.6), layout="constrained")
+balls = {
+    "RGB, any light": (rgb, "D65"),
+    "195 bands, D65": (spectral, "D65"),
+    "195 bands, F11": (spectral, "F11"),
+}
+for (title, (material, illuminant)), axis in zip(balls.items(), axes, strict=True):
+    picture = mf.render_ball(material, size=192, illuminant=illuminant)
+    axis.imshow(picture.clip(0, 1) ** (1 / 2.2))
+    axis.set(title=title)
+    axis.axis("off")

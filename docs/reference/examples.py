@@ -1,14 +1,17 @@
-"""An example of every name of the Python interface, in the order in which they run.
+"""An example of every name of the Python interface, page by page, in the order in which they run.
 
-The reference prints each part under its name. `manifold corpus corpus --rgb` writes the files of `corpus`, and
-`sample.xlsx` is a workbook of a multi-angle spectrophotometer with pictures.
+`docs/reference_pages.py` prints each part under its name, and what stands below `# === PACKAGE` at the top of its page.
+Pages share a folder, in which `manifold corpus corpus --rgb` has written the files of `corpus`, and `sample.xlsx` is a
+workbook of a multi-angle spectrophotometer with pictures.
 """
 
 # ruff: noqa: E402, I001, B015, B018
 
-# manifold.import_files
+# === manifold
+
 import manifold as mf
 
+# manifold.import_files
 imported = mf.import_files("corpus.zarr", ["corpus"])
 imported.imported  # names
 
@@ -48,18 +51,44 @@ rgb = mf.Bands(None)
 bands = mf.Bands(range(400, 701, 10))
 bands.count
 
+# manifold.fit_bsdf
+fit = mf.fit_bsdf(brdf)
+fit.values, fit.notes
+
+# manifold.render_ball
+picture = mf.render_ball(brdf, size=32, samples=4)  # linear sRGB, (32, 32, 3)
+
+# === manifold.core.directions
+
+import manifold as mf
+
 # manifold.core.directions
-mirror = mf.directions.from_spherical(0.5, 3.14159)
-half = mf.directions.half_vector(wi, mirror)
+wi = mf.directions.from_spherical(0.5, 0.0)
+wo = mf.directions.from_spherical(0.7, 3.0)
+half = mf.directions.half_vector(wi, wo)
 theta_h, theta_d, phi_d, phi_h = mf.directions.to_rusinkiewicz(wi, wo)
+
+# === manifold.core.mapping
+
+import numpy as np
+import manifold as mf
 
 # manifold.core.mapping
 mapping = mf.mapping.CubeRoot()
-mapping.inverse(mapping.forward(brdf.eval(wi, wo)))
+mapping.inverse(mapping.forward(np.array([0.1, 2.0])))
+
+# === manifold.core.metrics
+
+import numpy as np
+import manifold as mf
 
 # manifold.core.metrics
-f, f_star = brdf.eval(wi, wo), prediction.eval(wi, wo)
+f, f_star = np.array([0.1, 2.0]), np.array([0.11, 1.9])
 mf.metrics.cube_root_error(f, f_star)
+
+# === manifold.core.errors
+
+import manifold as mf
 
 # manifold.core.errors
 try:
@@ -67,22 +96,97 @@ try:
 except mf.errors.ManifoldError as error:
     print(error)
 
-# manifold.gpr
-import numpy as np
-from manifold.gp.kernels import SquaredExponential
+# === manifold.gplvm
 
-X = np.linspace(0.0, 3.0, 7)[:, None]
-gp = mf.gpr.GaussianProcess(X, SquaredExponential(1e-4, 1.0))
-gp.weights(np.array([[1.3]])) @ np.sin(X)
+import numpy as np
+import manifold as mf
 
 # manifold.gplvm
 Y = np.random.default_rng(0).normal(size=(8, 20))
 latents = mf.gplvm.GPLVM(n_components=2).fit_transform(Y)  # (8, 2)
 
-# manifold.dls
-import scipy.optimize
+# === manifold.gpr
 
+import numpy as np
+import manifold as mf
+from manifold.gp.kernels import SquaredExponential
+
+# manifold.gpr
+X = np.linspace(0.0, 3.0, 7)[:, None]
+gp = mf.gpr.GaussianProcess(X, SquaredExponential(1e-4, 1.0))
+gp.weights(np.array([[1.3]])) @ np.sin(X)
+
+# === manifold.dls
+
+import scipy.optimize
+import manifold as mf
+
+# manifold.dls
 scipy.optimize.minimize(lambda x: (x**2).sum(), [1.0, 2.0], method=mf.dls.hooke_jeeves).x
+
+# === manifold.brdf
+
+import manifold as mf
+
+brdf = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf"))
+
+# manifold.brdf.goniometer
+from manifold.brdf import goniometer
+
+file = goniometer.measure(brdf, "gold_again")
+mf.write_bsdf("gold_again_rgb.bsdf", file)
+
+# manifold.brdf.BRDF
+from manifold.brdf import BRDF
+
+isinstance(brdf, BRDF)  # a class of your own needs bands, is_isotropic, eval and eval_cos
+
+# manifold.brdf.to_xarray
+from manifold.brdf import to_xarray
+
+profile = to_xarray(brdf, theta_i_deg=45.0, theta_o_deg=range(0, 81, 10))
+profile.sel(theta_i=45.0, phi=180.0)  # f in 1/sr by theta_o and band
+
+# === manifold.analytic
+
+import numpy as np
+import manifold as mf
+
+rgb = mf.Bands(None)
+wi = mf.directions.from_spherical(0.5, 0.0)
+wo = mf.directions.from_spherical(0.7, 3.0)
+
+# manifold.analytic
+grey = mf.analytic.Lambert(np.array(0.2), rgb)
+grey.eval(wi, wo)  # 0.2 / pi
+
+# manifold.analytic.GGX
+brushed = mf.analytic.GGX.anisotropic(0.08, 0.3)
+
+# manifold.analytic.Lambert
+white_paper = mf.analytic.Lambert(np.array(0.9), rgb)
+
+# manifold.analytic.Plastic
+paint = mf.analytic.Plastic(mf.analytic.GGX.isotropic(0.1), np.array(1.5), np.array([0.6, 0.1, 0.1]), rgb)
+paint.eval(wi, wo)
+
+# manifold.analytic.RoughConductor
+bands = mf.Bands(range(400, 701, 10))
+eta, k = mf.colour.metal_ior("Au", np.array(bands.wavelengths_nm))
+gold = mf.analytic.RoughConductor(brushed, eta, k, bands)
+gold.is_isotropic  # False
+
+# manifold.analytic.corpus
+materials = mf.analytic.corpus.isotropic_materials()  # 51
+materials[0].name, materials[0].recipe
+
+# === manifold.colour
+
+from pathlib import Path
+import numpy as np
+import manifold as mf
+
+bands = mf.Bands(range(400, 701, 10))
 
 # manifold.colour
 mf.colour.illuminant_names()[:3]
@@ -104,49 +208,15 @@ eta, k = mf.colour.metal_ior("Au", np.array(bands.wavelengths_nm))
 red = mf.colour.srgb_reflectance([0.7, 0.1, 0.1], bands)  # shape (31,)
 
 # manifold.colour.read_reflectance
-from pathlib import Path
-
-Path("red.txt").write_text(
-    "\n".join(f"{nm} {r:.4f}" for nm, r in zip(bands.wavelengths_nm, red, strict=True))
-)
+lines = [f"{nm} {r:.4f}" for nm, r in zip(bands.wavelengths_nm, red, strict=True)]
+Path("red.txt").write_text("\n".join(lines))
 mf.colour.read_reflectance(Path("red.txt"), bands)
 
-# manifold.analytic
-paint = mf.analytic.Plastic(mf.analytic.GGX.isotropic(0.1), np.array(1.5), red, bands)
+# === manifold.formats
 
-# manifold.analytic.GGX
-brushed = mf.analytic.GGX.anisotropic(0.08, 0.3)
+import manifold as mf
 
-# manifold.analytic.Lambert
-white_paper = mf.analytic.Lambert(np.array(0.9), rgb)
-
-# manifold.analytic.Plastic
-mf.analytic.Plastic(mf.analytic.GGX.isotropic(0.1), np.array(1.5), red, bands).eval(wi, wo)
-
-# manifold.analytic.RoughConductor
-gold = mf.analytic.RoughConductor(brushed, eta, k, bands)
-gold.is_isotropic  # False
-
-# manifold.analytic.corpus
-materials = mf.analytic.corpus.isotropic_materials()  # 51
-materials[0].name, materials[0].recipe
-
-# manifold.brdf.goniometer
-from manifold.brdf import goniometer
-
-file = goniometer.measure(white_paper, "white_paper")
-mf.write_bsdf("white_paper_rgb.bsdf", file)
-
-# manifold.brdf.BRDF
-from manifold.brdf import BRDF
-
-isinstance(white_paper, BRDF)  # a class of your own needs bands, is_isotropic, eval and eval_cos
-
-# manifold.brdf.to_xarray
-from manifold.brdf import to_xarray
-
-profile = to_xarray(white_paper, theta_i_deg=45.0, theta_o_deg=range(0, 81, 10))
-profile.sel(theta_i=45.0, phi=180.0)  # f in 1/sr by theta_o and band
+brdf = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf"))
 
 # manifold.formats.geometry_ma_t12
 from manifold.formats import geometry_ma_t12
@@ -158,21 +228,32 @@ from manifold.formats import Readings
 
 readings = Readings("sample", "by hand", wi, wo, None, brdf.eval(wi, wo))  # None: linear sRGB
 
-# manifold.convert.convert
-from manifold.convert import convert
-
-convert([Path("copy_rgb.bsdf")], Path("copy.csv"))
-
 # manifold.formats.read_all
 from manifold.formats import read_all
 
-samples = read_all("copy.csv")
+samples = read_all("sample.xlsx")
 
 # manifold.formats.read_readings
 from manifold.formats import read_readings
 
-sample = read_readings("copy.csv", limit=1000)
+sample = read_readings("sample.xlsx")
 sample.wi.shape, sample.notes
+
+# === manifold.convert
+
+from pathlib import Path
+
+# manifold.convert.convert
+from manifold.convert import convert
+
+convert([Path("corpus/syn_satin_gold_rgb.bsdf")], Path("gold.csv"))
+
+# === manifold.model
+
+import manifold as mf
+
+model = mf.Manifold.load("corpus.h5")
+brdf = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf"))
 
 # manifold.model.ColourChoice
 from manifold.model import ColourChoice
@@ -193,24 +274,40 @@ errors.ball, errors.cube_root, errors.linear
 # manifold.model.rmse22
 from manifold.model import rmse22
 
-rmse22(brdf, prediction, "default")
+rmse22(brdf, model.predict([-0.3, 1.2]), "default")
+
+# === manifold.estimate
+
+from pathlib import Path
+import manifold as mf
+from manifold.formats import Readings, geometry_ma_t12
+from manifold.model import ColourChoice
+
+library = mf.Library("corpus.zarr")
+model = mf.Manifold.load("corpus.h5")
+brdf = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf"))
+wi, wo = geometry_ma_t12()
+readings = Readings("sample", "by hand", wi, wo, None, brdf.eval(wi, wo))
 
 # manifold.estimate.predict
 from manifold.estimate import predict
 
-predicted = predict(model, [-0.3, 1.2], "between_rgb.bsdf", colour=green, options=options)
+predicted = predict(model, [-0.3, 1.2], "between_rgb.bsdf", colour=ColourChoice(like="syn_felt_green"))
 predicted.diagnostics
 
 # manifold.estimate.locate
 from manifold.estimate import locate
 
-located = locate(model, "copy_rgb.bsdf")
+located = locate(model, "corpus/syn_satin_gold_rgb.bsdf")
 located.latent, located.errors
 
 # manifold.estimate.reconstruct
 from manifold.estimate import reconstruct
 
-reconstruct("corpus.zarr", "copy_rgb.bsdf", "again_rgb.bsdf", without=["syn_satin_gold"], numbers=12).errors
+left_out = ["syn_satin_gold"]
+reconstruct(
+    "corpus.zarr", "corpus/syn_satin_gold_rgb.bsdf", "again_rgb.bsdf", without=left_out, numbers=12
+).errors
 
 # manifold.estimate.LibraryAtoms
 from manifold.estimate import LibraryAtoms
@@ -237,12 +334,20 @@ completed.expected, completed.diagnostics
 # manifold.estimate.suggest
 from manifold.estimate import suggest
 
-suggest(atoms, 3, completion, "ma-t12" if len(readings) < 12 else None).angles_deg
+suggest(atoms, 3, completion).angles_deg
+
+# === manifold.evaluate
+
+from pathlib import Path
+import manifold as mf
+
+library = mf.Library("corpus.zarr")
+model = mf.Manifold.load("corpus.h5")
 
 # manifold.model.embed
 from manifold.model import embed
 
-embed(Path("corpus.zarr"), Path("others.h5"), settings, without=["syn_satin_gold"])
+embed(Path("corpus.zarr"), Path("others.h5"), mf.Settings(), without=["syn_satin_gold"])
 
 # manifold.evaluate.make_report
 from manifold.evaluate import make_report
@@ -257,18 +362,30 @@ from manifold.study import make_chart
 chart = make_chart([library.read(name) for name in library.names], only=["nearest", "linear"], fitted=1)
 [(row.title, row.median.ball) for row in chart.rows]
 
-# manifold.fit_bsdf
-fit = mf.fit_bsdf(brdf)
-fit.values, fit.notes
+# === manifold.fit
+
+import manifold as mf
+
+brdf = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf"))
 
 # manifold.fit.FitResult
+fit = mf.fit_bsdf(brdf)
 fit.values["roughness"], fit.errors.ball
 [str(statement) for statement in fit.statements]
+
+# === manifold.fit.exports
 
 # manifold.fit.exports.TARGETS
 from manifold.fit.exports import TARGETS
 
 list(TARGETS)
+
+# === manifold.render
+
+from pathlib import Path
+import manifold as mf
+
+brdf = mf.MeasuredBRDF(mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf"))
 
 # manifold.render.FreeParameter
 from manifold.render import FreeParameter
@@ -279,9 +396,6 @@ roughness = FreeParameter("alpha", 0.01, 1.0, 0.2)
 from manifold.render import BsdfFamily
 
 metal = BsdfFamily("roughconductor", (roughness,), {"material": "Au"})
-
-# manifold.render_ball
-picture = mf.render_ball(brdf, size=32, samples=4)  # linear sRGB, (32, 32, 3)
 
 # manifold.render.render_material
 from manifold.render import render_material
@@ -294,23 +408,40 @@ from manifold.render import write_image
 
 write_image(Path("gold.png"), picture)
 
-# manifold.pictures.render
+# === manifold.pictures
+
+from pathlib import Path
 from manifold.estimate.sources import FileSource
+from manifold.render.render import RenderSettings
+
+gold = FileSource(Path("corpus/syn_satin_gold_rgb.bsdf"))
+green = FileSource(Path("corpus/syn_felt_green_rgb.bsdf"))
+
+# manifold.pictures.render
 from manifold.pictures import render
 
-rendered = render(FileSource(Path("copy_rgb.bsdf")), Path("copy.png"), RenderSettings(size=32, samples=4))
+rendered = render(gold, Path("gold.png"), RenderSettings(size=32, samples=4))
 
 # manifold.pictures.compare
 from manifold.pictures import compare
 
-other = FileSource(Path("white_paper_rgb.bsdf"))
-compare(FileSource(Path("copy_rgb.bsdf")), other, Path("pair.png"), RenderSettings(size=32, samples=4))
+compare(gold, green, Path("pair.png"), RenderSettings(size=32, samples=4))
+
+# === manifold.page
+
+import manifold as mf
+
+model = mf.Manifold.load("corpus.h5")
 
 # manifold.page.MapWidget
 from manifold.page import MapWidget
 
 widget = MapWidget(model)  # shown by a notebook
 widget.latent = [-0.3, 1.2]
+
+# === manifold.surface
+
+from pathlib import Path
 
 # manifold.surface.read_workbook
 from manifold.surface import read_workbook

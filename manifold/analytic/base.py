@@ -23,10 +23,11 @@ _ALBEDO_SAMPLES = 4096
 
 
 class AnalyticBRDF(NotebookPicture, ABC):
-    """Validation, broadcasting and horizon handling that all models share.
+    """Base class that validates and broadcasts directions, and returns 0 below the horizon.
 
-    Subclasses hold `bands` and implement `_eval` for flat arrays (n, 3) of directions above the horizon; `_albedo` if
-    it is known, `_sample` and `_pdf` where the cosine is no good density, and `is_isotropic` where it may be false.
+    Subclasses hold `bands` and implement `_eval` for flat arrays (n, 3) of directions above the horizon. They
+    override `_albedo` if it is known in closed form, `_sample` and `_pdf` if the cosine is a bad sampling density,
+    and `is_isotropic` if it may be false.
     """
 
     bands: Bands
@@ -41,7 +42,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
         """Return f in 1/sr, shape (n, B) or (n, 1) if all bands agree."""
 
     def _albedo(self, wi: Array) -> Array:
-        """Return the directional albedo, shape (n, B) or (n, 1), here by the model's own sampling."""
+        """Return the directional albedo, shape (n, B) or (n, 1), estimated by the model's own sampling."""
         u = even_points(_ALBEDO_SAMPLES)
         albedo = np.empty((len(wi), self.bands.count))
         for i, w in enumerate(wi):  # one direction at a time to bound memory
@@ -70,15 +71,15 @@ class AnalyticBRDF(NotebookPicture, ABC):
         return f_cos
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Draw outgoing directions.
+        """Draw outgoing directions in proportion to the density `pdf`.
 
         Args:
             wi: directions (..., 3).
             u: uniform numbers in [0, 1), shape (..., 2).
 
         Returns:
-            wo (..., 3) and their density in 1/sr (...); the density is 0 where the sample fell below the
-            horizon or `wi` lies there, and such samples count as black.
+            wo (..., 3) and their density in 1/sr (...); a density of 0 marks an invalid direction, below the
+            horizon or for a `wi` below it, which counts as black.
         """
         wi, u, shape = flat_samples(wi, u)
         wo = np.zeros_like(wi)
@@ -107,7 +108,7 @@ class AnalyticBRDF(NotebookPicture, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Lambert(AnalyticBRDF):
-    """Ideal diffuse reflection.
+    """A Lambertian BRDF: f = reflectance / pi at all directions above the horizon.
 
     Attributes:
         reflectance: in [0, 1], shape (B,) or a single number.
@@ -134,13 +135,13 @@ class Lambert(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class Sheen(AnalyticBRDF):
-    """Back-scattering fuzz of cloth: fibres that stand off the surface.
+    """The sheen of cloth: fibres that stand off the surface scatter light back at grazing angles.
 
-    D(h) = (2 + 1/r) sin(theta_h)^(1/r) / (2 pi), shadowing is 1 / (4 (cos_i + cos_o - cos_i cos_o)), all scaled by one
-    number per roughness where its albedo would pass 1, which keeps it reciprocal.
+    D(h) = (2 + 1/r) sin(theta_h)^(1/r) / (2 pi), shadowing is 1 / (4 (cos_i + cos_o - cos_i cos_o)). If the albedo
+    would exceed 1, the whole lobe is scaled down by one number per roughness, which keeps it reciprocal.
 
     Attributes:
-        roughness: r in [0.05, 1]: small is a narrow rim near grazing, 1 is broad.
+        roughness: r in [0.05, 1]: a small value gives a narrow rim near grazing, 1 a broad one.
         colour: in [0, 1], shape (B,) or a single number.
 
     Sources: Estevez & Kulla 2017, "Production Friendly Microfacet Sheen BRDF" (the distribution); Ashikhmin & Premoze
@@ -196,7 +197,7 @@ def _sheen_albedo(roughness: float) -> Array:
 
 
 def choose_lobe(probabilities: Array, u: Array) -> tuple[Array, Array]:
-    """Pick a lobe with u[:, 0], which is stretched back to [0, 1) so that it can be used again."""
+    """Choose a lobe by u[:, 0], and return u with that column stretched back to [0, 1) for further use."""
     edges = np.concatenate([[0.0], np.cumsum(probabilities)])
     lobe = np.minimum(np.searchsorted(edges, u[:, 0], side="right") - 1, probabilities.size - 1)
     # u = 1 would fall into a last lobe of probability 0
@@ -206,7 +207,7 @@ def choose_lobe(probabilities: Array, u: Array) -> tuple[Array, Array]:
 
 
 def even_points(n: int) -> Array:
-    """Return points (n, 2), even in the unit square and along each axis, which picks lobes.
+    """Return points (n, 2) that are evenly spread over the unit square and along each axis.
 
     Source: Roberts 2018, "R2".
     """
@@ -229,7 +230,7 @@ def uniform_hemisphere(u: Array) -> Array:
 def _scatter(
     function: Callable[[Array, Array], Array], shape: tuple[int, ...], count: int, wi: Array, wo: Array
 ) -> Array:
-    """Return `function` of the pairs above the horizon, and zeros elsewhere, in shape (*shape, count)."""
+    """Return `function` of the pairs above the horizon and zeros for the others, shape (*shape, count)."""
     up = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
     if up.all():
         values = function(wi, wo)
@@ -242,7 +243,7 @@ def _scatter(
 
 
 def set_per_band(record: Any, name: str, low: float, high: float = np.inf) -> None:
-    """Make a field of a frozen record, such as `Lambert`, a read-only array (B,), or (1,) of a single number."""
+    """Set a field of a frozen record to a read-only array of its values: (B,), or (1,) for a single number."""
     a = np.atleast_1d(np.array(getattr(record, name), dtype=np.float64))
     if a.shape not in ((record.bands.count,), (1,)):
         raise ShapeError(

@@ -38,7 +38,7 @@ def _pigment(spectrum: str, bands: Bands, scale: float = 1.0) -> Array:
 
 
 def _tinted_metal(ggx: GGX | GGXMixture, colour: Array, bands: Bands) -> RoughConductor:
-    """Return a reflector with a given reflectance at normal incidence, by a real index."""
+    """Return a reflector whose real refractive index gives the wanted reflectance at normal incidence."""
     root = np.sqrt(np.clip(colour, 0.02, 0.95))
     return RoughConductor(ggx, (1.0 + root) / (1.0 - root), np.zeros_like(root), bands)
 
@@ -46,7 +46,7 @@ def _tinted_metal(ggx: GGX | GGXMixture, colour: Array, bands: Bands) -> RoughCo
 def _felt(spectrum: str, fuzz: float, width: float, rough: float, glint: float, scale: float = 1.0) -> Recipe:
     """Return a recipe of cloth.
 
-    Matte fibres, some of which reflect towards the light, lie under fuzz that brightens the rim.
+    The matt fibres, some of which are retro-reflective, lie under fuzz that brightens the rim.
     """
 
     def recipe(bands: Bands) -> BRDF:
@@ -62,7 +62,7 @@ def _felt(spectrum: str, fuzz: float, width: float, rough: float, glint: float, 
 def _matte(spectrum: str, lobes: Lobes, rough: float, back: float, eta: float, scale: float = 1.0) -> Recipe:
     """Return a recipe of paper, wall paint or card.
 
-    Rough pigment, partly retroreflecting, has a surface of its own.
+    The rough pigment is partly retro-reflective and has a specular surface.
     """
 
     def recipe(bands: Bands) -> BRDF:
@@ -77,7 +77,7 @@ def _matte(spectrum: str, lobes: Lobes, rough: float, back: float, eta: float, s
 def _varnished(
     spectrum: str, lobes: Lobes, depth: float, inner: float, eta: float = 1.5, scale: float = 1.0
 ) -> Recipe:
-    """Return a recipe of satin or glossy paint: pigment under varnish, a share `depth` of it a soft lobe below."""
+    """Return a recipe of satin or glossy paint: pigment under varnish, with a share `depth` of a soft lobe."""
 
     def recipe(bands: Bands) -> BRDF:
         colour, ggx = _pigment(spectrum, bands, scale), GGXMixture(lobes)
@@ -89,7 +89,7 @@ def _varnished(
 
 
 def _lacquered(reflectors: BRDF, share: float, coat: Lobes, tint: Array, pigment: Array) -> BRDF:
-    """Return a share of reflectors among pigment, under a coat that refracts and absorbs."""
+    """Return a mixture of reflectors and pigment under a coat that refracts and absorbs."""
     bands, ggx = reflectors.bands, GGXMixture(coat)
     seen = Layered(RoughDielectric(ggx, _VARNISH, bands), Immersed(reflectors, float(_VARNISH), tint))
     return MixedBRDF([(share, seen), (1.0 - share, Plastic(ggx, _VARNISH, pigment, bands))])
@@ -122,7 +122,7 @@ def _metallic(
 def _chrome(spectrum: str | None, lobes: Lobes, depth: float = 0.0, haze: float = 0.0) -> Recipe:
     """Return a recipe of chrome vinyl: chromium with haze around the reflection, bare or under a pigmented coat.
 
-    The pigment covers a share `haze`, as in real films, apparently: 0.01 to 0.04 1/sr far from the mirror direction.
+    The pigment covers a share `haze`. Real films have 0.01 to 0.04 1/sr far from the mirror direction.
     """
 
     def recipe(bands: Bands) -> BRDF:
@@ -139,7 +139,7 @@ def _chrome(spectrum: str | None, lobes: Lobes, depth: float = 0.0, haze: float 
 
 
 def _flake(spectrum: str, flakes: Lobes, coat: Lobes, share: float, depth: float) -> Recipe:
-    """Return a recipe of car paint: aluminium flakes among pigment, both under a glossy coat tinted like it."""
+    """Return a recipe of car paint: aluminium flakes and pigment under a glossy coat of the pigment's tint."""
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior("Al", np.array(bands.wavelengths_nm))
@@ -155,7 +155,7 @@ def _iridescent(
 ) -> Recipe:
     """Return a recipe of interference pigment.
 
-    Films whose thickness varies by `spread` lie on absorbing platelets among dark pigment.
+    Thin films lie on absorbing platelets among dark pigment; their thickness varies by `spread`.
     """
 
     def recipe(bands: Bands) -> BRDF:
@@ -171,7 +171,7 @@ def _iridescent(
 
 
 def _metal(name: str, ggx: GGX | GGXMixture, oxide: float = 0.0, thickness_nm: float = 60.0) -> Recipe:
-    """Return a recipe of bare metal, a share of it under a thin transparent oxide."""
+    """Return a recipe of bare metal, of which a share is covered by a thin transparent oxide."""
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior(name, np.array(bands.wavelengths_nm))
@@ -325,7 +325,7 @@ _RESOLUTIONS = {"syn_gloss_yellow": 64, "syn_flake_blue_fine": 48}
 
 @dataclass(frozen=True)
 class Material:
-    """One material of the corpus.
+    """A material of the corpus: its name and the analytic BRDF that is measured.
 
     Attributes:
         name: `syn_` and the family first.
@@ -377,12 +377,12 @@ def _materials(recipes: dict[str, Callable[[Bands], BRDF]]) -> tuple[Material, .
 
 
 def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile:
-    """Measure a material as the instrument would, noise and unmeasured cells included.
+    """Return the RGL file that the virtual goniometer measures, with its noise and unmeasured cells.
 
     Args:
         material: one of this corpus.
         seed: of everything random; the same seed gives the same bytes.
-        rgb: give linear sRGB under D65 instead of 195 bands, as the database's RGB files do.
+        rgb: return linear sRGB under D65, as the RGB files of the database hold, in place of 195 bands.
     """
     rng = np.random.default_rng([seed, *material.name.encode()])
     version = _PIPELINE_VERSIONS[int(rng.integers(len(_PIPELINE_VERSIONS)))]
@@ -416,7 +416,7 @@ def write(
         folder: made if missing.
         seed, rgb: as in `measure`.
         anisotropic: add the 11 anisotropic materials, 110 MB each.
-        keep: leave existing files as they are; files are complete under their final names.
+        keep: keep existing files; a file gets its final name only when it is complete.
 
     Returns:
         The paths, in the order of the corpus.
@@ -436,7 +436,7 @@ def write_files(
     *,
     keep: bool = False,
 ) -> list[Path]:
-    """Write a file per name by its function, with the ending behind the name; otherwise like `write`."""
+    """Write one file per name by its function; the file name is the name and the ending."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -450,9 +450,9 @@ def write_files(
 
 
 def _energy_conserving(file: BsdfFile) -> BsdfFile:
-    """Darken grazing incidences at which the file, interpolated, would reflect more light than arrives.
+    """Darken the grazing incidences at which the interpolated file would reflect more light than arrives.
 
-    A gloss that grows towards grazing on a bright base is narrower than the cells there.
+    Near grazing, the highlight on a bright base is narrower than a cell of the grid.
     """
     nodes = file.theta_i_rad.astype(float)
     for _ in range(4):
@@ -469,7 +469,7 @@ def _energy_conserving(file: BsdfFile) -> BsdfFile:
 
 
 def _imperfect(file: BsdfFile, rng: np.random.Generator, speckle: float) -> BsdfFile:
-    """Add the faults of an instrument: noise, cells it did not reach, and signals clamped at zero."""
+    """Add the faults of an instrument: noise, unmeasured cells, and low signals that are clamped at zero."""
     measured = file.measured_mask  # (P, T, H, W)
     # Cells next to the horizon are extrapolated in the real files: filled, but some not marked as measured.
     rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.9)
@@ -488,7 +488,7 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator, speckle: float) -> Bsdf
 
 
 def _noisy(values: Array, incidence: Indices, rng: np.random.Generator, speckle: float) -> Array:
-    """Return values (n, B) of cells as an instrument reads them, at the elevations with indices (n,)."""
+    """Return the values (n, B) of cells with the instrument's noise; `incidence` (n,) holds their elevations."""
     n, n_bands = values.shape
     # Speckle is common to all bands of a cell; the detector's noise is not, and is worse towards both ends.
     cells = 1.0 + speckle * rng.standard_normal(n, dtype=np.float32)

@@ -17,10 +17,11 @@ _SINGLE_AVERAGE = 2.0 / 3.0 - 28.0 / (15.0 * np.pi)
 
 @dataclass(frozen=True, eq=False)
 class RoughDiffuse(AnalyticBRDF):
-    """Matte facets in all directions: brighter towards the light and at grazing angles, colours deeper in between.
+    """A rough diffuse surface: brighter than a Lambertian towards the light and at grazing angles.
 
     Attributes:
-        reflectance: of a facet, in [0, 1], shape (B,) or a single number; a white surface returns all light.
+        reflectance: reflectance of a facet in [0, 1], shape (B,) or a single number; at 1 the surface returns all
+            light.
         roughness: r in [0, 1]; 0 is Lambert.
 
     Source: Portsmouth, Kutz & Hill 2024, "EON: A Practical Energy-Preserving Rough Diffuse BRDF", after Fujii's form of
@@ -41,7 +42,7 @@ class RoughDiffuse(AnalyticBRDF):
         return 1.0 / (1.0 + _SINGLE * self.roughness)
 
     def _single(self, w: Array) -> Array:
-        """Return the albedo of one reflection by white facets, shape (n,)."""
+        """Return the albedo of single reflection by white facets, shape (n,)."""
         cosine = np.clip(w[:, 2], 1e-9, 1.0)
         sine = np.sqrt(1.0 - cosine**2)
         g = sine * (np.arccos(cosine) - sine * cosine) + 2.0 / 3.0 * (sine / cosine * (1.0 - sine**3) - sine)
@@ -49,7 +50,7 @@ class RoughDiffuse(AnalyticBRDF):
 
     @cached_property
     def _average(self) -> float:
-        """Mean of `_single` over the hemisphere."""
+        """Mean of `_single` over the hemisphere, weighted by the cosine."""
         return self._scale * (1.0 + _SINGLE_AVERAGE * self.roughness)
 
     @cached_property

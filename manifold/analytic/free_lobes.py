@@ -1,10 +1,10 @@
-"""Analytic BRDFs that serve as further atoms: microfacet lobes whose Fresnel term is free, a Lambertian, soft lobes.
+"""Analytic basis BRDFs: a Lambertian, microfacet lobes with a free Fresnel term, and soft lobes.
 
 A lobe is `D(theta_h) G(wi, wo) / (4 cos(theta_i) cos(theta_o)) * b_k(cos(theta_d))`. The Bernstein polynomials `b_k`
 are never negative and sum to 1; Schlick's Fresnel term, `F0 + (1 - F0) (1 - cos(theta_d))^5`, is
 `F0 sum_k b_k + (1 - F0) b_0` at degree 5, so that non-negative weights represent it, and approximate thin films and
-flakes. Soft lobes, `(b_j(cos(theta_i)) b_k(cos(theta_o)) + b_k(cos(theta_i)) b_j(cos(theta_o))) / pi`, describe what
-a rough body reflects towards the horizon more or less than a Lambertian.
+flakes. Soft lobes, `(b_j(cos(theta_i)) b_k(cos(theta_o)) + b_k(cos(theta_i)) b_j(cos(theta_o))) / pi`, describe how
+the reflection of a rough body towards the horizon deviates from a Lambertian's.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ DEGREE = 5
 
 @dataclass(frozen=True)
 class Lobes:
-    """A Lambertian of albedo 1, a lobe for every roughness, tail and polynomial, in this order of nesting, soft lobes.
+    """Basis BRDFs: a Lambertian of albedo 1, microfacet lobes, and soft lobes, in this order.
+
+    There is one microfacet lobe for every roughness, tail and polynomial; the polynomial varies fastest.
 
     Attributes:
         roughnesses: alpha, each in (0, 1).
         tails: exponents of the normal distribution, each above 1: 2 is GGX, less has longer tails.
         degree: of the Bernstein polynomials.
-        soft_degree: of those of soft lobes, each pair of which makes one; 0 for none.
+        soft_degree: degree of the polynomials of soft lobes; every pair of them makes a lobe; 0 for no soft lobes.
     """
 
     roughnesses: tuple[float, ...] = ROUGHNESSES
@@ -44,16 +46,16 @@ class Lobes:
 
     @property
     def _soft(self) -> list[tuple[int, int]]:
-        """The polynomials of soft lobes."""
+        """The pairs of polynomials that make the soft lobes."""
         return list(combinations_with_replacement(range(self.soft_degree + 1), 2)) if self.soft_degree else []
 
     @property
     def shapes(self) -> list[tuple[float, float]]:
-        """Roughness and tail of the normal distributions, shape by shape."""
+        """Roughness and tail of every normal distribution."""
         return [(alpha, tail) for alpha in self.roughnesses for tail in self.tails]
 
     def shape_of(self, chosen: Indices) -> Indices:
-        """Return the shape's index of each lobe (n,), -1 for the Lambertian and soft lobes."""
+        """Return the index in `shapes` of each lobe's distribution, (n,); -1 for the Lambertian and soft lobes."""
         shape = (chosen - 1) // (self.degree + 1)
         return np.where(shape < len(self.shapes), shape, -1)
 
@@ -89,7 +91,7 @@ def microfacet_lobe(wi: Array, wo: Array, alpha: float, tail: float = 2.0) -> Ar
 
     Values below the horizon are undefined.
 
-    Masking is that of GGX, whatever the tail; see `normal_distribution`.
+    The masking is that of GGX for every tail; see `normal_distribution`.
     """
     return normal_distribution(cos_theta_h(wi, wo), alpha, tail) * _masking(wi, wo, alpha)
 

@@ -41,8 +41,8 @@ class GGX:
 
     The third row and column must be those of the identity: a map that moves heights into the plane, or tilts
     the plane, gives a surface with overhangs or a mean normal of its own, for which this masking is no longer
-    normalised. Only M M^T matters, so a skewed map is an anisotropic one along other axes; what it adds is
-    that the deformation of a mesh can be applied as it is.
+    normalised. Only M M^T matters, so a skewed map equals an anisotropic one along other axes; it is accepted so
+    that the deformation of a mesh can be passed unchanged.
 
     Attributes:
         transform: M, shape (3, 3), with M[2] = M[:, 2] = (0, 0, 1); `GGX.skewed` embeds a 2x2 matrix.
@@ -143,7 +143,7 @@ class GGX:
         return self.D(half_vector(wi, wo)) * self.masking(wi, wo)
 
     def sample_visible_normal(self, wi: Array, u: Array) -> Array:
-        """Return normals (..., 3) that `wi` (..., 3) above the horizon sees, for variates u (..., 2).
+        """Return microfacet normals (..., 3) that are visible from `wi` (..., 3), for variates u (..., 2).
 
         Their density is G1 <wi, wm> D / cos_i.
 
@@ -157,7 +157,7 @@ class GGX:
         return normalize(h @ self._inverse)  # M^-T h, row vectors
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
-        """Return the density in 1/sr of the directions to which visible normals mirror `wi`, shape (...)."""
+        """Return the density in 1/sr of the mirror images of `wi` at visible normals, shape (...)."""
         d = self.D(half_vector(wi, wo))
         return d / (2.0 * (self.stretched_length(wi) + wi[..., 2]))
 
@@ -182,7 +182,7 @@ class GGX:
 
 @dataclass(frozen=True, eq=False)
 class AlbedoTable:
-    """The directional albedo over stretched elevation and azimuth, shape (elevations, azimuths, B).
+    """A table of the directional albedo over stretched elevation and azimuth, (elevations, azimuths, B).
 
     An isotropic surface has one azimuth.
     """
@@ -213,7 +213,9 @@ class AlbedoTable:
 
 @dataclass(frozen=True, eq=False)
 class GGXMixture:
-    """Isotropic GGX microsurfaces as pairs of the share of the area and roughness alpha, in place of a `GGX`.
+    """A mixture of isotropic GGX microsurfaces, as pairs (share of the area, roughness alpha).
+
+    It can replace a `GGX`.
 
     The shares sum to 1.
     """
@@ -235,7 +237,7 @@ class GGXMixture:
         return tuple((share, GGX.isotropic(alpha)) for share, alpha in self.parts)
 
     def reflection_factor(self, wi: Array, wo: Array) -> Array:
-        """Return D G2 / (4 cos_i cos_o) in 1/sr, shape (...), as `GGX.reflection_factor`."""
+        """Return D G2 / (4 cos_i cos_o) in 1/sr, shape (...), for directions above the horizon."""
         return sum(share * ggx.reflection_factor(wi, wo) for share, ggx in self._surfaces)  # type: ignore[return-value]
 
     def sample_visible_normal(self, wi: Array, u: Array) -> Array:
@@ -257,7 +259,7 @@ class GGXMixture:
 
 @dataclass(frozen=True, eq=False)
 class MixedAlbedo:
-    """The mean of tables of directional albedo, by their shares, which it stands in for."""
+    """The mean of tables of directional albedo, weighted by their shares; it can replace an `AlbedoTable`."""
 
     parts: Sequence[tuple[float, AlbedoTable]]
 
@@ -286,7 +288,8 @@ def facet_cosines() -> Array:
 def normal_distribution(cos_theta_h: Array, alpha: float, tail: float) -> Array:
     """Return the density of microfacet normals in 1/sr; the integral of `D cos(theta_h)` over the hemisphere is 1.
 
-    `D ~ (1 - (1 - alpha^2) cos^2(theta_h))^-tail` for alpha below 1; GGX has the tail 2, less has longer tails.
+    `D ~ (1 - (1 - alpha^2) cos^2(theta_h))^-tail` for alpha below 1; GGX has the exponent 2; smaller exponents give
+    longer tails.
 
     Source: Burley 2012, "Physically-Based Shading at Disney", generalised Trowbridge-Reitz.
     """
@@ -321,8 +324,8 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
 
     Its shape is (elevations, azimuths, n_cosines).
 
-    E(wi) is the mean of F(<wi, h>) G2 / G1(wi) over visible normals h: by Gauss-Legendre over the height of the cap and
-    an even azimuth, F being linear between the cosines. One table serves any Fresnel term.
+    E(wi) is the mean of F(<wi, h>) G2 / G1(wi) over visible normals h, by Gauss-Legendre quadrature over the height
+    of the cap and evenly spaced azimuths. F is linear between the cosines, so one table serves any Fresnel term.
     """
     isotropic = alpha_x == alpha_y
     t = np.linspace(0.0, 1.0, _N_ELEVATIONS)

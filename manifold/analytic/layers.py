@@ -18,9 +18,12 @@ from manifold.core.records import Array
 
 @dataclass(frozen=True, eq=False)
 class Immersed(AnalyticBRDF):
-    """A BRDF under a transparent, absorbing layer: t^(1 / cos_i' + 1 / cos_o') f(wi', wo') / eta^2, primes refracted.
+    """A BRDF under a transparent, absorbing layer.
 
-    What the boundary of the layer reflects is not part of it (see `Layered`); what it reflects back inside is lost.
+    Its value is t^(1 / cos_i' + 1 / cos_o') f(wi', wo') / eta^2, where primes mark refracted directions.
+
+    The reflection at the boundary of the layer is not included (see `Layered`). Light that the boundary reflects
+    back inside is lost.
 
     Attributes:
         brdf: what lies below.
@@ -75,9 +78,10 @@ class Immersed(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class Retroreflection(AnalyticBRDF):
-    """An isotropic BRDF turned back to the light: its value for wi after half a turn about the normal, and wo.
+    """A retro-reflective BRDF: an isotropic one, evaluated with wi turned by half a turn about the normal.
 
-    A lobe around the mirror direction becomes one around wi. Of an anisotropic BRDF the result would not be reciprocal.
+    A lobe around the mirror direction becomes one around wi. The result is not reciprocal for an anisotropic BRDF,
+    which is refused.
     Source: the back vector of Belcour et al. 2014, "Bidirectional reflectance distribution function measurements and
     analysis of retroreflective materials".
     """
@@ -107,7 +111,7 @@ def _half_turn(w: Array) -> Array:
 
 
 class _Compound(AnalyticBRDF):
-    """Sampled by choosing one of several BRDFs."""
+    """Base class of BRDFs with several parts, of which one is chosen for each sample."""
 
     @property
     @abstractmethod
@@ -116,7 +120,7 @@ class _Compound(AnalyticBRDF):
     @property
     @abstractmethod
     def _lobes(self) -> Array:
-        """Probability of each part."""
+        """Probability with which each part is chosen."""
 
     @property
     def is_isotropic(self) -> bool:
@@ -137,7 +141,7 @@ class _Compound(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class MixedBRDF(_Compound):
-    """A weighted sum of BRDFs with the same bands, such as flakes of several kinds side by side.
+    """A weighted sum of BRDFs with the same bands, such as several kinds of flakes side by side.
 
     Components are pairs (weight, BRDF), weights at least 0 with a sum above 0 and at most 1.
     """
@@ -181,11 +185,11 @@ class MixedBRDF(_Compound):
 
 @dataclass(frozen=True, eq=False)
 class Layered(_Compound):
-    """One BRDF over another of the same bands: a coat over metallic paint, sheen over felt.
+    """One BRDF on top of another with the same bands, such as a coat on paint or sheen on felt.
 
-    f = f_top + (1 - E(wi)) (1 - E(wo)) f_base, E being the albedo of the top: what the top does not reflect reaches the
-    base, undeflected, and leaves likewise. Reciprocal, and reflects at most what arrives if both layers do; light that
-    would go back and forth between them is lost (`Plastic` loses none).
+    f = f_top + (1 - E(wi)) (1 - E(wo)) f_base, where E is the albedo of the top. Light that the top does not
+    reflect reaches the base undeflected, and leaves likewise. The result is reciprocal, and conserves energy if
+    both layers do. Light that would be reflected back and forth between them is lost (`Plastic` loses none).
     Source: the albedo scaling of Kulla & Conty 2017, made symmetric.
     """
 

@@ -23,11 +23,11 @@ from manifold.core.records import Array, Bands
 
 
 class _RoughReflector(AnalyticBRDF):
-    """Reflection by a GGX surface whose facets have any Fresnel reflectance.
+    """Base class of reflection by a GGX surface; subclasses give the Fresnel reflectance of its facets.
 
-    Single scattering is F D G2 / (4 cos_i cos_o). Light that is scattered more than once, which it omits, is
-    put back as a lobe (1 - E(wi)) (1 - E(wo)) / (pi (1 - E_avg)) times the colour of two or more reflections,
-    F_avg^2 E_avg / (1 - F_avg (1 - E_avg)), E being the albedo of single scattering with F = 1.
+    Single scattering is F D G2 / (4 cos_i cos_o). The light that is scattered more than once is added as a lobe (1 -
+    E(wi)) (1 - E(wo)) / (pi (1 - E_avg)) times the colour of two or more reflections, F_avg^2 E_avg / (1 - F_avg (1 -
+    E_avg)), E being the albedo of single scattering with F = 1.
 
     Sources: Kulla & Conty 2017, "Revisiting Physically Based Shading at Imageworks"; F_avg squared, because
     the lobe starts at the second reflection, as in Jakob et al. 2014 and Hill 2018.
@@ -47,7 +47,7 @@ class _RoughReflector(AnalyticBRDF):
 
     @cached_property
     def single_scattering(self) -> AlbedoTable | MixedAlbedo:
-        """Directional albedo of single scattering."""
+        """Directional albedo of single scattering, as a table."""
         return self.ggx.albedo_table(self.reflectance(facet_cosines()))
 
     @cached_property
@@ -65,7 +65,7 @@ class _RoughReflector(AnalyticBRDF):
 
     @cached_property
     def _lost(self) -> float:
-        """1 - E_avg where multiple scattering is on, else 0."""
+        """1 - E_avg with multiple scattering, 0 without."""
         lost = 1.0 - float(self._white.hemispherical[0])
         return lost if self.multiple_scattering and lost > 1e-9 else 0.0
 
@@ -111,7 +111,7 @@ class _RoughReflector(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class RoughConductor(_RoughReflector):
-    """A rough metal.
+    """A rough metal: reflection by GGX facets of a complex refractive index.
 
     Attributes:
         ggx: the microsurface.
@@ -137,13 +137,13 @@ class RoughConductor(_RoughReflector):
 
 @dataclass(frozen=True, eq=False)
 class ThinFilm(_RoughReflector):
-    """A rough base under a thin transparent film: iridescence by interference, exact per band.
+    """A rough base under a thin transparent film, which is iridescent by interference (exact per band).
 
     Attributes:
         film_eta: index of the film, at least 1, shape (B,) or a single number.
         thickness_nm: at least 0.
         eta, k: complex index of the base, shape (B,) each; k = 0 is a dielectric.
-        bands: RGB is taken at 611.4, 549.1 and 464.3 nm.
+        bands: the spectral axis; RGB is evaluated at 611.4, 549.1 and 464.3 nm.
         multiple_scattering: whether to return the light that single scattering loses.
 
     Source: see `fresnel_thin_film`.
@@ -175,7 +175,7 @@ class ThinFilm(_RoughReflector):
 
 @dataclass(frozen=True, eq=False)
 class RoughDielectric(_RoughReflector):
-    """The reflection of a rough dielectric boundary, of an index above 0 relative to air, shape (B,) or a number.
+    """The reflection of a rough dielectric boundary; `eta` is its index relative to air, (B,) or one number.
 
     Transmitted light is lost (see `Plastic`, `Layered`).
     """
@@ -198,8 +198,9 @@ class RoughDielectric(_RoughReflector):
 class Plastic(AnalyticBRDF):
     """A rough dielectric boundary over a diffuse base.
 
-    f = f_boundary + R (1 - E(wi)) (1 - E(wo)) / (pi (1 - E_avg)), E being the boundary's directional albedo:
-    reciprocal, and a white base (R = 1) returns exactly what the boundary lets through.
+    f = f_boundary + R (1 - E(wi)) (1 - E(wo)) / (pi (1 - E_avg)), where E is the directional albedo of the
+    boundary. The result is reciprocal, and a white base (R = 1) returns exactly the light that the boundary
+    transmits.
 
     Attributes:
         ggx: the microsurface of the boundary.
@@ -226,7 +227,7 @@ class Plastic(AnalyticBRDF):
 
     @cached_property
     def boundary(self) -> RoughDielectric:
-        """The specular part."""
+        """The specular part: the reflection at the rough boundary."""
         return RoughDielectric(self.ggx, self.eta, self.bands)
 
     def _passed(self, w: Array) -> Array:

@@ -35,7 +35,7 @@ _COAT_ENDS = 0.1, 0.001  # alpha at gloss 0 and 1
 
 
 class Lobes(NamedTuple):
-    """The factors that depend on a parameter nonlinearly, each (..., M) but `f0`, (..., 1).
+    """The factors that depend on a parameter nonlinearly: `f0` has shape (..., 1), the others (..., M).
 
     Attributes:
         specular: `D G / (4 cos(theta_i))` of GGX.
@@ -53,7 +53,7 @@ class Lobes(NamedTuple):
 
 
 class Diffuse:
-    """Mitsuba's `diffuse` at M direction pairs, as `Principled`; it has no shared parameters."""
+    """Mitsuba's `diffuse` at M direction pairs, with the interface of `Principled` but no shared parameters."""
 
     type: ClassVar[str] = "diffuse"
     colour: ClassVar[str] = "reflectance"
@@ -79,7 +79,7 @@ class Diffuse:
 
 
 class Principled:
-    """The model at M direction pairs.
+    """Mitsuba's `principled` at M direction pairs, as coefficients of the base colour and its tint.
 
     Values are passed by name as arrays (P, 1), or numbers. Coefficients have shape (3, P, M): f cos(theta_o) in 1/sr
     is the first, plus the second times the base colour, plus the third times its tint.
@@ -130,8 +130,8 @@ class Principled:
     def slopes(self, values: Mapping[str, float], names: Collection[str]) -> tuple[Array, dict[str, Array]]:
         """Return the coefficients (3, M) of one vector of shared parameters, and their derivatives by the named ones.
 
-        The coefficients are affine in each lobe, or pair of lobes, that one parameter changes, and in every parameter
-        that changes none: differences are derivatives.
+        The coefficients are affine in the lobes that a parameter changes, and in parameters that change no lobe, so
+        finite differences are exact derivatives.
         """
         lobes, slopes = self._lobes(values, with_slopes=True)
         here = self._assemble(values, lobes)

@@ -1,6 +1,7 @@
 """Virtual instruments: simulated readings of a BRDF, with noise, in files of an MA-T12 or a Mini-Diff V2.
 
-What they write has the layout and quirks of real files: see `manifold.formats.ma_t12` and `manifold.formats.astm`.
+The written files have the layout and quirks of real ones: see `manifold.formats.ma_t12` and
+`manifold.formats.astm`.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ def write_ma_t12(
 
 
 def _flake_image(rng: np.random.Generator, flakes: bool) -> bytes:
-    """Return a grey PNG picture of the surface, with bright flakes or without."""
+    """Return a PNG picture of a grey surface, with or without bright flakes."""
     from PIL import Image
 
     grey = 90.0 + 4.0 * rng.standard_normal((64, 64))
@@ -129,7 +130,7 @@ def write(
     seed: int = 0,
     materials: Callable[[], tuple[Material, ...]] = isotropic_materials,
 ) -> list[Path]:
-    """Write readings by `ma-t12` (workbooks) or `mini-diff` (ASTM) of every isotropic material of the corpus.
+    """Write simulated readings of every isotropic material: `ma-t12` workbooks or `mini-diff` ASTM tables.
 
     Each material has one file in the folder, which is made if missing.
     """

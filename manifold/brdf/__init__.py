@@ -1,4 +1,4 @@
-"""One BRDF: evaluation, sampling, writing and plausibility of measured ones; analytic ones and the corpus."""
+"""Measured BRDFs: evaluation, sampling, the virtual goniometer, and physical plausibility."""
 
 import lazy_loader
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def to_xarray(
     brdf: BRDF, theta_i_deg: ArrayLike, theta_o_deg: ArrayLike, phi_deg: ArrayLike = 180.0
 ) -> DataArray:
-    """Evaluate a BRDF on a grid of angles.
+    """Return the values of a BRDF on a grid of angles as a labelled array.
 
     Args:
         brdf: any BRDF; an anisotropic one is lit from azimuth 0.

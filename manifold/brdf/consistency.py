@@ -1,7 +1,6 @@
-"""Checks of an RGL file's values against each other, against its other fields, and against physical limits.
+"""Checks of an RGL file: its values against each other, against other fields, and against physical limits.
 
-Six comparisons find values that were scaled, exchanged or damaged; docs/explanation/rgl-files.md says what they rest on
-and how far measured files are from their limits.
+Six comparisons find values that were scaled, exchanged or damaged; docs/explanation/rgl-files.md describes them.
 """
 
 from __future__ import annotations
@@ -50,8 +49,8 @@ class Cell(NamedTuple):
 
     Attributes:
         at: indices of azimuth, elevation, band, row and column.
-        value: as stored.
-        expected: what the luminance implies where it disagrees, else the median of its neighbours.
+        value: the stored value.
+        expected: the value that the luminance implies, or the median of the neighbours.
         low, high: the range of its neighbours; NaN where there are fewer than three.
     """
 

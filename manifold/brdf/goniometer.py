@@ -199,23 +199,25 @@ def measure(
     bend: float | None = None,
     version: tuple[int, int] = (3, 1),
 ) -> BsdfFile:
-    """Measure a BRDF the way the RGL instrument does, on a grid that a power of the visible normals spreads.
+    """Measure a BRDF as the RGL goniometer does, and return an RGL file that interpolates it.
 
     Args:
-        brdf: what to measure; its bands become the bands of the file.
+        brdf: the BRDF to measure; its bands become the bands of the file.
         name, description: identification of the material.
         resolution: nodes per axis of the outgoing grid, H = W.
         theta_i_rad: angles of incidence in radians, increasing, shape (T,); default `default_theta_i(n_theta_i)`.
         n_theta_i: angles of incidence T where none are given.
         n_phi_i: incident azimuths P, over half a turn; default 1 for an isotropic BRDF and 17 otherwise.
-        compensate: move the node values so that linear interpolation errs least *between* the nodes; without
-            it the file is exact at the nodes and about twice as far off elsewhere (docs/explanation/rgl-files.md).
-        warp_exponent: the power; 1 is the instrument's own grid, with few nodes beside a sharp highlight, and as many
-            below the horizon as above.
-        steepest: factor by which the normal distribution may fall from one of its nodes to the next.
-        bend: how sharply its logarithm may turn from falling to level, as the coefficient of a parabola over nodes of
-            the outgoing grid; `SOFT_BEND` for data whose peaks differ in width from incidence to incidence. None takes
-            it as it is, which errs less for blends of measured materials.
+        compensate: adjust the node values to minimise the error of linear interpolation between the nodes; without
+            it the file is exact at the nodes and has about twice the error elsewhere
+            (docs/explanation/rgl-files.md).
+        warp_exponent: power of the density of visible normals by which the outgoing grid is spread; 1 is the
+            instrument's own grid, which has few nodes beside a sharp highlight and wastes half of its nodes below
+            the horizon.
+        steepest: largest factor by which the normal distribution may fall from one of its nodes to the next.
+        bend: limit on the curvature of the logarithm of the normal distribution beside a peak: the coefficient of a
+            parabola over nodes of the outgoing grid. `SOFT_BEND` suits data whose peaks differ in width between
+            incidences. None sets no limit, which gives smaller errors for blends of measured materials.
         version: pipeline version; it decides what a set bit of `valid` means.
 
     Returns:
@@ -223,7 +225,8 @@ def measure(
         are marked as not measured.
 
     Raises:
-        UsageError: fewer than 2 nodes on an axis, 2 azimuths, or the BRDF reflects nothing back at any elevation.
+        UsageError: an axis has fewer than 2 nodes, there are 2 azimuths, or the BRDF has no retro-reflection at any
+            elevation.
     """
     require_brdf(brdf, "goniometer.measure")
     if n_phi_i == 2:
@@ -290,14 +293,14 @@ def measure(
 
 
 def remeasure(brdf: BRDF, file: BsdfFile) -> BsdfFile:
-    """Return the file with the values of another BRDF of the same bands at its nodes, with the same warps."""
+    """Return the file with the values of another BRDF at its nodes; the bands and warps stay the same."""
     cells = [one for _, _, one in cells_of(file)]
     spectra, _ = _at_nodes(brdf, file.ndf, file.sigma, cells, file.phi_i_rad, file.theta_i_rad)
     return with_luminance(replace(file, spectra=np.moveaxis(spectra, -1, 2)), cells)
 
 
 def with_luminance(file: BsdfFile, cells: list[Cells] | None = None) -> BsdfFile:
-    """Return the file with the `luminance` that it is sampled by, from its values over the density of its warp.
+    """Return the file with the field `luminance`, the density by which renderers sample it.
 
     Where the warp is that of the visible normals, as in measured files, it is the luminance of `spectra`. The cells of
     its slices are found unless they are given.
@@ -335,8 +338,8 @@ def _at_nodes(
 def _compensate(spectra: Floats, measured: Mask, phi_i: Array, theta_i: Array) -> Floats:
     """Return node values whose piecewise-linear interpolant is closest in the mean square: f - h^2 f'' / 12 per axis.
 
-    Interpolating samples overshoots wherever f is convex and undershoots where it is concave. The shift is
-    limited to a fifth of the value, so that sharp edges do not ring and nothing turns negative.
+    Linear interpolation of exact values overestimates f if f is convex and underestimates it if f is concave. The
+    adjustment is limited to a fifth of the value, so that sharp edges do not ring and no value becomes negative.
     """
     grid = np.arange(spectra.shape[2], dtype=float)
     # in the precision of the values: these are the largest arrays of a measurement

@@ -10,11 +10,11 @@ from manifold.core.records import Array, Bands
 
 
 class EvaluableBRDF(Protocol):
-    """The part of a BRDF that fits, balls and slices use: B bands at once, directions (..., 3), z the normal."""
+    """The interface of BRDFs that can be evaluated, but not sampled, which fits, balls and slices need."""
 
     @property
     def bands(self) -> Bands:
-        """The spectral axis."""
+        """The spectral bands, or the channels of linear sRGB."""
 
     @property
     def is_isotropic(self) -> bool:
@@ -26,7 +26,7 @@ class EvaluableBRDF(Protocol):
 
 @runtime_checkable
 class BRDF(EvaluableBRDF, Protocol):
-    """The interface of a BRDF."""
+    """The interface of a BRDF: evaluation and sampling of all B bands at directions (..., 3); z is the normal."""
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """Return f * cos(theta_o) in 1/sr, shape (..., B), like Mitsuba's `eval`."""
@@ -50,11 +50,11 @@ def all_isotropic(brdfs: Iterable[BRDF]) -> bool:
 
 
 def require_brdf(brdf: object, where: str) -> None:
-    """Raise UsageError unless something has what evaluating a `BRDF` takes: a file or a path has not.
+    """Raise UsageError unless an object has the methods of `BRDF`; a file or a path has not.
 
     Args:
-        brdf: given by a user.
-        where: what it was given to.
+        brdf: the object that a user gave.
+        where: the function or argument to which it was given, for the message.
     """
     missing = [name for name in ("bands", "is_isotropic", "eval", "eval_cos") if not hasattr(brdf, name)]
     if missing:

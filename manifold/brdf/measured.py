@@ -22,29 +22,29 @@ _FEW = 512  # pairs of directions of a block: fewer take less time than starting
 
 
 def values_at(brdf: EvaluableBRDF, pairs: Pairs) -> Array:
-    """Return f in 1/sr at K pairs, shape (K, B); measured materials share the pairs' locations in their files."""
+    """Return f in 1/sr at K direction pairs, (K, B); a `MeasuredBRDF` reuses what `pairs` has computed."""
     return brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
 
 
 class MeasuredBRDF(NotebookPicture):
-    """The BRDF of an RGL file, all bands of a direction pair from one warp inversion.
+    """The BRDF of an RGL file, which evaluates all bands of a direction pair together.
 
     Attributes:
         name: of the material.
         bands: the spectral axis.
         is_isotropic: whether the file depends on the difference of the azimuths only.
-        symmetry: the arguments of `Pairs.located`: whether it is isotropic, how often azimuths repeat, and
-            the azimuth by which the sample lay turned.
+        symmetry: the arguments of `Pairs.located`: whether the material is isotropic, how often azimuths repeat,
+            and the azimuth by which the specimen was turned.
         spectra: the stored values, single precision, shape (P * T, H, W, B).
-        tables: what compiled loops read.
+        tables: the tables that compiled loops read.
     Source: Dupuy & Jakob 2018, section 5; f * cos(theta_o) = spectra * ndf / (4 sigma).
     """
 
     def __init__(self, file: BsdfFile):
-        """Normalise the warps of `file` and lay its bands out contiguously (a copy only where needed).
+        """Prepare a file for evaluation: normalise its warps and store its bands contiguously.
 
         Raises:
-            UsageError: `file` is something else, such as a path, which `read_bsdf` reads.
+            UsageError: `file` is no `BsdfFile`, such as a path; `read_bsdf` reads a path.
         """
         if not isinstance(file, BsdfFile):
             raise UsageError(f"found {type(file).__name__}, expected a file that was read: read_bsdf(path)")
@@ -74,7 +74,7 @@ class MeasuredBRDF(NotebookPicture):
 
     @cached_property
     def _luminance(self) -> Warp:
-        """The density that is sampled: RGB files have a few values just below zero, black ones only zeros."""
+        """The density for sampling: the luminance, made positive, because RGB files have a few negative values."""
         density = np.maximum(self._stored_luminance, 0.0)  # [P, T, H, W]
         black = density.sum(axis=(2, 3), keepdims=True) <= 0
         return Warp.from_values(np.where(black, 1.0, density), self._warp.phi_nodes, self._warp.theta_nodes)
@@ -86,10 +86,10 @@ class MeasuredBRDF(NotebookPicture):
         """Return the material in some of its bands; warps are shared.
 
         Args:
-            bands: indices, increasing. All three of an RGB material, or any of a spectral one.
+            bands: increasing indices: all three of an RGB material, or any of a spectral one.
 
         Raises:
-            UsageError: a spectral axis cannot be made of these.
+            UsageError: the indices do not increase, or an RGB material would lose a channel.
         """
         if list(bands) == list(range(self.bands.count)):
             return self
@@ -102,7 +102,7 @@ class MeasuredBRDF(NotebookPicture):
         return selected
 
     def turned(self, angle_rad: float) -> MeasuredBRDF:
-        """Return the sample turned by an azimuth; tables are shared."""
+        """Return the BRDF turned about the normal by an azimuth in radians; tables are shared."""
         if self.is_isotropic:
             return self
         turned = copy.copy(self)
@@ -127,7 +127,7 @@ class MeasuredBRDF(NotebookPicture):
     def eval_at(self, pairs: Pairs) -> Array:
         """Return `eval` at K pairs, shape (K, B), on one core and outside the interpreter's lock.
 
-        For callers that distribute materials or blocks of pairs over threads.
+        Callers that distribute materials or blocks of pairs over threads use it.
         """
         out = np.empty((len(pairs), self.bands.count))
         loops.eval_located(pairs.located(*self.symmetry), True, self.tables, out)
@@ -138,8 +138,9 @@ class MeasuredBRDF(NotebookPicture):
 
         Args:
             wi, wo: unit vectors (..., 3) that broadcast against each other.
-            out: receives the values and is returned: contiguous (..., B), double or single precision. Used again from
-                call to call, it saves up to half of the time: the system need not find new memory.
+            out: contiguous array (..., B) in double or single precision, which receives the values and is returned.
+                Passing the same array in every call saves up to half of the time, because no new memory is
+                allocated.
 
         Raises:
             ShapeError: a direction array is not (..., 3), not finite, or not of unit length; `out` does not fit.
@@ -195,9 +196,8 @@ class MeasuredBRDF(NotebookPicture):
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
         """Return the directional albedo, shape (..., B).
 
-        It is computed by the midpoint rule on resolution^2 points of the warped square.
-
-        There f * cos(theta_o) / pdf of the visible normals is nearly the smooth stored spectrum.
+        The integral is computed by the midpoint rule on resolution^2 points of the warped unit square, on which the
+        integrand is smooth: it is nearly the stored spectrum.
 
         Raises:
             ShapeError: as in `eval`.

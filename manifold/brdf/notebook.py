@@ -20,7 +20,7 @@ _BLOCK = 128  # pixels evaluated at once: 40,000 direction pairs
 
 
 class NotebookPicture:
-    """A BRDF that notebooks show as a lit ball."""
+    """Base class of BRDFs that notebooks show as a lit ball."""
 
     def _repr_png_(self: BRDF) -> bytes:
         return ball_png(self)

@@ -1,7 +1,7 @@
 """Projection of a file to a physical one: non-negative, reciprocal, albedo at most 1.
 
-What is rendered is what a file interpolates, not the BRDF that it was measured from. So the nodes are projected, and
-values between them are checked. A value that is possible stays as it is, bit for bit.
+Renderers show the values that a file interpolates, not the BRDF that it was measured from. Therefore the nodes are
+projected, and values between them are checked. Values that are already physical stay unchanged, bit for bit.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ _REFINED = ((2.0, 1.0), (2.0, 1.5), (3.0, 2.0), (3.0, 3.0))
 
 
 class ReciprocalBRDF(WrappedBRDF):
-    """A BRDF whose values of exchanged directions differ by at most 5 % of their mean, negative ones cut to zero.
+    """A BRDF made reciprocal: f(wi, wo) and f(wo, wi) differ by at most 5 % of their mean; none is negative.
 
-    The mean is `f = (f_cos(wi, wo) + f_cos(wo, wi)) / (cos(theta_i) + cos(theta_o))`: each value counts by the cosine
-    that it was measured with. Files extrapolate to the horizon, where the other value, divided by a vanishing cosine,
-    is huge. A value further from the mean is moved towards it; others stay.
+    The mean is `f = (f_cos(wi, wo) + f_cos(wo, wi)) / (cos(theta_i) + cos(theta_o))`: each value is weighted by the
+    cosine that it was measured with, because values at the horizon are extrapolated and divided by a vanishing
+    cosine. Only values further from the mean are moved towards it.
     """
 
     def eval(self, wi: Array, wo: Array) -> Array:
@@ -67,13 +67,13 @@ class ReciprocalBRDF(WrappedBRDF):
 def physical_file(
     file: BsdfFile, measure: Callable[[int, int], BsdfFile] | None = None, *, keeps_hue: bool = False
 ) -> BsdfFile:
-    """Return a file that is physical, between its nodes as well; a physical file is returned unchanged.
+    """Return the file made physical at and between its nodes; a physical file is returned unchanged.
 
-    Negative values become zero. A file that is not reciprocal within 5 % gets values of exchanged directions that are;
-    while it does not become so, incidences are refined, then both grids, up to three times as many nodes per axis,
-    where `measure` measures the same with other numbers of incidences and of nodes per axis: what is not smooth there
-    keeps a larger error. Then bands with an albedo above 1, at an incidence up to 85 degrees, are scaled down there,
-    with `keeps_hue` all alike.
+    Negative values become zero. If the file is not reciprocal within 5 %, values of exchanged directions are
+    averaged; if interpolation still violates reciprocity, first the incidences and then both grids are refined, up
+    to three times as many nodes per axis. `measure` measures the same BRDF with other numbers of incidences and
+    nodes. Finally, bands whose albedo exceeds 1 at an incidence up to 85 degrees are scaled down there, with
+    `keeps_hue` all bands equally.
     """
     best, least = _reciprocal(file)
     for incidences, nodes in _REFINED if measure is not None else ():
@@ -88,7 +88,7 @@ def physical_file(
 
 
 def _reciprocal(file: BsdfFile) -> tuple[BsdfFile, float]:
-    """Average impossible values with those of exchanged directions; return the file and its reciprocity error."""
+    """Average non-reciprocal values with those of exchanged directions; return file and reciprocity error."""
     file = replace(file, spectra=np.maximum(file.spectra, 0.0))
     measured = MeasuredBRDF(file)
     error = plausibility(measured).reciprocity_error
@@ -109,9 +109,9 @@ def _reciprocal(file: BsdfFile) -> tuple[BsdfFile, float]:
 
 
 def _changed(file: BsdfFile, brdf: BRDF, movable: Mask | None = None) -> tuple[BsdfFile, Mask]:
-    """Return the file with a BRDF's values at its nodes, and a mask of the changed values, shape of `spectra`.
+    """Return the file with a BRDF's values at its nodes, and a mask of changed values (shape of `spectra`).
 
-    Only values that differ and are movable, by default all, change.
+    Only movable values, by default all, are changed.
     """
     changed = goniometer.remeasure(brdf, file).spectra
     is_changed = changed != goniometer.remeasure(MeasuredBRDF(file), file).spectra
@@ -122,10 +122,10 @@ def _changed(file: BsdfFile, brdf: BRDF, movable: Mask | None = None) -> tuple[B
 
 
 class AlbedoScaledBRDF(WrappedBRDF):
-    """A BRDF times s(theta_i) s(theta_o), with s below 1 only at elevations whose albedo exceeds 1."""
+    """A BRDF times s(theta_i) s(theta_o), in which s is below 1 only at elevations whose albedo exceeds 1."""
 
     def __init__(self, brdf: BRDF, theta_rad: Array, albedo: Array, keeps_hue: bool):
-        """Find s at elevations (T,), increasing, of albedo (T, B), so that no albedo exceeds 1.
+        """Find s at increasing elevations (T,) with albedo (T, B), so that no scaled albedo exceeds 1.
 
         The iteration is s <- s sqrt(0.99 / albedo), as in symmetric Sinkhorn scaling. Between elevations s is
         interpolated; with `keeps_hue` it is equal in all bands. Source: Sinkhorn & Knopp 1967, for sums that
@@ -185,7 +185,7 @@ def _limit_albedo(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
 
 
 def _excess_albedo(file: BsdfFile) -> Array:
-    """Return albedo at the file's incidences (T, B); an excess only between incidences counts at both neighbours."""
+    """Return the albedo at the file's incidences (T, B); an excess between two of them counts for both."""
     measured = MeasuredBRDF(file)
     nodes_deg = np.rad2deg(np.minimum(file.theta_i_rad.astype(float), HORIZON))
     at_nodes, between = (

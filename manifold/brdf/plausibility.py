@@ -59,7 +59,7 @@ def valley_depth(f: Array) -> Array:
 
 
 def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
-    """Return the summed squared depths of valleys of blends u (K, N) beyond their limit, (K,), and the gradient (K, N).
+    """Return the squared depths (K,) of valleys of blends u (K, N) beyond a limit, and the gradient (K, N).
 
     The limit of a blend is the weighted mean of the depths (N,) that are allowed for its materials.
 
@@ -117,19 +117,19 @@ AZIMUTHS_DEG = tuple(range(0, 360, 45))
 
 @dataclass(frozen=True)
 class Plausibility:
-    """Measurements of how physical a BRDF is.
+    """How physical a BRDF is: negative values, reciprocity error, albedo, and valleys of the highlight.
 
     Attributes:
-        negative_share: share of values below zero, over direction pairs and bands; the larger of that over
-            the hemisphere and that around the mirror direction, where a narrow lobe can be negative.
-        reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted; likewise the larger
-            of both. Measured materials are not exactly reciprocal either.
+        negative_share: share of values below zero over direction pairs and bands: the larger of the share over the
+            hemisphere and the share around the mirror direction, where a narrow lobe can be negative.
+        reciprocity_error: cosine-weighted norm of f(wi, wo) - f(wo, wi) over the norm of f; the larger of the same
+            two. Measured materials are not exactly reciprocal.
         max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees; of a file, of
             0, 5, ... 85 degrees.
         highlight_valley: depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at incidences
             of 30, 45 and 60 degrees, as a share of the lower of the highest values on its two sides; the mean of bands.
-            It counts as far as the geometric mean of the two sides of the mirror direction has it, too: a rise towards
-            grazing is no valley.
+            Only the depth that the geometric mean of the two sides of the mirror direction shares is counted,
+            because a rise towards grazing is no valley.
         albedo_incidence_deg: elevation at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.
@@ -143,12 +143,12 @@ class Plausibility:
 
 
 def plausibility(brdf: BRDF) -> Plausibility:
-    """Measure one BRDF on fixed direction pairs."""
+    """Return the plausibility of a BRDF, measured on fixed direction pairs."""
     return plausibilities(lambda wi, wo: brdf.eval(wi, wo)[None], brdf.is_isotropic)[0]
 
 
 def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausibility]:
-    """Measure M BRDFs that are evaluated together, in blocks of a few thousand direction pairs.
+    """Return the plausibility of M BRDFs that are evaluated together, in blocks of direction pairs.
 
     Anisotropic ones are measured at eight azimuths of incidence.
     """
@@ -169,7 +169,7 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
 
 
 def plausibility_of_file(file: BsdfFile) -> Plausibility:
-    """Measure a file as a renderer interpolates it: its albedo at incidences from 0 to 85 degrees."""
+    """Return the plausibility of a file as renderers interpolate it, with albedos from 0 to 85 degrees."""
     measured = MeasuredBRDF(file)
     albedo = albedo_at(measured, FILE_INCIDENCES_DEG)
     at = int(albedo.argmax())
@@ -192,8 +192,8 @@ def albedo_at(brdf: BRDF, elevations_deg: Sequence[float]) -> Array:
 def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
     """Return the depth of the deepest valley around the mirror direction, shape (M,).
 
-    It is the lesser depth of the profiles and of the geometric means of their two sides. A rise towards
-    grazing beside a weak highlight is no valley, and neither is retroreflection.
+    It is the smaller of two depths: that of the profiles and that of the geometric means of their two sides.
+    Neither a rise towards grazing beside a weak highlight nor retro-reflection is a valley.
     """
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     wi, wo = np.broadcast_arrays(*profile_pairs(ASSESSED_INCIDENCES_DEG, azimuths))
@@ -231,12 +231,10 @@ def _over_incidences(
 
 
 def mirror_difference(brdf: BRDF, other: BRDF) -> float:
-    """Return the difference of two BRDFs near mirror directions.
+    """Return the relative difference of two BRDFs near mirror directions.
 
-    It covers five degrees around them, at incidences of 15, 20, ... 75 degrees.
-
-    It is `sum |f* - f| / sum f` over directions and bands at each incidence (and azimuth), the largest of these;
-    negative values count as 0.
+    It is the largest of `sum |f* - f| / sum f` at incidences of 15, 20, ... 75 degrees (and at each azimuth); the
+    sums go over bands and directions within five degrees of the mirror direction. Negative values count as 0.
     """
     wi = incident_directions(_MIRROR_INCIDENCES_DEG, brdf.is_isotropic and other.is_isotropic)
     m = from_spherical(np.deg2rad([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])[:, None], np.deg2rad(range(0, 360, 45)))
@@ -264,8 +262,8 @@ def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
 def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:
     """Return outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
 
-    Nodes are half vectors, in elevation Gauss-Legendre in its fourth root, so that lobes down to alpha = 0.02
-    are resolved; d omega_o = 4 <wi, m> d omega_m.
+    The nodes are half vectors m. In elevation they are Gauss-Legendre nodes in its fourth root, which resolve lobes
+    down to alpha = 0.02; d omega_o = 4 <wi, m> d omega_m.
     """
     x, weights = gauss_legendre(n_theta)
     t = 0.5 * (x + 1.0)

@@ -22,7 +22,7 @@ class WeightedSum:
     ):
         """Prepare a sum of f, or of its cube roots, over materials of the same bands.
 
-        Weights are used in single precision.
+        The weights are rounded to single precision.
         """
         self._cube_root = cube_root
         terms: dict[
@@ -39,7 +39,7 @@ class WeightedSum:
     def add_to(self, total: Array, pairs: Pairs) -> None:
         """Add the sum at K direction pairs to a total (K, B), of `dtype`, C-contiguous.
 
-        It runs on one core and outside the interpreter's lock; pairs below the horizon add nothing.
+        The sum runs on one core, without the interpreter's lock. Pairs below the horizon add 0.
         """
         for symmetry, tables, weights in self._groups:
             loops.add_located(pairs.located(*symmetry), tables, weights, self._cube_root, total)

@@ -20,7 +20,7 @@ from manifold.core.records import Array, BsdfFile, Mask
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The R x C cells of an outgoing grid.
+    """The cells (R, C) of an outgoing grid at one incident direction.
 
     Attributes:
         points: unit-square coordinates of their half vectors, shape (R, C, 2).
@@ -42,8 +42,8 @@ class Cells:
     ) -> Cells:
         """Return the cells of a grid (R, C) under the warp of the visible normals, at an incident direction in radians.
 
-        On the horizon its limit is taken. Azimuths of half vectors of an isotropic file count from that of
-        the incident direction.
+        On the horizon, the limit of the warp is taken. In an isotropic file, azimuths of half vectors count from
+        the azimuth of the incident direction.
         """
         rows, columns = (np.linspace(0.0, 1.0, n) for n in shape)
         points, density = warp.sample(np.stack(np.meshgrid(columns, rows), axis=-1), phi_i, theta_i)
@@ -58,7 +58,7 @@ class Cells:
 def cells_of(
     file: BsdfFile, slices: Iterable[Sequence[int]] | None = None
 ) -> Iterator[tuple[int, int, Cells]]:
-    """Yield the cells of a file's slices, all by default, with their indices p of azimuth and t of elevation."""
+    """Yield p, t and the cells of each slice of a file, of all by default; p is the azimuth, t the elevation."""
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     shape = file.spectra.shape
     for p, t in np.ndindex(shape[:2]) if slices is None else slices:
@@ -93,25 +93,25 @@ def find_rim(file: BsdfFile) -> Mask:
 
 
 def unmeasured_share(file: BsdfFile, cells: Mask) -> float:
-    """Return unmeasured cells (P, T, H, W) as a share of the cells that should hold a value."""
+    """Return the share of unmeasured cells (P, T, H, W) among the cells that should hold a value."""
     expected = np.any(file.spectra != 0, axis=2) | cells
     return float(np.sum(cells) / max(int(np.sum(expected)), 1))
 
 
 def blank_unmeasured(file: BsdfFile) -> BsdfFile:
-    """Return the file with NaN in its unmeasured cells, and so in every value interpolated from one."""
+    """Return the file with NaN in its unmeasured cells; every value interpolated from one becomes NaN."""
     cells = unmeasured_cells(file)
     return replace(file, spectra=np.where(cells[:, :, None], np.float32(np.nan), file.spectra))
 
 
 def fill_unmeasured(file: BsdfFile, cells: Mask | None = None, *, copy: bool = True) -> BsdfFile:
-    """Return the file with its unmeasured cells, found unless they are given, filled from their rims inwards.
+    """Return the file with its unmeasured cells filled from their rims inwards.
 
-    A file without such cells is returned itself. Without a copy, its spectra, which must be writeable, are
-    filled.
+    The cells are found unless they are given. A file without such cells is returned unchanged. Without `copy`, the
+    file's own spectra, which must be writeable, are filled.
 
-    Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice without any
-    known cell stays as it is.
+    In every pass, cells that touch known ones get the mean of their known neighbours, of which direct neighbours
+    count double. A slice without any known cell stays unchanged.
     """
     cells = unmeasured_cells(file) if cells is None else cells
     if not np.any(cells):

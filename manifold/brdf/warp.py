@@ -50,7 +50,7 @@ class Warp:
         """Normalise node values of shape (P, T, R, C) and build their cumulative sums.
 
         Args:
-            values: at least 0, and above it somewhere in each slice.
+            values: values at least 0, of which one in each slice is above 0.
             phi_nodes, theta_nodes: in radians, shapes (P,) and (T,).
         """
         data = values.astype(np.float64).reshape(-1, *values.shape[2:])

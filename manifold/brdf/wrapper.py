@@ -14,12 +14,12 @@ from manifold.core.records import Array, Bands
 
 
 class WrappedBRDF(NotebookPicture, ABC):
-    """A BRDF with its values changed by `eval`, sampled as it was."""
+    """Base class of BRDFs that change the values of another BRDF and keep its sampling."""
 
     _albedo_nodes: ClassVar[int] = 32  # nodes of the quadrature, in elevation and in azimuth
 
     def __init__(self, brdf: BRDF):
-        """Wrap a BRDF; one that is never sampled may lack `sample` and `pdf`."""
+        """Wrap a BRDF, which may lack `sample` and `pdf` if the result is never sampled."""
         self._brdf = brdf
         self.bands: Bands = brdf.bands
         self.is_isotropic: bool = brdf.is_isotropic

@@ -1,9 +1,9 @@
 """Colours of a material's ball under the studio light, by quadrature: a fast substitute for a render.
 
 The ball floats in the studio of `manifold.colour.lights`, with the light of the floor from below, and is seen from
-afar. Each pixel shows one point of it, where the incident light is summed over half vectors, densest around the
-normal: so sharp highlights are as well resolved as soft ones. What is evaluated are BRDF values at fixed direction
-pairs.
+far away. Each pixel shows one point of the ball, at which the incident light is summed over half vectors. These are
+densest around the normal, so that sharp highlights are resolved as well as soft ones. BRDFs are evaluated at fixed
+direction pairs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def environment() -> Array:
-    """Return the studio's light in coarse cells, which soften its edges, and its floor's light from below.
+    """Return the light of the studio and, from below, of its floor, in coarse cells that soften edges.
 
     Radiance, float32, laid out as `lights.studio` does, shape (20, 40, 3).
     """
@@ -40,14 +40,14 @@ def environment() -> Array:
 
 
 class Picture(Pairs):
-    """Sums of BRDF values over direction pairs: pixels of a lit ball, or measurements of an instrument.
+    """Weighted sums of BRDF values over direction pairs: pixels of a lit ball, or values of an instrument.
 
-    Of balls, wi points towards the viewer and wo towards the light, in frames of the surface.
+    For balls, wi points towards the viewer and wo towards the light, in the local frame of the surface.
 
     Attributes:
-        sums: weights of the values at P pairs in each of K sums, of pixels radiance times cosine and solid angle;
-            sparse, shape (K, P).
-        places: right and up of each pixel in radii of the ball, shape (K, 2); none of other sums.
+        sums: weights of the values at P pairs in each of K sums, sparse, shape (K, P); for pixels, radiance times
+            cosine times solid angle.
+        places: position of each pixel, right and up, in radii of the ball, shape (K, 2); empty for other sums.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Picture(Pairs):
 
     @cached_property
     def light(self) -> Array:
-        """The weight of every pair in all sums together, shape (P,)."""
+        """The total weight of every pair over all sums, shape (P,)."""
         return np.asarray(self.sums.sum(axis=0))
 
     def xyz(self, f: Array, bands: Bands) -> Array:
@@ -79,11 +79,11 @@ class Picture(Pairs):
         return srgb_to_xyz(np.clip(linear, 0.0, 1.0))
 
     def difference(self, f: Array, f_star: Array, bands: Bands) -> float:
-        """Return the mean CIEDE2000 between the balls of two materials, by their values as `xyz` takes them."""
+        """Return the mean CIEDE2000 between the balls of two materials from their BRDF values, as for `xyz`."""
         return delta_e(self.xyz(f, bands), self.xyz(f_star, bands))
 
     def under(self, radiance: Array) -> Picture:
-        """Return this picture in white light under another radiance (P,) along wo."""
+        """Return this picture under white light of another radiance (P,) along wo."""
         sums = self.sums.copy()
         sums.data *= radiance[sums.indices]
         return Picture(self.wi, self.wo, sums, self.places)

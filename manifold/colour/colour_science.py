@@ -1,4 +1,4 @@
-"""colour-science, imported on first use, and its tables as plain arrays; the most used without importing it again."""
+"""Tables of colour-science as plain arrays; the package is imported on first use, and its tables cached."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from manifold.core.records import Array
 
 
 def cached(name: str, key: str, compute: Callable[[], Any]) -> Any:
-    """Return plain values, as JSON holds them, from a file in the user's cache folder, or compute and store them there.
+    """Return JSON values from a file in the user's cache folder; if it is missing, compute and store them.
 
-    A file that is damaged or has another key is replaced. The key names all that the values depend on.
+    A file that is damaged or has another key is replaced. The key must name everything that the values depend on.
     """
     path = user_cache_path("manifold") / name
     with suppress(OSError, ValueError):
@@ -44,7 +44,7 @@ OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 @lru_cache(maxsize=1)
 def colour_science() -> ModuleType:
-    """Import colour-science without its remarks on optional packages and its changes to NumPy's printing."""
+    """Import colour-science without its warnings about optional packages and its changes to NumPy's printing."""
     with warnings.catch_warnings(), np.printoptions():
         warnings.simplefilter("ignore")
         import colour

@@ -30,7 +30,7 @@ VISIBLE_NM = (380.0, 780.0)
 
 
 class InvisibleBandsWarning(UserWarning):
-    """Colours are asked of bands in the infrared or the ultraviolet alone, which have none."""
+    """A colour is requested of bands that all lie in the infrared or ultraviolet."""
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
@@ -39,8 +39,8 @@ def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
     A perfect diffuser has Y = 1 under every illuminant.
 
     The spectrum is taken as piecewise linear between the bands and constant beyond them, and integrated at 1 nm against
-    the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) carry no spectrum: they are
-    converted by the sRGB matrix, and the illuminant is only checked to exist.
+    the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) have no spectrum: the sRGB
+    matrix converts them, and the illuminant has no effect, but must exist.
 
     >>> bands = Bands(tuple(range(400, 701, 10)))
     >>> to_xyz(np.ones(bands.count), bands, "A").round(3)
@@ -52,9 +52,9 @@ def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
 def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool = True) -> Array:
     """Convert reflectance-like spectra to linear sRGB (Rec. 709 primaries, not clipped), shape (..., 3).
 
-    With `adapt` the illuminant's white is adapted to D65 (Bradford), so a perfect diffuser is (1, 1, 1)
-    under every illuminant, as for an adapted observer; without it, colours under illuminant A are orange. RGB
-    bands are linear sRGB already and are returned as they are.
+    With `adapt` the white of the illuminant is adapted to D65 (Bradford), so that a perfect diffuser is (1, 1, 1)
+    under every illuminant, as for an adapted observer. Without it, colours under illuminant A are orange. Values of
+    RGB bands are returned unchanged.
 
     Args:
         values: spectra, shape (..., B).
@@ -80,7 +80,7 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
 
 @lru_cache(maxsize=64)
 def warn_if_invisible(bands: Bands) -> None:
-    """Warn, once, if no band is visible, because red, green and blue are then the grey of the invisible bands."""
+    """Warn once if no band is visible, because colours are then only a grey of invisible bands."""
     low, high = VISIBLE_NM
     if not any(low <= nm <= high for nm in bands.wavelengths_nm or VISIBLE_NM):
         warnings.warn(
@@ -100,7 +100,7 @@ def file_to_srgb(file: BsdfFile) -> BsdfFile:
 def luminance(values: Array, bands: Bands) -> Array:
     """Return Y of reflectance-like spectra (..., B), shape (...), 1 for a perfect diffuser.
 
-    The light is D65, which agrees with the Y of linear sRGB, so that spectral and RGB materials can be
+    The light is D65, so that the result agrees with Y of linear sRGB, and spectral and RGB materials can be
     compared.
     """
     weights = _RGB_WEIGHTS if bands.is_rgb else xyz_weights(bands)
@@ -121,10 +121,10 @@ def xyz_weights(bands: Bands, illuminant: str = "D65", observer_deg: int = 2) ->
 
 
 def sensor_responses(illuminant: Illuminant, observer_deg: int = 2) -> tuple[Array, Array]:
-    """Return wavelengths in nm, (K,), every 1 nm, and the light times an observer's matching functions, (K, 3).
+    """Return wavelengths (K,) every 1 nm and the illuminant times colour-matching functions, (K, 3).
 
-    The observer is CIE's of 2 degrees (1931) or 10 (1964); sums over wavelengths are the XYZ of the perfect
-    diffuser, with Y = 1.
+    The observer is the CIE standard observer of 2 degrees (1931) or 10 degrees (1964). The sums over wavelengths
+    are the XYZ of the perfect diffuser, with Y = 1.
     """
     if observer_deg not in (2, 10):
         raise UsageError(f"an observer of {observer_deg} degrees, expected 2 (CIE 1931) or 10 (CIE 1964)")

@@ -1,7 +1,7 @@
 """Colour correction of one instrument to another: polynomials of three bands, and their JSON file.
 
-Errors are relative, so that highlights do not dominate. Beyond the values it was learned from, a polynomial is
-continued in proportion, since its higher terms explode there.
+Errors are relative, so that highlights do not dominate. Values larger than those that a polynomial was fitted to
+are scaled down, corrected and scaled up again, because the higher terms explode there.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ class ColourCorrection:
 
     Attributes:
         form: one of `FORMS`.
-        matrix: of the terms, shape (T, B).
-        scale: by which values are divided before terms are made of them.
-        largest: norm of the largest of these that it was learned from.
-        errors: relative, left out one by one, of every form that was tried; NaN where there are too few values.
-        uncorrected: the relative error of spectra that are estimated without it, see `narrow_bands`; NaN where the
-            bands are not blue, green and red.
-        colours: CIEDE2000 of each of S samples, mean over its readings, of colours estimated without a correction (NaN
-            as above) and left out of it, shape (S, 2); not part of the file.
+        matrix: coefficients of the terms, shape (T, B).
+        scale: values are divided by it before the terms are computed.
+        largest: norm of the largest divided values that the correction was fitted to.
+        errors: relative leave-one-out error of every form that was tried; NaN if there are too few values.
+        uncorrected: the relative error of spectra that are estimated without a correction (see `narrow_bands`); NaN
+            if the bands are not blue, green and red.
+        colours: CIEDE2000 of each of S specimens without a correction (NaN as above) and with a correction fitted
+            to the others, shape (S, 2), means over its readings; not part of the file.
 
     Source: Cheung, Westland, Connah & Ripamonti 2004; Finlayson, Mackiewicz & Hurlbert 2015.
     """
@@ -74,7 +74,7 @@ class ColourCorrection:
 
     @property
     def is_worse(self) -> Mask:
-        """Return a mask of the samples whose colours are worse with the correction than without, bool (S,)."""
+        """Return a mask of the specimens whose colours are worse with the correction than without, bool (S,)."""
         return np.asarray(self.colours[:, 1] > self.colours[:, 0])
 
     def apply(self, x: Array) -> Array:
@@ -85,7 +85,7 @@ class ColourCorrection:
         return np.asarray(np.maximum(terms @ self.matrix * beyond * self.scale, 0.0))
 
     def is_beyond(self, x: Array) -> Mask:
-        """Return whether values (n, 3) are larger than all values that it was learned from, bool (n,)."""
+        """Return whether values (n, 3) are larger than all values that the correction was fitted to, bool (n,)."""
         return np.asarray(np.linalg.norm(x / self.scale, axis=1) > self.largest)
 
     def to_json(self) -> dict[str, Any]:
@@ -103,17 +103,16 @@ def learn_correction(
     forms: Sequence[str] = FORMS,
     groups: Indices | None = None,
 ) -> ColourCorrection:
-    """Learn the correction from x (n, 3), at least 0, to y (n, B) that is best on values left out.
+    """Fit the correction from x (n, 3), at least 0, to y (n, B) that has the smallest leave-one-out error.
 
-    With `groups` (n,) whole samples are left out; only forms are tried whose terms the others determine.
-
-    Among forms that make at most a quarter of the samples worse than no correction, the best one is taken; if there are
-    none, the best one of those that make the fewest samples worse.
+    With `groups` (n,), whole specimens are left out. Only forms are tried whose terms are determined if any
+    specimen is left out. The result is the best form among those that worsen at most a quarter of the specimens,
+    or, if there is none, the best among those that worsen the fewest.
     """
     x, y = np.maximum(np.asarray(x, np.float64), 0.0), np.asarray(y, np.float64)
     if len(x) < 4 or not x.max() > 0.0:
         raise UsageError(
-            f"{len(x)} directions are shared, expected four or more with light to learn a colour correction from"
+            f"the instruments share {len(x)} directions, expected four or more with light for a colour correction"
         )
     scale = float(x.max())
     unit, wanted = x / scale, y / scale
@@ -184,10 +183,9 @@ def _uncorrected_error(spectra: Array | None, wanted: Array, weight: Array, refe
 
 
 def _left_out(terms: Array, wanted: Array, groups: Indices) -> Array | None:
-    """Return residuals of least squares, each group predicted by a fit to the others; shape of wanted.
+    """Return the residuals (shape of `wanted`) of groups that are predicted by fits to the other groups.
 
-    None if a group determines a combination of terms that the others do not, because no fit to them predicts
-    it.
+    None if, without a group, the others do not determine all terms.
     """
     inverse = np.linalg.pinv(terms)
     residual = wanted - terms @ (inverse @ wanted)
@@ -213,7 +211,7 @@ def write_correction(path: Path, correction: ColourCorrection) -> None:
 
 
 def read_correction(path: Path) -> ColourCorrection:
-    """Read a correction."""
+    """Read a correction from a JSON file."""
     content = read_json(path, "a colour correction")
     try:
         return _from_json(content)

@@ -2,8 +2,8 @@
 
 Light comes in at 45 degrees; the detectors stand in the plane of incidence at aspecular angles of -15, 15, 25,
 45, 75 and 110 degrees, counted from the mirror direction towards the light, as in ASTM E2194 and E2539 for
-metallic and interference coatings. What is compared there is the radiance factor, pi f, which is 1 for a
-perfect diffuser in all directions; near the mirror direction it may be far above.
+metallic and interference coatings. The compared quantity is the radiance factor, pi f, which is 1 for a perfect
+diffuser in all directions, and may be far above 1 near the mirror direction.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ def multi_angle_pairs() -> tuple[Array, Array]:
 
 
 def illuminants_for(bands: Bands) -> tuple[str, ...]:
-    """Return the illuminants under which colours are compared; linear sRGB carries no spectrum and has only D65."""
+    """Return the illuminants under which colours are compared; only D65 for linear sRGB, which has no spectrum."""
     return ("D65",) if bands.is_rgb else ILLUMINANTS
 
 
 def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -> tuple[Array, Array]:
-    """Return CIEDE2000 (...) and spectral angle in degrees (...) between measured and predicted f (..., B) in 1/sr.
+    """Return CIEDE2000 (...) and spectral angle (...) in degrees between two f (..., B) in 1/sr.
 
-    Colours are relative to the illuminant's white. The spectral angle is that between the spectra of the reflected
-    light; of RGB bands, between linear sRGB vectors.
+    Colours are relative to the illuminant's white. The spectral angle is the angle between the spectra of the
+    reflected light, or between linear sRGB vectors for RGB bands.
     """
     f, f_star = np.asarray(f), np.asarray(f_star)
     if f.shape != f_star.shape:
@@ -64,7 +64,7 @@ def to_lab(xyz: Array, white: Array) -> Array:
 
 
 def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
-    """Return CIELAB (..., 3) of f (..., B) in 1/sr, taken as radiance factors; linear sRGB has that of D65/2."""
+    """Return CIELAB (..., 3) of f (..., B) in 1/sr, as radiance factors; for linear sRGB under D65/2."""
     weights = xyz_weights(bands, *viewing)
     return to_lab(np.pi * np.asarray(f) @ weights, weights.sum(axis=0))
 
@@ -72,9 +72,8 @@ def lab_values(f: Array, bands: Bands, viewing: Viewing = DAYLIGHT) -> Array:
 def lab_under_d65(lab: Array, viewing: Viewing) -> Array:
     """Convert CIELAB (..., 3) under another light or for another observer to D65 and the 2 degree observer.
 
-    Both are relative to their whites.
-
-    Of all spectra of the colour, the one that is a combination of the smooth ones of the primaries is taken.
+    Both are relative to their whites. The colour does not determine the spectrum; a combination of smooth spectra
+    of the primaries is assumed.
     Source: Mallett & Yuksel 2019, for the spectra.
     """
     if viewing == DAYLIGHT:

@@ -20,13 +20,13 @@ _CIE_FLUORESCENT = {f"F{i}": f"FL{i}" for i in range(1, 13)}
 
 
 def illuminant_names() -> tuple[str, ...]:
-    """Return the illuminants `to_xyz` knows: those of colour-science, and CIE's F1 to F12 for its FL1 to FL12."""
+    """Return the names of all illuminants: those of colour-science, and F1 to F12 for its FL1 to FL12."""
     return (*standard_tables().illuminants, *_CIE_FLUORESCENT)
 
 
 @dataclass(frozen=True)
 class Illuminant:
-    """The relative spectral power of a light, named as by CIE, or as the file that it was read from.
+    """A light: its relative spectral power, and the name of the CIE illuminant or of the file.
 
     Attributes:
         wavelengths_nm: increasing.
@@ -39,7 +39,7 @@ class Illuminant:
 
     @classmethod
     def named(cls, name: str) -> Illuminant:
-        """Return one of `illuminant_names()`."""
+        """Return the CIE illuminant with a name of `illuminant_names()`."""
         key, known = _CIE_FLUORESCENT.get(name, name), standard_tables().illuminants
         if key not in known:
             raise UnknownNameError(
@@ -50,18 +50,18 @@ class Illuminant:
 
     @classmethod
     def read(cls, path: Path) -> Illuminant:
-        """Read a light from a file of wavelengths and powers in any unit, see `formats.spectra.read_spectrum`."""
+        """Read a light from a file of wavelengths and powers in any unit (see `formats.spectra.read_spectrum`)."""
         nm, power = read_spectrum(path, "power")
         if power.min() < 0 or not 0 < power.max() < _MOST_POWER:
             raise FileFormatError(
-                f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0, one above, and none "
-                f"of {_MOST_POWER:g} or more"
+                f"{path}: powers from {power.min():g} to {power.max():g}, expected powers from 0 to below "
+                f"{_MOST_POWER:g}, one of them above 0"
             )
         return cls(path.name, tuple(nm.tolist()), tuple(power.tolist()))
 
     @property
     def is_d65(self) -> bool:
-        """Return whether it is the light of linear sRGB."""
+        """Return whether the light is D65, the light of linear sRGB."""
         return self.name == "D65"
 
     def at(self, wavelengths_nm: Array) -> Array:

@@ -25,7 +25,7 @@ _ZENITH, _HORIZON = 0.9, 0.28
 
 
 def studio(height: int = 256) -> Array:
-    """Return the package's own environment: a dim dome and three soft boxes, linear and without colour.
+    """Return the studio, the default environment: a dim dome and three soft boxes, without colour.
 
     Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right from
     there.

@@ -1,8 +1,9 @@
 """Spectra estimated from three narrow bands, blue, green and red, as camera-like instruments measure them.
 
-Such bands are neither linear sRGB nor a spectrum to interpolate: what lies between them is known from measured
-reflectances. In cube roots, relative to the mean of the three bands, deviations from a flat spectrum are estimated as
-linear in those of the bands. The estimate is proportional to what was measured, and a neutral colour stays neutral.
+Such bands are neither linear sRGB nor a spectrum that could be interpolated. A linear map, learned from measured
+reflectances, predicts the rest of the spectrum. It maps the deviations of the bands from a flat spectrum to the
+deviations of the spectrum, in cube roots and relative to the mean of the three bands. The estimate is proportional
+to the measured values, and a neutral colour stays neutral.
 
 Source: Wiener estimation; Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of
 art paintings".
@@ -67,7 +68,7 @@ def with_spectra(readings: Readings) -> Readings:
 
 
 def in_daylight(readings: Readings) -> Readings:
-    """Return readings in linear sRGB relative to D65/2, with a note of the expected error if they had another light.
+    """Return readings in linear sRGB relative to D65/2; if they had another light, with a note on the error.
 
     Other readings are returned unchanged.
     """
@@ -96,7 +97,7 @@ def in_daylight(readings: Readings) -> Readings:
 
 @lru_cache(maxsize=8)
 def conversion_errors(viewing: Viewing) -> tuple[float, float]:
-    """Return median and 90th percentile of the CIEDE2000 of colours of measured reflectances, converted to D65/2."""
+    """Return median and 90th percentile of the CIEDE2000 of measured reflectances after conversion to D65/2."""
     f = _reflectances()[1] / np.pi
     found = lab_under_d65(lab_values(f, SPECTRUM, viewing), viewing)
     errors = delta_e_2000_lab(found, lab_values(f, SPECTRUM))
@@ -107,7 +108,7 @@ def conversion_errors(viewing: Viewing) -> tuple[float, float]:
 def colour_errors(bands: Bands) -> tuple[float, float]:
     """Return median and 90th percentile of the CIEDE2000 (D65) of measured reflectances, estimated from the others.
 
-    Those of the same name, such as the patches of several ColorCheckers, are left out together.
+    Reflectances of the same name, such as one patch of several ColorCheckers, are left out together.
     """
     names, spectra = _reflectances()
     read = _at(spectra, bands)
@@ -133,7 +134,7 @@ def _matrix(bands: Bands) -> Array:
 
 
 def _learned(spectra: Array, read: Array) -> Array:
-    """Learn the matrix (3, 31) from deviations of three bands to those of spectra.
+    """Return the matrix (3, 31) that maps deviations of three bands to deviations of spectra.
 
     The n examples have spectra (n, 31) and readings (n, 3).
     """

@@ -1,7 +1,8 @@
-"""The panel of lights in which the look of a material is fitted, and those in which it is judged.
+"""Sets of lights: those in which fits minimise errors, and those in which errors are measured.
 
-One soft light flatters: what is fitted to it looks worse elsewhere. So fits see the ball in several lights, and errors
-are of other ones, `judged_lights.JUDGED`: means over these, and the worst of them by its name.
+A single soft light underestimates errors, because a fit to it looks worse in other lights. Therefore fits minimise
+the error of the ball in several lights, and errors are measured in others, `judged_lights.JUDGED`: their mean, and
+the worst of them by name.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _SUN_PIXELS = 32  # across the ball
 
 
 class Panel(Picture):
-    """A ball in L lights: by their names: the pixels of one after those of the other."""
+    """A ball in L lights, by their names: the pixels of all lights, one light after the other."""
 
     def __init__(self, names: tuple[str, ...], pairs: Pairs, sums: Sequence[scipy.sparse.csr_array]) -> None:
         """Join the pixels of each light, as sums over the same pairs."""
@@ -40,9 +41,9 @@ class Panel(Picture):
 
     @cached_property
     def signature(self) -> int:
-        """A hash of lights, pixels and directions, of 48 bits; calibrations with another hash are stale.
+        """A 48-bit hash of lights, pixels and directions; calibrations with another hash are out of date.
 
-        It is of rounded moments, which the last digits of other processors' functions do not change.
+        It hashes rounded moments, which do not depend on the last digits of a processor's functions.
         """
         digest = hashlib.sha256(repr((self.names, self.counts.tolist())).encode())
         first = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
@@ -54,7 +55,7 @@ class Panel(Picture):
 
     @property
     def pixel_weights(self) -> Array:
-        """Weights (K,) of all pixels with which lights count the same, whose mean is 1."""
+        """Weights (K,) of all pixels, of mean 1, by which every light counts equally."""
         return np.repeat(self.counts.mean() / self.counts, self.counts)
 
     def every(self, step: int) -> tuple[Panel, Indices]:
@@ -66,7 +67,7 @@ class Panel(Picture):
         return Panel(self.names, self[used], parts), np.concatenate(chosen)
 
     def compare(self, xyz: Array, xyz_star: Array) -> Errors[float]:
-        """Return the differences between two balls, by their values of `xyz`."""
+        """Return the colour differences between two balls, given their XYZ of `xyz`."""
         each = np.cumsum(self.counts)[:-1]
         found = np.split(difference.delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3))), each)
         itp = np.split(difference.delta_e_itp(xyz, xyz_star), each)
@@ -74,7 +75,7 @@ class Panel(Picture):
         return Errors.of_lights(lights, float(np.mean([one.mean() for one in itp])))
 
     def errors(self, f: Array, f_star: Array, bands: Bands) -> Errors[float]:
-        """Return the differences between the balls of values f and f_star (P, B)."""
+        """Return the colour differences between the balls of BRDF values f and f_star, (P, B) each."""
         return self.compare(self.xyz(f, bands), self.xyz(f_star, bands))
 
 

@@ -39,10 +39,10 @@ class Image:
     """A picture in linear values.
 
     Attributes:
-        values: linear sRGB, shape (H, W, 3), float32; of transparent pixels as the file has them.
+        values: linear sRGB, shape (H, W, 3), float32; transparent pixels have the values of the file.
         is_opaque: pixels that are not transparent, shape (H, W).
-        is_clipped: pixels that were at least as bright as their values: integers at their largest value; floats where
-            four or more share the largest one; shape (H, W).
+        is_clipped: pixels that may have been brighter than their values, shape (H, W): integers at their largest
+            value, or floats if four or more share the largest one.
         is_encoded: whether the file has display values, which were decoded as sRGB.
         is_grey: whether its channels are equal.
         notes: assumptions about the file, in sentences.
@@ -62,11 +62,10 @@ def read_picture(path: Path) -> Image:
 
     EXR, HDR, PFM and TIFF are linear; other formats, and TIFF with a profile of sRGB, are decoded as sRGB.
 
-    PNG of 16 bits that names no colour space is linear, too, as photometric stereo has it. Raw files of cameras are
-    developed by LibRaw: linear, in sRGB's primaries, with the camera's white balance.
-
-    It is upright, as its orientation says. Layers and other channels than red, green, blue or grey, and alpha are left
-    out of EXR and TIFF.
+    A PNG file of 16 bits that names no colour space is also read as linear, as in photometric-stereo data sets.
+    LibRaw develops raw files of cameras: linear, in the primaries of sRGB, with the white balance of the camera.
+    The result is turned upright by the orientation that the file states. In EXR and TIFF, layers and channels other
+    than red, green, blue or grey, and alpha, are ignored.
     """
     if not path.is_file():
         raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .tif, .png, .jpg)")

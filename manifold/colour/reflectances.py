@@ -20,7 +20,7 @@ _VISIBLE_NM = (400.0, 700.0)
 
 
 def diffuse_reflectance_names() -> tuple[str, ...]:
-    """Return the names of the spectra `diffuse_reflectance` knows, as `set/name`.
+    """Return the names of all spectra of `diffuse_reflectance`, as `set/name`.
 
     Sets: `ohta`, `babel` and `iso17321` (the 24 patches of a ColorChecker, three measurements), `pmc` (skin,
     fruit, grass and other objects of daily life), `tcs` (CIE test colour samples), `vs` (NIST colour
@@ -30,7 +30,7 @@ def diffuse_reflectance_names() -> tuple[str, ...]:
 
 
 def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
-    """Return a measured diffuse reflectance, in [0, 1], in the shape of `wavelengths_nm`.
+    """Return a measured diffuse reflectance by its name, in [0, 1], in the shape of `wavelengths_nm`.
 
     Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`), 380 to 780
     (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and infrared bands of RGL
@@ -49,9 +49,9 @@ def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
 
 
 def srgb_reflectance(display: Array, bands: Bands) -> Array:
-    """Return a smooth reflectance that has an sRGB colour under D65, in [0, 1], shape (B,).
+    """Return a smooth reflectance with a given sRGB colour under D65, in [0, 1], shape (B,).
 
-    Of RGB bands, the linear colour itself.
+    For RGB bands, return the linear colour itself.
 
     Args:
         display: encoded sRGB values in [0, 1], shape (3,).
@@ -75,7 +75,8 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
 def srgb_spectra(bands: Bands) -> Array:
     """Return smooth spectra of the three linear sRGB primaries under D65, read-only, shape (3, B), B wavelengths.
 
-    A colour times them is a spectrum of that colour; none is negative, and they sum to 1 in every band.
+    Their sum, weighted by a linear colour, is a spectrum of that colour. They are non-negative and sum to 1 in
+    every band.
 
     Source: Mallett & Yuksel 2019; held constant outside 380 to 780 nm.
     """
@@ -87,11 +88,11 @@ def srgb_spectra(bands: Bands) -> Array:
 
 @dataclass(frozen=True)
 class ReflectanceSpectrum:
-    """A reflectance over wavelengths, linear between them, its ends held.
+    """A reflectance spectrum, linear between its wavelengths and constant beyond them.
 
     Attributes:
-        wavelengths_nm: increasing, at least two, that cover half of what is visible.
-        values: from 0 to 1, as many.
+        wavelengths_nm: increasing, at least two, which cover at least half of the visible range.
+        values: reflectances from 0 to 1, one per wavelength.
     """
 
     wavelengths_nm: tuple[float, ...]
@@ -102,11 +103,12 @@ class ReflectanceSpectrum:
         nm, values = (np.asarray(a, dtype=np.float64) for a in (self.wavelengths_nm, self.values))
         if nm.ndim != 1 or nm.shape != values.shape or len(nm) < 2:
             raise UsageError(
-                f"{self.name}: wavelengths {nm.shape} and reflectances {values.shape}, expected as many, at least 2"
+                f"{self.name}: {nm.shape} wavelengths and {values.shape} reflectances, "
+                "expected equal numbers, at least 2"
             )
         if not np.all(np.diff(nm) > 0) or not np.isfinite(nm[-1]):
             raise UsageError(
-                f"{self.name}: wavelengths do not increase, expected finite ones in nm, each once; sort them"
+                f"{self.name}: wavelengths do not increase, expected different, finite ones in nm; sort them"
             )
         if not np.all((values >= 0) & (values <= 1)):
             raise UsageError(
@@ -132,11 +134,11 @@ class ReflectanceSpectrum:
 def read_reflectance(path: Path, bands: Bands) -> Array:
     """Read a reflectance spectrum from a file, interpolated to the bands, shape (B,).
 
-    The file is read by `formats.spectra.read_spectrum`. Outside its range the ends are held. For RGB bands the result
-    is its linear sRGB colour under D65.
+    The file is read by `formats.spectra.read_spectrum`. Beyond its range the spectrum is constant. For RGB bands the
+    result is its linear sRGB colour under D65.
 
     Raises:
-        FileFormatError: the file holds no reflectances from 0 to 1, or covers less than half of what is visible.
+        FileFormatError: the file holds no reflectances from 0 to 1, or covers less than half of the visible range.
         UsageError: the file cannot be read.
     """
     nm, values = read_spectrum(path, "reflectance")
@@ -166,15 +168,15 @@ def _reflectances() -> dict[str, tuple[Array, Array]]:
 
 
 def metal_names() -> tuple[str, ...]:
-    """Return the materials `metal_ior` knows, sorted: element symbols and formulas such as `Au`, `Cr`, `TiN`."""
+    """Return the sorted names of all materials of `metal_ior`: symbols and formulas such as `Au`, `TiN`."""
     return tuple(sorted(_ior_files()))
 
 
 def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
     """Return the complex index of refraction eta + i k of a metal or crystal, relative to vacuum.
 
-    Interpolated linearly between the table's wavelengths and held constant outside them: most tables end
-    between 750 and 900 nm, so the last infrared bands of RGL files repeat the table's end.
+    The table is interpolated linearly and constant beyond its ends. Most tables end between 750 and 900 nm, so the
+    last infrared bands of RGL files repeat the end of the table.
 
     Args:
         name: one of `metal_names()`, such as `Au`.

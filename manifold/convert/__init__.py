@@ -1,4 +1,4 @@
-"""Files of BRDFs and of instruments converted into each other."""
+"""Conversion between files of BRDFs and of instruments."""
 
 import lazy_loader
 

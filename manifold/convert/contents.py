@@ -1,6 +1,6 @@
 """Contents of a file, a library or a model, as rows and tables for `manifold info`.
 
-What only one of them needs (zarr, models) is imported where it is used.
+Modules that only one of them needs (zarr, models) are imported on first use.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _count(record: registry.Record) -> int:
 
 
 def _picture_table(readings: Readings) -> Table:
-    """Return pictures with their geometries, sizes and mean colours, and the ratio to the readings'."""
+    """Return a table of pictures: geometry, size, mean colour, and its ratio to the reading's colour."""
     heads = ("picture", "camera, lamp in degrees", "pixels", "mean linear sRGB", "ratio to the reading")
     rows = []
     for caption, content in readings.texture["images"].items():
@@ -157,7 +157,7 @@ def _document(record: registry.Record) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return values that JSON has; images by their length in bytes."""
+    """Return values that JSON can hold; images are replaced by their length in bytes."""
     if isinstance(value, bytes):
         return {"bytes": len(value)}
     if isinstance(value, Mapping):
@@ -192,7 +192,7 @@ def inspect(
 ) -> Inspection:
     """Inspect a file of a BRDF or an instrument, a library, a model or the JSON of a fit, recognised by content.
 
-    A model's library may have been moved; to verify a library is to read and hash it again.
+    `library` is the place of the model's library if it was moved. `verify` reads a library and compares all hashes.
     """
     kind = kind_of(path)
     if kind is Kind.NOTHING:
@@ -281,7 +281,7 @@ def _inspect_file(file: BsdfFile, path: Path, *, is_compact: bool = False) -> In
 
 
 def _incidence_table(file: BsdfFile, checked: Consistency) -> Table:
-    """Return albedo, negative values and reciprocity by elevation, each the worst over the azimuths."""
+    """Return a table of albedo, negative values and reciprocity by elevation, the worst over azimuths each."""
     albedo, negative = checked.albedo.max(axis=0), checked.negative_share.max(axis=0)  # [T, B]
     distance = np.abs(np.log(np.nan_to_num(checked.reciprocity, nan=1.0)))
     ratio = np.take_along_axis(checked.reciprocity, distance.argmax(axis=0)[None], axis=0)[0]  # [T]
@@ -344,7 +344,7 @@ def _inspect_fit(path: Path) -> Inspection:
 
 
 def _quantiles(errors: Errors[Array]) -> tuple[str, ...]:
-    """Return the medians and 90th percentiles of errors of several materials, a line each."""
+    """Return medians and 90th percentiles of the errors of several materials, one line per error."""
     median, p90 = errors.median, errors.p90
     return (
         f"median {median.ball:.1f}, 90th percentile {p90.ball:.1f} {BALL}",

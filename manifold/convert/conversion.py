@@ -1,4 +1,4 @@
-"""The work behind `manifold convert`: between files of BRDFs and of instruments, with the conversion error."""
+"""The conversion of `manifold convert` between files of BRDFs and of instruments, and its error."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class Conversion(Result):
     """The result of a conversion.
 
     Attributes:
-        files: that were read; or the place.
-        source, target: what was read and the format, in words.
-        nodes: how many of the file's own were compared with the result, read back; errors are there.
-        median, percentile_95: of `|f* - f| / |f|` over nodes and bands.
+        files: the files that were read, or the place on the map.
+        source, target: what was read, and the format that was written, in words.
+        nodes: number of nodes of the input at which the written file was read back and compared.
+        median, percentile_95: of the relative error `|f* - f| / |f|` over nodes and bands.
     """
 
     name: str = field(metadata=entry(row="material"))
@@ -109,17 +109,17 @@ def convert(
     merge: bool = False,
     unit: str | None = None,
 ) -> Conversion:
-    """Convert a file of a BRDF or of readings into another format.
+    """Convert a file of a BRDF or of readings into another format, and measure the conversion error.
 
     Args:
-        paths: one file, or the files of one sample; or a place, whose prediction is converted itself.
-        output: what to write; its suffix chooses the format.
-        to: one of `CONVERTED`, where the suffix does not tell.
-        sample: which of a file's samples.
-        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
-        options: of RGL files.
-        merge: whether several files are of one sample although they name it differently.
-        unit: of values in files that say none: `brdf`, `factor` or `percent`.
+        paths: one file, the files of one specimen, or a place on the map, whose prediction is converted.
+        output: the file to write; its suffix chooses the format.
+        to: one of `CONVERTED`, if the suffix is ambiguous.
+        sample: name of the specimen, for a file with several.
+        correction: a colour correction of `manifold calibrate`, which is applied to readings in three bands.
+        options: the grid of a written RGL file.
+        merge: treat all files as one specimen, even if they name it differently.
+        unit: unit of values in files that name none: `brdf`, `factor` or `percent`.
 
     Raises:
         UsageError: the format is unknown, the output cannot be written, readings do not make a BRDF, or files are of
@@ -175,7 +175,7 @@ def convert(
 
 @contextmanager
 def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Path] | PlaceSource]:
-    """Yield the input of `convert` that a user names; files written for it exist during the block."""
+    """Yield the input of `convert` for a path or place; temporary files of it exist during the block."""
     if len(sources) == 1 and isinstance(sources[0], PlaceSource):
         yield sources[0]
         return
@@ -195,7 +195,7 @@ def _predicted(place: PlaceSource) -> tuple[DiagnosedPrediction, BsdfFile]:
 
 
 def _gaps(source: Source) -> list[str]:
-    """Return notes on readings that are sparser than a goniometer's."""
+    """Return notes on readings that are too sparse for an accurate interpolation."""
     theta = np.rad2deg(source.theta_i_rad)
     if theta.size == 1:
         return [
@@ -209,7 +209,7 @@ def _gaps(source: Source) -> list[str]:
 
 
 def _compared(source: Source, back: Source) -> tuple[Readings, Array]:
-    """Return nodes of a source, and the values (P, B) of the result there, 1/sr.
+    """Return the nodes of a source, and the values (P, B) of the written file at them, in 1/sr.
 
     Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes.
     """

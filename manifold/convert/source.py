@@ -1,4 +1,4 @@
-"""Sources of `manifold convert`: an RGL file or an instrument's, as a BRDF and as values at its own nodes."""
+"""Inputs of `manifold convert`: a file as a BRDF, and as values at its own nodes."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ class Source:
 
     Attributes:
         nodes: values at the file's own nodes, at most `MOST_NODES` of them.
-        interpolated: what interpolates them, or the error that says why readings do not make a BRDF.
-        theta_i_rad: the file's own incidences, increasing; none where it has no such nodes.
-        is_readings: whether the nodes are all that the file holds.
+        interpolated: the BRDF that interpolates the nodes, or the error that says why these readings cannot be
+            interpolated.
+        theta_i_rad: the incidences of the file, increasing; empty if its nodes have no common incidences.
+        is_readings: whether the nodes are readings, and all that the file holds.
     """
 
     nodes: Readings
@@ -69,7 +70,7 @@ class Source:
 
 
 class SrgbBRDF(WrappedBRDF):
-    """A spectral BRDF in linear sRGB under D65, through colour-science."""
+    """A spectral BRDF converted to linear sRGB under D65."""
 
     def __init__(self, brdf: BRDF) -> None:
         """Wrap a spectral BRDF."""
@@ -95,7 +96,7 @@ class LuminanceBRDF(WrappedBRDF):
 
 
 class EstimatedSpectraBRDF(WrappedBRDF):
-    """A BRDF in three narrow bands as spectra, see `colour.narrow_bands`."""
+    """A BRDF in three narrow bands converted to estimated spectra (see `colour.narrow_bands`)."""
 
     def __init__(self, brdf: BRDF) -> None:
         """Wrap a BRDF in three narrow bands."""
@@ -116,7 +117,7 @@ def open_source(
     merge: bool = False,
     unit: str | None = None,
 ) -> Source:
-    """Read a source to be converted: one file, or the files of one sample (pab-opto's, one per incidence).
+    """Read the input of a conversion: one file, or the files of one specimen (pab-opto: one per incidence).
 
     Colours of readings are corrected before anything else; in linear sRGB, RGL files are converted before they are
     interpolated, which is quicker; merged files are of one sample although they name it differently; `unit` is of
@@ -126,9 +127,9 @@ def open_source(
     if of_rgl and len(paths) > 1:
         raise UsageError(f"{of_rgl[0]}: an RGL file among {len(paths)} files; convert it alone")
     if of_rgl and unit is not None:
-        raise UsageError(f"{paths[0]}: an RGL file says its unit, expected none; leave --unit {unit} out")
+        raise UsageError(f"{paths[0]}: an RGL file states its unit; leave --unit {unit} out")
     if of_rgl and sample is not None:
-        raise UsageError(f"{paths[0]}: holds one material, expected no name of a sample")
+        raise UsageError(f"{paths[0]}: an RGL file holds one material; leave the name of the sample out")
     record: BsdfFile | registry.Record
     if of_rgl:
         record = read_bsdf(paths[0])
@@ -137,8 +138,8 @@ def open_source(
         names = list(dict.fromkeys(part.name for part in parts))
         if len(names) > 1 and not merge:
             raise UsageError(
-                f"{len(paths)} files of different samples, {first_few(names)}; convert them into a folder, or merge "
-                "them if they are one sample's"
+                f"{len(paths)} files of different samples, {first_few(names)}; convert them into a folder, or add "
+                "--merge if they belong to one sample"
             )
         record = registry.merge(parts)
     if correction is not None and not isinstance(record, Readings):

@@ -1,4 +1,4 @@
-"""BRDFs of dense tables and of a goniometer's readings: interpolated, exact at their own nodes."""
+"""BRDFs that interpolate dense tables or a goniometer's readings, exactly at their nodes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LEAST_ALPHA = 0.05  # roughness of the masking, without which noise grows as 1 
 
 
 class TabulatedBRDF(AnalyticBRDF):
-    """Base class of BRDFs of tables: values below the horizon are 0, and sampling is by the cosine."""
+    """Base class of interpolated tables: 0 below the horizon, and sampled by the cosine."""
 
     _isotropic: bool
 
@@ -45,10 +45,10 @@ class TabulatedBRDF(AnalyticBRDF):
 
 
 class DenseBRDF(TabulatedBRDF):
-    """A dense table, linear between its nodes; nodes that were not measured hold the nearest that was."""
+    """A dense table, linear between its nodes; unmeasured nodes have the value of the nearest measured one."""
 
     def __init__(self, table: DenseTable) -> None:
-        """Fill unmeasured values."""
+        """Take a dense table and fill its unmeasured nodes."""
         measured = table.measured
         if not np.any(measured):
             raise UsageError(f"{table.name}: nothing was measured, so there is nothing to interpolate")
@@ -99,11 +99,12 @@ def _bracket(axis: Array, angle: Array, period: float | None) -> tuple[Array, Ar
 
 
 class ReadingsBRDF(TabulatedBRDF):
-    """A goniometer's readings: a hemisphere of directions at each of several incidences.
+    """The interpolation of a goniometer's readings: a hemisphere of directions at each incidence.
 
-    Between two incidences values are blended at the same half vector, so that highlights move with the incidence and
-    do not appear twice; what exceeds the diffuse level, noise with it, follows D F G / (4 cos cos) of microfacets, with
-    the masking G of a smooth surface. Steeper incidences than any measured are read with wi and wo exchanged.
+    Between two incidences, values are interpolated at the same half vector, so that highlights move with the
+    incidence and do not appear twice. The part above the diffuse level, including noise, is scaled like D F G / (4
+    cos cos) of microfacets with the masking G of a smooth surface. Incidences beyond the last measured one are
+    evaluated with wi and wo exchanged.
     """
 
     def __init__(self, readings: Readings) -> None:
@@ -174,7 +175,7 @@ class ReadingsBRDF(TabulatedBRDF):
 
 
 class _Slice:
-    """Values on the disk of outgoing directions: linear on triangles, the nearest outside them."""
+    """Values on the disk of outgoing directions: linear on triangles, and the nearest value outside of them."""
 
     def __init__(self, place: Array, values: Array, what: str) -> None:
         """Triangulate places (n, 2) with values (n, B). Raises UsageError where that is impossible."""

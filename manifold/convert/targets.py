@@ -52,9 +52,10 @@ Write = Callable[[Path, "Source", "Options"], list[str]]
 
 
 class Target(NamedTuple):
-    """A format to write: its title, suffixes that stand for it, the bands that it holds, and a function.
+    """A format to write: its title, its suffixes, the bands that it can hold, and the function that writes it.
 
-    The function writes a source; its notes say what was left out. `keeps` names what else it keeps of readings.
+    The function writes a source and returns notes on omitted data. `keeps` names further data of readings that the
+    format holds.
     """
 
     title: str
@@ -76,12 +77,12 @@ class Target(NamedTuple):
 
 
 class Options(NamedTuple):
-    """The sampling of an RGL file; without options, the file is copied byte for byte.
+    """The grid of a written RGL file; without options, an RGL file is copied byte for byte.
 
     Attributes:
         resolution: nodes per axis of its outgoing grid, by default 64.
-        n_theta_i: angles of incidence over the hemisphere, beside the file's own; by default 16, and 48 where a file
-            has none of its own.
+        n_theta_i: number of angles of incidence in addition to those of the file; by default 16, or 48 if the file
+            has none.
     """
 
     resolution: int | None = None
@@ -165,7 +166,7 @@ def _reciprocal(source: Source, wi: Array, wo: Array, turns: Array) -> Array:
 def _share(a: Array, b: Array, source: Source) -> Array:
     """Return the weight (n,) of f(a, b) beside f(b, a) for pairs (n, 3).
 
-    It is half, but for readings it depends on how near an incidence is.
+    The weight is 1/2, except that for readings the direction nearer to a measured incidence weighs more.
     """
     if not source.is_readings:
         return np.full(len(a), 0.5)
@@ -317,7 +318,7 @@ def _incidences(source: Source) -> Array:
 def _eval(source: Source, wi: Array, wo: Array) -> Array:
     """Return f in 1/sr, shape (..., B).
 
-    Directions nearer to the horizon than RGL files hold get the values two degrees above it.
+    Directions closer to the horizon than RGL files reach get the values at two degrees above it.
     """
     if source.file is not None:
         wi, wo = _off_horizon(wi), _off_horizon(wo)

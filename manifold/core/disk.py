@@ -99,7 +99,7 @@ def read_text(path: Path, *, advice: str) -> str:
     try:
         return read_bytes(path, advice=advice, most=MOST_TEXT).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not a text in UTF-8; {advice}") from error
+        raise UsageError(f"{path}: not a text file in UTF-8; {advice}") from error
 
 
 def read_json(path: Path, expected: str) -> Any:
@@ -112,7 +112,7 @@ def read_json(path: Path, expected: str) -> Any:
     except RecursionError as error:
         raise FileFormatError(f"{path}: nested too deeply, expected {expected}; name another file") from error
     except UnicodeDecodeError as error:
-        raise FileFormatError(f"{path}: not a text, expected {expected}; name another file") from error
+        raise FileFormatError(f"{path}: not a text file, expected {expected}; name another file") from error
     except ValueError as error:  # not JSON, or a number of thousands of digits
         raise FileFormatError(f"{path}: {error}, expected {expected}; name another file") from error
 

@@ -60,7 +60,7 @@ class Identity:
         return mapped
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """Return ones."""
+        """Return the derivative of the mapping, 1."""
         return np.ones_like(values)
 
 

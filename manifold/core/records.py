@@ -67,7 +67,7 @@ class Bands:
 
     @property
     def count(self) -> int:
-        """B."""
+        """Number of bands, B."""
         return 3 if self.wavelengths_nm is None else len(self.wavelengths_nm)
 
     @property

@@ -96,7 +96,7 @@ class Data(Values):
 
     @property
     def n_materials(self) -> int:
-        """N."""
+        """Number of materials, N."""
         return len(self.f)
 
     @property

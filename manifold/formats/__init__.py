@@ -1,4 +1,4 @@
-"""Files of other programs and of instruments, one module per format."""
+"""Readers and writers of the files of instruments and other programs, one module per format."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Tables in the manner of ASTM E1392: `KEY value` lines, a line `VARS theta_i,phi_i,theta_s,phi_s,...`, then rows.
+"""Tables like those of ASTM E1392: `KEY value` lines, a line `VARS theta_i,phi_i,theta_s,phi_s,...`, then rows.
 
 Radians about the normal, BRDF in 1/sr, as goniometers such as the Mini-Diff V2 (Light Tec, Synopsys) write them.
 """
@@ -59,8 +59,8 @@ class _Columns:
     """The columns of the rows, in order: names of angles, heads of bands, and of uncertainties.
 
     Attributes:
-        kind: what the values are; None where the file does not say it.
-        white: the value of the perfect diffuser, where they are reflectance factors.
+        kind: the quantity of the values; None if the file names none.
+        white: the value of the perfect diffuser, if the values are reflectance factors.
     """
 
     names: list[str]
@@ -169,7 +169,7 @@ def _wavelength_of_header(
 def _rows(
     lines: list[str], start: int, columns: _Columns, context: ErrorContext
 ) -> tuple[Array, list[str], _Columns]:
-    """Return the table of numbers, the notes, and the columns that `VARS` leaves out."""
+    """Return the table of numbers, the notes, and the columns that `VARS` omits."""
     numbered = data_lines(lines[start:], start + 1)
     while numbered and re.fullmatch(r"\s*(END|EOF|DATA_?END)\s*", numbered[-1][1], re.IGNORECASE):
         numbered.pop()
@@ -251,7 +251,7 @@ def _readings(
 def write(path: Path, readings: Readings) -> None:
     """Write the table in radians, azimuths from 0 to 2 pi, in order of the readings."""
     if not np.all(readings.measured):
-        raise ShapeError(f"{readings.name}: values that were not measured, expected all; select the others")
+        raise ShapeError(f"{readings.name}: some values are missing, expected all; select other pairs")
     lines = [
         f"SAMPLE_NAME {_quoted(readings.name)}", f"SYSTEM_NAME {_quoted(readings.instrument)}", 'MEAS_NAME "BRDF"',
         f"NUM_POINTS {len(readings)}", "VARS theta_i,phi_i,theta_s,phi_s," + ",".join(band_heads(readings)),

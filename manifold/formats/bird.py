@@ -1,7 +1,8 @@
 """BRDF files of the BiRD project (EURAMET): JSON with a row for every value, and its uncertainty.
 
-Angles in degrees or radians, wavelengths in nm or um, values in 1/sr. Values of the same directions and wavelength for
-several states of polarisation become their mean, which is that of unpolarised light where the states are orthogonal.
+Angles in degrees or radians, wavelengths in nm or um, values in 1/sr. Values of several polarisation states at the
+same directions and wavelength are averaged, which gives the value of unpolarised light if the states are
+orthogonal.
 
 Source: BiRD project, BRDF_JSON_schema version 1.0.
 """
@@ -45,9 +46,9 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Return readings in all wavelengths; a pair of directions that lacks one is not measured there.
+    """Return readings at all wavelengths, with NaN where a pair of directions has no value.
 
-    Readings with a larger uncertainty weigh less, and their scatter is that of cube roots.
+    Readings with a larger uncertainty get a smaller weight; their scatter is the uncertainty of the cube roots.
     """
     context = ErrorContext(path, _REMEDY)
     try:
@@ -106,7 +107,7 @@ def _variable(
         isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < 1e300
         for value in values
     ):
-        raise context.error("holds something else than numbers of at least 0", field=key)
+        raise context.error("has values that are no numbers of at least 0", field=key)
     if count is not None and len(values) != count:
         raise context.error(f"has {len(values)} values, expected {count}, as BRDF has", field=key)
     return np.array(values, dtype=np.float64), str(variable.get("unit", ""))
@@ -150,9 +151,9 @@ def _uncertainty(data: dict[str, Any], count: int, context: ErrorContext) -> Arr
 
 
 def write(path: Path, readings: Readings, method: str) -> None:
-    """Write a file of the schema, with an uncertainty of every value if the readings, in wavelengths, have a scatter.
+    """Write spectral readings as a BiRD file; if they have a scatter, with an uncertainty of every value.
 
-    The method is measurement or simulation; who measured, where and with what is left to be filled in.
+    The fields on who measured, where and with which instrument are left empty.
     """
     nm = np.asarray(readings.bands.wavelengths_nm)
     pair, band = np.nonzero(readings.measured)

@@ -35,14 +35,14 @@ _XYZ = {f"{word}{letter}": k for word in ("tris", "tristimulus") for k, letter i
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """One table and the keys before it.
+    """A table of values, and the keys that stand before it.
 
     Attributes:
         values: azimuths x radials.
-        words: what stands behind other keys, by their plain form.
-        numbers: `aoi`, `poi` and `wavelength` where they are given.
+        words: the text behind other keys, by the plain form of the key.
+        numbers: `aoi`, `poi` and `wavelength`, if they are given.
         tristimulus: 0, 1 or 2 for X, Y or Z.
-        tis: the fraction of light that it scatters, as the file says.
+        tis: total integrated scatter that the file states, a fraction.
     """
 
     values: Array
@@ -54,7 +54,7 @@ class Block:
 
 @dataclass
 class BsdfText:
-    """A file of blocks.
+    """The content of a file: lists of angles, and blocks.
 
     Attributes:
         lists: angles in degrees by plain key, such as `scatterradial`.
@@ -71,7 +71,7 @@ class BsdfText:
         return unique_directions(self.lists["scatterazimuth"], self.lists["scatterradial"])
 
     def require_brdf(self, words: dict[str, str]) -> None:
-        """Raise FileFormatError where the words before a table say that its values are no BRDF."""
+        """Raise FileFormatError if the words before a table say that its values are no BRDF."""
         said = words.get("scattertype", "BRDF")
         if quantity_in_prose(said, "ScatterType", self.context) is not BRDF:
             raise self.context.error(f"ScatterType is '{said[:24]}', expected BRDF")
@@ -80,7 +80,7 @@ class BsdfText:
 def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, Indices]:
     """Return azimuth and radial angle (n,) in degrees of a table's directions, azimuths first, and their index in it.
 
-    A full turn appears once; radial 0 is one direction, of which the first azimuth is taken.
+    Azimuth 360 is dropped if 0 is present. Radial angle 0 is one direction, which has the first azimuth.
     """
     keep = np.ones((azimuths.size, radials.size), dtype=bool)
     if azimuths.size > 1 and np.isclose(azimuths[-1] - azimuths[0], 360.0):
@@ -125,7 +125,7 @@ def read_blocks(path: Path) -> BsdfText:
 
 
 class Words:
-    """The words of lines in turn, each with its line."""
+    """An iterator over the words of a file that knows the line of each word."""
 
     def __init__(self, lines: list[tuple[int, str]], context: ErrorContext) -> None:
         """Take lines with their numbers in the file."""
@@ -231,7 +231,7 @@ class Words:
         return values
 
     def angles(self, key: str) -> Array:
-        """Return a count's number of increasing angles in degrees, as they follow a key."""
+        """Return the increasing angles in degrees whose count and values follow a key."""
         return self.increasing(self.count(key), f"angles of {key}")
 
     def table(self, azimuths: Array, radials: Array) -> Array:

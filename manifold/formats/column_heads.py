@@ -1,4 +1,4 @@
-"""Heads of columns in tables, matched as a whole: angles, bands, quantities, gloss, names of samples."""
+"""The meaning of column headings: angles, bands, quantities, gloss, names of specimens."""
 
 from __future__ import annotations
 
@@ -96,11 +96,11 @@ _LAB = re.compile(rf"(?:CIE\s*)?(?P<axis>[LAaBbl])\s*\*?\s*([(\[]?\s*{_OF_VIEWIN
 
 
 class ValueHead(NamedTuple):
-    """The meaning of the head of a column of values.
+    """The meaning of the heading of a column of values.
 
     Attributes:
-        nm: its wavelength, or None.
-        quantity: what its values are, or None.
+        nm: wavelength in nm, or None.
+        quantity: quantity of the values, or None.
         channel: `r`, `g`, `b`, `x`, `y` or `z`, or None.
     """
 
@@ -110,9 +110,10 @@ class ValueHead(NamedTuple):
 
 
 def angle_name(head: str) -> str | None:
-    """Return `theta_i`, `phi_i`, `theta_o`, `phi_o`, `RELATIVE` or `PHASE`, which a column's head names, or None.
+    """Return the angle that a heading names, or None if it names no angle.
 
-    Heads that are understood only beside others, such as `phi` and `azimuth`, are taken as they are by `angle_columns`.
+    The angle is `theta_i`, `phi_i`, `theta_o`, `phi_o`, `RELATIVE` (a difference of azimuths) or `PHASE`.
+    `angle_names` also understands headings whose meaning depends on the others, such as `phi` and `azimuth`.
     """
     letters = _letters(head)
     return next((name for name, spelling in _ANGLES.items() if re.fullmatch(spelling, letters)), None)
@@ -126,7 +127,7 @@ def _letters(head: str) -> str:
 
 
 def angle_names(heads: Sequence[str]) -> list[str | None]:
-    """Return `angle_name` of every head of a table, each in the light of the others.
+    """Return the angle of every heading of a table, or None; a heading may depend on the others.
 
     `phi` beside `phi_r` is that of the light, as `theta` is beside `theta_r`. `azimuth` beside `incidence` and
     `emission` is that between their planes, as in planetary photometry, whose letters i, e, g and psi are understood.
@@ -197,7 +198,7 @@ def wavelength(head: str) -> float | None:
 
 
 def wavelength_unit(head: str) -> str | None:
-    """Return the unit of a column whose head says that its cells are wavelengths or wavenumbers, else None.
+    """Return the unit of a column of wavelengths or wavenumbers, by its heading; None for other columns.
 
     It is empty where the head names none.
 
@@ -220,7 +221,7 @@ def wavelength_unit(head: str) -> str | None:
 
 
 def is_wavelength(head: str) -> bool:
-    """Return whether a column's head says that its cells are wavelengths or wavenumbers."""
+    """Return whether the cells below a heading are wavelengths or wavenumbers."""
     return wavelength_unit(head) is not None
 
 
@@ -258,12 +259,12 @@ def is_percent(heads: Sequence[str]) -> bool:
 
 
 class UncertaintyHead(NamedTuple):
-    """The meaning of the head of a column of uncertainties.
+    """The meaning of the heading of a column of uncertainties.
 
     Attributes:
-        nm: the wavelength of the values that it is of, or None.
-        is_relative: whether it says that they are relative to the values.
-        coverage: how many standard uncertainties they are; 0 where they are expanded by a factor that it does not say.
+        nm: the wavelength of the values to which it belongs, or None.
+        is_relative: whether the uncertainties are relative to the values.
+        coverage: coverage factor; 0 for expanded uncertainties that state none.
     """
 
     nm: float | None
@@ -305,7 +306,7 @@ def uncertainty_head(head: str) -> UncertaintyHead | None:
 
 
 def gloss_angle(head: str) -> float | None:
-    """Return the angle in degrees of the gloss that a column's head names, by default 60 degrees, or None."""
+    """Return the angle in degrees of a column of gloss, by default 60, or None for other headings."""
     words = re.findall(r"[^\W\d_]+|\d+", head.lower()) if len(head) <= _LONGEST else []
     numbers = [float(word) for word in words if word.isdecimal()]
     others = {word for word in words if not word.isdecimal()}
@@ -316,7 +317,7 @@ def gloss_angle(head: str) -> float | None:
 
 
 class LabHead(NamedTuple):
-    """A head such as `L* (D65/10)`: its axis is `l`, `a` or `b`; the viewing is None where it names none."""
+    """A heading such as `L* (D65/10)`: its axis is `l`, `a` or `b`, its viewing None if it names none."""
 
     axis: str
     viewing: Viewing | None
@@ -362,9 +363,9 @@ def _viewing(found: re.Match[str]) -> Viewing | None:
 def lab_columns(
     heads: Sequence[str], wanted: Viewing | None = None
 ) -> tuple[list[int], Viewing | None] | None:
-    """Return the columns of L*, a* and b* in a header, and the light and observer that it names for them; or None.
+    """Return the columns of L*, a* and b* of a header, and their light and observer; or None.
 
-    If a header has several, they are those of the wanted light and observer, else the first.
+    If a header has several such triples, return that of the wanted light and observer, else the first.
     """
     said = {k: lab for k, head in enumerate(heads) if (lab := lab_head(head)) is not None}
     by_viewing: dict[Viewing | None, list[int]] = {}

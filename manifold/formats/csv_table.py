@@ -83,7 +83,7 @@ def read(path: Path) -> list[Readings]:
 
 
 def _with_own(readings: Readings, own: Mapping[str, str], context: ErrorContext) -> Readings:
-    """Return the readings with the values of the package's own comments."""
+    """Return the readings with the properties that the package's own comments state."""
     units = {angle: number(text) for key, text in own.items() if (angle := gloss_angle(key)) is not None}
     gloss = {angle: value for angle, value in units.items() if value is not None}  # not `gloss: matt`
     readings = replace(readings, gloss={**gloss, **readings.gloss})
@@ -150,11 +150,13 @@ def _no_header(lines: list[str], context: ErrorContext) -> FileFormatError:
 def _row(line: str, separator: str | None, number_of_line: int, context: ErrorContext) -> list[str]:
     """Split a line into cells; a quote ends on its own line.
 
-    Trailing empty cells, which programs leave, are dropped.
+    Trailing empty cells, which some programs write, are dropped.
     """
     if line.count('"') % 2:
         raise context.error(
-            "not cells of a table (a quote that does not end)", f"row {number_of_line}", remedy=CORRECT_CELL
+            "a quote that does not end, expected cells of a table",
+            f"row {number_of_line}",
+            remedy=CORRECT_CELL,
         )
     row = split_cells(line, separator)
     while separator != "," and row and not row[-1]:
@@ -163,7 +165,7 @@ def _row(line: str, separator: str | None, number_of_line: int, context: ErrorCo
 
 
 def _require_width(table: Table, header: int, separator: str | None, context: ErrorContext) -> None:
-    """Raise FileFormatError where a row has numbers beyond the header: decimal commas that are taken as separators."""
+    """Raise FileFormatError if a row has more numbers than the header, as with decimal commas."""
     width = len(table.rows[header])
     for k, row in enumerate(table.rows[header + 1 :], start=header + 1):
         if any(number(str(cell)) is not None for cell in row[width:]):

@@ -2,8 +2,8 @@
 
 Spectra are `ReflectanceSpectrum` or `CustomSpectrum`. A geometry is the spectrum's own name, or a `BRDFAngle`
 (illumination angle, aspecular angle, optional azimuth) or a `SingleAngle` of its colour specification. 1.0 is the
-perfect diffuser. Nothing but these elements is read: vendors add elements and attributes that the schema has elsewhere,
-or not at all.
+perfect diffuser. Other elements are ignored, because vendors add elements and attributes that the schema lacks or
+has elsewhere.
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ def _parse(data: bytes, context: ErrorContext) -> Element:
 def _by_name(objects: list[Readings], context: ErrorContext) -> list[Readings]:
     """Return one record per name.
 
-    Objects of one name hold a sample's geometries, or are measurements, which get numbers.
+    Objects of the same name are either the geometries of one specimen, or repeated measurements, which are
+    numbered.
     """
     parts: dict[str, list[list[Readings]]] = {}
     seen: dict[str, set[tuple[float, ...]]] = {}
@@ -117,7 +118,7 @@ def _joined(parts: list[Readings], context: ErrorContext) -> Readings:
 def _object(
     item: Element, specifications: Mapping[str, Element], context: ErrorContext, default: str
 ) -> list[Readings]:
-    """Return an object's reflectance factors as the file has them: one record, one per measuring condition, or none."""
+    """Return the reflectance factors of an object: one record per measuring condition, or none."""
     name = item.get("Name") or default
     parts: dict[str, list[_Spectrum]] = {}  # by specification
     turns = Counter[str]()
@@ -159,7 +160,7 @@ def _object(
 def _conditions(
     parts: Mapping[str, list[_Spectrum]], specifications: Mapping[str, Element]
 ) -> dict[str, list[str]]:
-    """Return the specifications by their measuring condition, so that M1 and M2 are not averaged.
+    """Return specifications by their measuring condition, so that M1 and M2 are not averaged.
 
     Specifications of different geometries are one condition. Where several have one geometry, their lamp and filter
     tell conditions apart, or, where these are not given or the same, the specifications themselves.
@@ -258,9 +259,9 @@ def _values(
 def _wavelengths(
     spectrum: Element, count: int, measurement: Element, context: ErrorContext, where: str
 ) -> Array:
-    """Return wavelengths (B,).
+    """Return the wavelengths (B,) of a spectrum in nm.
 
-    A spectrum's own Increment comes before that of its specification; 10 nm is the default.
+    The Increment of a spectrum takes precedence over that of its specification; the default is 10 nm.
     """
     shared = measurement.find("{*}WavelengthRange")
     common = shared.attrib if shared is not None else {}
@@ -269,7 +270,9 @@ def _wavelengths(
     step_nm = context.number(own_step or common.get("Increment", _USUAL_STEP_NM), where)
     first_nm = context.number(start, where)
     if step_nm <= 0 or first_nm <= 0 or not count:
-        raise context.error("no wavelengths or no values, expected StartWL, Increment and reflectance", where)
+        raise context.error(
+            "has no wavelengths or no values, expected StartWL, Increment and reflectance", where
+        )
     nm: Array = first_nm + step_nm * np.arange(count, dtype=float)
     end = spectrum.get("EndWL")
     if end is not None and abs(context.number(end, where) - nm[-1]) > step_nm / 2.0:

@@ -1,4 +1,4 @@
-"""Dense tables: values of a BRDF at the product of their angles, as MERL and UTIA files hold them."""
+"""Dense tables: values of a BRDF at all combinations of its angles, as in MERL and UTIA files."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from manifold.formats.readings import GONIOMETER, Readings
 
 @dataclass(frozen=True, eq=False)
 class DenseTable:
-    """A BRDF at the product of its angles.
+    """A BRDF tabulated at all combinations of its angles.
 
     Attributes:
-        instrument: what made it, or the format.
+        instrument: name of the instrument, or the format.
         coordinates: `half-difference` (theta_h, theta_d, phi_d; isotropic; Rusinkiewicz 1998) or `incident-outgoing`
             (theta_i, phi_i, theta_o, phi_o).
         axes: the nodes of each angle in radians, increasing.
         wavelengths_nm: band centres in nm, increasing, shape (B,); None for linear sRGB.
         values: f in 1/sr, one axis per angle and the bands last; NaN is not measured.
-        notes: what was ambiguous in the file, and how it was taken.
+        notes: ambiguities of the file, and how they were read.
     """
 
     name: str
@@ -52,7 +52,7 @@ class DenseTable:
         return np.asarray(np.isfinite(self.values).all(axis=-1))
 
     def directions(self, index: Indices | None = None) -> tuple[Array, Array]:
-        """Return wi and wo, each (n, 3), of nodes by flat index (n,); of all by default, the last angle fastest."""
+        """Return wi and wo, (n, 3) each, of the nodes with flat indices (n,), by default of all nodes."""
         shape = self.values.shape[:-1]
         index = np.arange(math.prod(shape), dtype=np.intp) if index is None else index
         angles = [nodes[k] for nodes, k in zip(self.axes, np.unravel_index(index, shape), strict=True)]

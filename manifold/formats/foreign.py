@@ -1,4 +1,4 @@
-"""Names of foreign formats, for error messages: files that share an extension with ours, and failed downloads."""
+"""Names of unsupported formats for error messages, guessed from the beginning of a file."""
 
 from __future__ import annotations
 

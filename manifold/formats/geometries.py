@@ -1,8 +1,8 @@
 """Directions of readings: by their angles, or by the name of a geometry.
 
 Names are `45as-15`, `r15as_45`, `45as25az90`, `45asMinus15`, `45/0`; `as15`, `-15°`, `15d`, `-15DP`.
-A path of two is named DP (double path): a sample is read from both sides and the mean taken, so that isotropic
-samples have the value of one side, SP.
+DP (double path) marks the mean of readings from both sides, which for isotropic specimens equals that of one side,
+SP.
 """
 
 from __future__ import annotations
@@ -38,9 +38,8 @@ def directions(
 ) -> tuple[Mask, Array, Array]:
     """Return a mask of the rows of reflected light, bool (P,), and their wi and wo, (Q, 3).
 
-    Assumptions are added to the notes.
-
-    Angles are by `angle_name`, in radians, each (P,); theta_i and theta_o at least.
+    `angles` holds arrays (P,) in radians by `angle_name`, with theta_i and theta_o at least. Assumptions are added
+    to the notes.
     """
     keep = np.ones(len(angles["theta_i"]), dtype=bool)
     for key in ("theta_i", "theta_o"):
@@ -106,12 +105,12 @@ def _with_relative_azimuth(
 
 
 class SingleValues(NamedTuple):
-    """Rows with the value of one pair of directions at one wavelength each, as a table of P pairs and B bands.
+    """Rows of one value at one pair of directions and one wavelength, arranged as a table (P, B).
 
     Attributes:
         first: the first row of every pair, in their order, shape (P,).
         wavelengths_nm: shape (B,).
-        cell: of every row (n,), its index in a table (P, B).
+        cell: index of every row in the flat table, shape (n,).
     """
 
     first: Indices
@@ -193,28 +192,28 @@ def parse_geometry(text: str) -> Angles | None:
 
 
 def parse_aspecular(text: str) -> float | None:
-    """Return the usual aspecular angle in degrees that a text consists of: `-15`, `as15`, `110°`, `15DP`; or None."""
+    """Return the aspecular angle in degrees of a text such as `-15`, `as15`, `110°`, `15DP`; else None."""
     found = _ASPECULAR.fullmatch(_plain(text))
     angle = _sign(found["word"] or found["sign"]) * float(found["angle"]) if found is not None else None
     return angle if angle in _USUAL_ASPECULAR else None
 
 
 def is_geometry(text: str) -> bool:
-    """Return whether a text can only be a geometry, unlike `-15` and `15d`."""
+    """Return whether a text can only be the name of a geometry; `-15` and `15d` could be other things."""
     if parse_geometry(text) is not None:
         return True
     return parse_aspecular(text) is not None and _MARKED.search(text) is not None
 
 
 def resolve(names: Iterable[str], context: ErrorContext, notes: list[str]) -> dict[str, Angles]:
-    """Return the angles of all names of a table's geometries, taken together; other texts are left out."""
+    """Return the angles of the geometries that a table names, by name; other texts are omitted."""
     names = list(dict.fromkeys(names))
     angles = {name: of_name for name in names if (of_name := parse_geometry(name)) is not None}
     alone = {name: a for name in names if name not in angles and (a := parse_aspecular(name)) is not None}
     if set(alone.values()) == _THREE:
         raise context.error(
-            "geometries 25, 45 and 75 alone: aspecular angles with light at 45 degrees, or incidences with a detector "
-            "along the normal; write 45as25 ... or 25/0 ..."
+            "geometries 25, 45 and 75 are ambiguous: write 45as25 ... if they are aspecular angles, or 25/0 ... if "
+            "they are angles of incidence"
         )
     if alone and angles:
         raise context.error(

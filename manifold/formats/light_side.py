@@ -1,4 +1,4 @@
-"""Readings towards the light: hidden by the receiver, or the brightest, as of retroreflectors and wrong azimuths."""
+"""Readings towards the light: zeros behind the receiver, and bright ones of retro-reflectors or wrong azimuths."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ _MOST_HIDDEN, _BESIDE = np.cos(np.deg2rad([25.0, 45.0]))
 
 
 def hidden(wi: Array, wo: Array, values: Array) -> Mask:
-    """Return a mask of zeros that are no readings, bool (P,).
+    """Return a mask of zeros that are no readings, because the receiver blocks the light, bool (P,).
 
-    The receiver blocks the light around its own direction, amid brighter readings.
-
-    Of each incidence the reading nearest to the light is zero in all bands, and so are all that count, within 25
-    degrees of it; most of those up to 45 degrees are not, as they are beside the highlight of a mirror.
+    The receiver is taken to block the light if, at each incidence, all readings within 25 degrees of the light are
+    zero in all bands, but most readings up to 45 degrees are not. Beside the highlight of a mirror, those would be
+    zero as well.
     """
     towards_light = np.einsum("pi,pi->p", wi, wo)
     near = np.flatnonzero(towards_light > _BESIDE)
@@ -47,7 +46,7 @@ def hidden(wi: Array, wo: Array, values: Array) -> Mask:
 
 
 def without_hidden(record: Readings | DenseTable) -> Readings | DenseTable:
-    """Return the record without the zeros that are `hidden`, and with a note of it."""
+    """Return the record without the zeros of `hidden`, and with a note that says so."""
     if isinstance(record, Readings):
         is_hidden = hidden(record.wi, record.wo, record.values)
     elif record.coordinates == "incident-outgoing":

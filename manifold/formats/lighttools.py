@@ -165,7 +165,7 @@ def _incident_azimuth(
 
     It is the one that the receiver hides, or the one opposite the highlight.
 
-    Matte materials are bright towards the light as well, without a peak: these do not decide.
+    A material without a highlight, such as a matt one, does not decide between them.
     """
     oblique = [k for k, (aoi, _) in enumerate(incidences) if 10.0 <= aoi <= 70.0]
     if not oblique:

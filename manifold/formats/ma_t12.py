@@ -113,9 +113,10 @@ def _named_apart(found: Sequence[tuple[str | None, list[Readings]]]) -> list[Rea
 
 
 def _xml_parts(data: bytes, context: ErrorContext) -> io.BytesIO:
-    """Repack a workbook with empty parts in place of other than XML; refuse other files, or those that unpack to more.
+    """Repack a workbook without parts other than XML; refuse other files and those that unpack to too much.
 
-    A part is XML by its first bytes, not by its name: openpyxl opens the pictures of chart sheets.
+    The first bytes of a part decide whether it is XML, not its name, because openpyxl opens pictures of chart
+    sheets.
     """
     packed = io.BytesIO()
     try:
@@ -162,7 +163,7 @@ def _sheets(workbook: io.BytesIO, context: ErrorContext) -> dict[str, list[list[
                     cells += len(row)
                     if cells > _MOST_CELLS or len(rows) >= _MOST_ROWS:
                         raise context.error(
-                            f"sheet '{sheet.title}' makes more than {_MOST_ROWS} rows, or {_MOST_CELLS} cells in all"
+                            f"sheet '{sheet.title}' has more than {_MOST_ROWS} rows, or {_MOST_CELLS} cells in total"
                         )
                     last = next((k for k in range(len(row), 0, -1) if row[k - 1] is not None), 0)
                     rows.append([c if isinstance(c, int | float | None) else str(c) for c in row[:last]])
@@ -251,7 +252,7 @@ def _texture(
 def _by_sample(by_name: Mapping[str, T], samples: Sequence[str]) -> tuple[dict[str, T], list[str]]:
     """Return the data under the name of each sample, and the other names.
 
-    A workbook of one sample need not repeat its name: what stands under any single name is that sample's.
+    A workbook of one specimen need not repeat its name: data under any single name belong to that specimen.
     """
     if len(samples) == 1 and len(by_name) == 1:
         return dict(zip(samples, by_name.values(), strict=True)), []
@@ -286,7 +287,8 @@ def _head_and_caption(rows: Sequence[Sequence[Cell]], picture: SheetPicture) -> 
 def write(path: Path, readings: Readings) -> None:
     """Write a workbook in the layout of an MA-T12's; its values are reflectance factors.
 
-    Readings are at the 12 geometries of `geometry_ma_t12`, in their order; their texture is as `read` gives it.
+    Readings must be at the 12 geometries of `geometry_ma_t12`, in that order. Their texture has the form that
+    `read` returns.
     """
     import openpyxl
 

@@ -39,7 +39,7 @@ def sniff(head: bytes) -> bool:
 
 
 def read(path: Path) -> list[Readings]:
-    """Return readings in all bands; a pair of directions that lacks a band is not measured there."""
+    """Return readings in all bands, with NaN where a pair of directions has no value."""
     context = ErrorContext(path, _REMEDY)
     try:
         content = json.loads(read_bytes(path, _LARGEST))
@@ -93,7 +93,7 @@ def write(path: Path, table: DenseTable) -> None:
 
     Its axes are incident and outgoing angles; the light is at 180 degrees.
 
-    Who owns and who may use the data is left to be filled in.
+    The fields on the owner and the licence of the data are left empty.
     """
     theta_i, _, theta_o, phi_o = table.axes
     wavelengths = [float(f"{1e-9 * nm:.9g}") for nm in table.bands.wavelengths_nm or ()]

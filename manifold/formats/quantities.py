@@ -1,7 +1,7 @@
 """Quantities named by the words of heads and headers: of tables of BRDFs, and of spectra.
 
-This is the only place that turns words into a quantity. A word that it does not understand never means the default: it
-is refused.
+Only this module turns words into a quantity. It refuses words that it does not understand; they never mean the
+default.
 
 Sources: ASTM E1392 and E2387 (BRDF, cosine-corrected BSDF), CIE S 017 (reflectance factor, radiance factor, radiance
 coefficient), Hapke 1993, chapter 10 (I/F and REFF).
@@ -27,10 +27,10 @@ class Quantity:
     """The conversion of values into a BRDF: f = scale * value / cosines; logarithms are undone first.
 
     Attributes:
-        title: of the quantity, in the plural.
-        scale: f in 1/sr of a value of 1 whose cosines are 1.
+        title: name of the quantity, in the plural.
+        scale: f in 1/sr for a value of 1 at cosines of 1.
         cosines: angles whose cosines the values include: `i`, `o` or both.
-        base: of the logarithm that the values are; 0 if they are none.
+        base: base of the logarithm of the values; 0 if they are no logarithms.
     """
 
     title: str
@@ -41,7 +41,7 @@ class Quantity:
     def brdf(self, values: Array, wi: Array, wo: Array, white: float = 1.0) -> Array:
         """Return f in 1/sr, shape (P, B), of values (P, B) at wi and wo (P, 3); NaN where a cosine is 0.
 
-        White is what the unit of the values makes of 1: 100 for percent.
+        `white` is the value that stands for 1 in the unit of the values, such as 100 for percent.
         """
         f = self.scale * (np.power(self.base, values) if self.base else values / white)
         for letter, w in (("i", wi), ("o", wo)):
@@ -52,7 +52,7 @@ class Quantity:
 
     @property
     def note(self) -> str | None:
-        """Say what is done to the values; None if they are the BRDF."""
+        """Return a note on the conversion of the values; None if they are the BRDF itself."""
         done = ["divided by pi"] if self.scale != 1.0 else []
         done += [f"divided by the cosine of theta_{letter}" for letter in self.cosines]
         log = f"logarithms to base {'e' if self.base == math.e else '10'} of " if self.base else ""
@@ -151,7 +151,7 @@ def quantity_in_prose(
     """Return the quantity that a text such as `Reflectance factor of a plate` names; None if no word speaks of one.
 
     Raises:
-        FileFormatError: the words name a quantity that is not read, or several; `what` is the text's key.
+        FileFormatError: the words name an unsupported quantity, or several; `what` names the text in the message.
     """
     words = phrase(_NOT_WEIGHTED.sub(" ", plain(text))).split()
     telling = [k for k, word in enumerate(words) if _TELLING.fullmatch(word)]

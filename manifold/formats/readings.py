@@ -1,4 +1,4 @@
-"""Readings of one sample: values of its BRDF at given directions, from one instrument.
+"""Readings of one specimen: values of its BRDF at given directions, from one instrument.
 
 Multi-angle spectrophotometers give a dozen pairs of directions, goniometers thousands. Dense tables, whose nodes are
 a product of angles, are `manifold.formats.dense.DenseTable`; `DenseTable.readings` lists them as readings.
@@ -45,7 +45,7 @@ MOST_GLOSS = {20.0: 2040.0, 60.0: 1000.0, 85.0: 162.0}
 
 
 class Viewing(NamedTuple):
-    """Light and eye of a colour.
+    """The illuminant and the observer under which a colour was computed.
 
     Attributes:
         illuminant: CIE's name of the light.
@@ -64,12 +64,12 @@ DAYLIGHT = Viewing()
 
 
 class Between(NamedTuple):
-    """The differences between measurements of one sample.
+    """How much repeated measurements of one specimen differ.
 
     Attributes:
-        deviation: standard deviation between measurements, relative, beyond what each repeats.
-        ciede2000: between two of them, mean over shared pairs of directions.
-        pairs: of directions, that are shared.
+        deviation: relative standard deviation between measurements, beyond the repeatability of each.
+        ciede2000: CIEDE2000 between two measurements, mean over shared pairs of directions.
+        pairs: number of shared pairs of directions.
     """
 
     deviation: float
@@ -79,28 +79,29 @@ class Between(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The readings of one sample by an instrument. P direction pairs, B bands.
+    """The readings of one specimen by an instrument, at P direction pairs in B bands.
 
     Attributes:
-        name: of the sample.
-        instrument: as the file names it, or the format where it names none.
+        name: name of the specimen.
+        instrument: name of the instrument that the file states, or the format if it states none.
         wi: unit vectors in the local frame (z is the normal), shape (P, 3).
         wo: unit vectors, shape (P, 3).
         wavelengths_nm: band centres in nm, increasing, shape (B,); None for linear sRGB, B = 3.
-        values: f in 1/sr, shape (P, B); NaN is not measured; noise may make values slightly negative.
+        values: f in 1/sr, shape (P, B); NaN for unmeasured values; noise may make values slightly negative.
         weights: relative reliability of each pair, at least 0, shape (P,); all 1 by default.
-        scatter: standard deviation of the cube roots of repeated readings of a pair, relative, shape (P,); 0 by
-            default, where they were not repeated.
-        colour_error: expected CIEDE2000 of spectra that were estimated from fewer bands; 0 where they were measured.
-        notes: what was ambiguous in the file, and how it was taken; one sentence each.
-        texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
-        gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees: 20, 60 or 85.
-        repeatability: relative standard deviation of a value that is read again; of several measurements, of one that
-            is measured again.
-        assumed_unit: one of `UNITS`, as which values were taken that a file gives without a unit; else None.
-        between: how far several measurements of the sample differ; None where there was one.
-        viewing: of CIELAB values that are printed of spectra; of linear sRGB, that to which it is relative.
-        is_viewing_assumed: whether a file of CIELAB values does not say under which light they are.
+        scatter: relative standard deviation of the cube roots of repeated readings, shape (P,); 0 for pairs without
+            repetition.
+        colour_error: expected CIEDE2000 of spectra that were estimated from fewer bands; 0 for measured spectra.
+        notes: ambiguities of the file and how they were read, one sentence each.
+        texture: texture data of the instrument (graininess, sparkle, flake images) by name, as plain values.
+        gloss: gloss units of a gloss meter (ISO 2813) by its angle in degrees: 20, 60 or 85.
+        repeatability: relative standard deviation of a value that is read again, or, for the mean of several
+            measurements, measured again.
+        assumed_unit: one of `UNITS` if the file states no unit and this unit was assumed; else None.
+        between: how much several measurements of the specimen differ; None for a single one.
+        viewing: light and observer of printed CIELAB values, or, for linear sRGB, to which the colours are
+            relative.
+        is_viewing_assumed: whether a file of CIELAB values states no illuminant, so that one was assumed.
     """
 
     name: str
@@ -161,7 +162,7 @@ class Readings:
         return f"<Readings: {self.name}, {len(self)} of {self.instrument}, {self.bands}>"
 
     def __len__(self) -> int:
-        """Return P."""
+        """Return the number of direction pairs, P."""
         return int(self.wi.shape[0])
 
     @cached_property
@@ -175,10 +176,10 @@ class Readings:
         return np.isfinite(self.values)
 
     def select_bands(self, bands: Sequence[int]) -> Readings:
-        """Return the readings in some of their bands, by increasing index.
+        """Return the readings in some of their bands, given by increasing indices.
 
         Raises:
-            ShapeError: they are RGB and not all three are taken, or the indices do not increase.
+            ShapeError: the readings are RGB and a channel is missing, or the indices do not increase.
         """
         index = list(bands)
         if self.wavelengths_nm is None and index != [0, 1, 2]:
@@ -201,23 +202,21 @@ class Readings:
         """Return the readings with their values in another unit than was assumed.
 
         Raises:
-            UsageError: there is no such unit, or the file says another one.
+            UsageError: the unit is unknown, or the file states its unit.
         """
         if unit not in UNITS:
             raise UsageError(f"no unit is called {unit!r}, expected one of {', '.join(UNITS)}")
         if self.assumed_unit is None:
-            raise UsageError(
-                f"{self.name}: {self.instrument} says its unit, expected none; leave --unit {unit} out"
-            )
+            raise UsageError(f"{self.name}: {self.instrument} states its unit; leave --unit {unit} out")
         values = self.values * (UNITS[unit] / UNITS[self.assumed_unit])
         notes = tuple(note for note in self.notes if not note.startswith("no unit given"))
         return replace(self, values=values, notes=notes, assumed_unit=None)
 
     def seen_under(self, viewing: Viewing | None) -> Readings:
-        """Return the readings with the light and observer that a user names for their colours; unchanged for None.
+        """Return the readings with a light and observer that the user states; unchanged for None.
 
         Raises:
-            UsageError: the colours of linear sRGB are relative to others.
+            UsageError: the file states other ones.
         """
         if viewing is None or viewing == self.viewing:
             return self
@@ -278,9 +277,9 @@ def gloss_fault(angle_deg: float, units: float) -> str | None:
 def mean_of_repeats(
     wi: Array, wo: Array, values: Array
 ) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
-    """Return the readings with each direction pair once, in order of first appearance.
+    """Return the mean of repeated readings, so that each direction pair appears once.
 
-    Also return their scatter, and a note if any pair repeats.
+    The pairs are in order of their first appearance. Also return their scatter, and a note if any pair repeats.
     """
     keys = np.round(np.hstack([wi, wo]), 9)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)

@@ -31,12 +31,12 @@ _LARGEST_VALUE = 1e9  # largest f in 1/sr; measured mirror directions reach 1e5
 
 
 class Format(NamedTuple):
-    """One format.
+    """A format of instrument files, and the functions that recognise and read it.
 
     Attributes:
-        sniff: whether a file's first bytes are of it.
-        read: all samples of a file.
-        package: the other package that adds it; empty for this one's.
+        sniff: return whether the first bytes of a file belong to the format.
+        read: return all specimens of a file.
+        package: the package that adds the format; empty for built-in ones.
     """
 
     name: str
@@ -46,9 +46,9 @@ class Format(NamedTuple):
 
 
 def identify(path: Path | str) -> Format | None:
-    """Return the format of a file's content, or None; RGL files are not among these, see `manifold.io_rgl`.
+    """Return the format of a file by its content, or None; RGL files are read by `manifold.io_rgl`.
 
-    Formats of other packages are tried first: whoever installs one has such files.
+    Formats of other packages are tried first, because a user who installs one has such files.
     """
     head = _head(Path(path))
     if holds_tensors(head):
@@ -94,11 +94,11 @@ def unknown(path: Path) -> FileFormatError:
 
 
 def read_all(path: Path | str) -> list[Record]:
-    """Read every sample of an instrument's file, in its order.
+    """Read all specimens of an instrument's file, in the order of the file.
 
     Raises:
-        FileFormatError: the file is of no known format, or not what its format says.
-        UsageError: it is missing, no regular file, or cannot be read.
+        FileFormatError: the format is unknown, or the file violates it.
+        UsageError: the file is missing, no regular file, or cannot be read.
     """
     path = Path(path)
     known = identify(path)
@@ -123,7 +123,7 @@ def read_all(path: Path | str) -> list[Record]:
 
 
 def _read_by(known: Format, path: Path) -> list[Record]:
-    """Read the samples of a file; whatever a reader of another package raises is an error of the file."""
+    """Read the specimens of a file; any exception of another package's reader becomes a FileFormatError."""
     if not known.package:
         return list(known.read(path))
     try:
@@ -146,10 +146,10 @@ def _read_by(known: Format, path: Path) -> list[Record]:
 def read(
     path: Path | str, sample: str | None = None, *, is_only: bool = True, unit: str | None = None
 ) -> Record:
-    """Read one sample of an instrument's file; its name may be left out if there is only one.
+    """Read one specimen of an instrument's file; a file with a single one needs no name.
 
-    Where it is sought in this file alone (`is_only`), even a single sample must have the name; `unit`, one of
-    `readings.UNITS`, is of a table that says none.
+    With `is_only`, a given name must be that of a specimen even if the file has only one. `unit`, one of
+    `readings.UNITS`, is the unit of a table that states none.
     """
     found = read_all(path)
     if unit is not None:
@@ -166,7 +166,7 @@ def read(
 
 def _in_unit(record: Record, unit: str, path: Path) -> Readings:
     if not isinstance(record, Readings):
-        raise UsageError(f"{path}: a dense table says its unit, expected none; leave --unit {unit} out")
+        raise UsageError(f"{path}: a dense table states its unit; leave --unit {unit} out")
     return record.in_unit(unit)
 
 
@@ -174,22 +174,23 @@ def read_readings(
     path: Path | str, sample: str | None = None, limit: int | None = None, *, is_only: bool = True,
     unit: str | None = None,
 ) -> Readings:  # fmt: skip
-    """Read one sample as readings; dense tables give their measured nodes, at most `limit` of them.
+    """Read one specimen as readings; a dense table gives at most `limit` of its measured nodes.
 
     Raises:
-        UsageError: there are several samples and none is named, none has this name, or the file cannot be read.
+        UsageError: there are several specimens and no name is given, none has the given name, or the file cannot be
+            read.
         FileFormatError: the file is of no known format, or damaged.
     """
     return as_readings(read(path, sample, is_only=is_only, unit=unit), limit)
 
 
 def as_readings(record: Record, limit: int | None) -> Readings:
-    """Return the readings of a record; dense tables give their measured nodes, at most `limit` of them."""
+    """Return the readings of a record; a dense table gives at most `limit` of its measured nodes."""
     return record.readings(limit) if isinstance(record, DenseTable) else record
 
 
 def merge(records: Sequence[Record]) -> Record:
-    """Merge several files of one sample, such as pab-opto's, one per incidence, into one record."""
+    """Merge several files of one specimen into one record, such as pab-opto's files per incidence."""
     if len(records) == 1:
         return records[0]
     readings = [r for r in records if isinstance(r, Readings)]

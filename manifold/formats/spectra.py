@@ -1,7 +1,8 @@
 """Files of spectra: reflectances, lights and sensitivities of cameras, as columns of text.
 
-Heads name the columns, their units and what they hold, see `quantities`; without heads a file has the wavelength in nm
-and one value. Read as well: `.sed` (Spectral Evolution), `.spdx` (IES TM-27), `.sp` (Argyll, and PerkinElmer as text).
+Headings name the columns, their units and quantities (see `quantities`). Without headings, a file has the wavelength
+in nm and one value. Also read: `.sed` (Spectral Evolution), `.spdx` (IES TM-27), `.sp` (Argyll, and PerkinElmer as
+text).
 """
 
 from __future__ import annotations
@@ -45,12 +46,12 @@ _HEADS = {
 
 
 class _Columns(NamedTuple):
-    """A table of a file.
+    """The table of a file, with its headings.
 
     Attributes:
-        heads: of all columns; empty where the file has none.
-        values: (rows, columns), NaN where a cell is no number.
-        above: what stands above the table.
+        heads: headings of all columns; empty if the file has none.
+        values: shape (rows, columns), with NaN for cells that are no numbers.
+        above: the text above the table.
     """
 
     heads: list[str]
@@ -64,8 +65,8 @@ def read_spectrum(path: Path, wanted: Wanted) -> tuple[Array, Array]:
     Values are reflectances from 0 to 1 or powers, shape (B,), or sensitivities to red, green and blue, shape (B, 3).
 
     Raises:
-        FileFormatError: the file is of another kind, its columns are of another quantity or of several, wavelengths
-            repeat or are no nanometres, or there are fewer than two.
+        FileFormatError: the file is of another kind, its columns hold another quantity or several, wavelengths
+            repeat or are not in nm, or there are fewer than two.
         UsageError: the file cannot be read.
     """
     advice = _WHOLE.format(wanted)
@@ -179,7 +180,7 @@ def _wavelengths(table: _Columns, context: ErrorContext) -> tuple[Array, list[in
     column, unit = next(iter(units.items()), (0, ""))
     values = table.values[:, column]
     if not np.all(values > 0.0):
-        raise context.error("wavelengths that are not above 0, expected nm")
+        raise context.error("found wavelengths of 0 or less, expected wavelengths in nm")
     nm = nanometres(values, unit or "nm")
     assert nm is not None  # `wavelength_unit` knows these units alone
     return nm, [k for k in range(width) if k != column]

@@ -34,7 +34,7 @@ _FLAT_NM = (350, 850)  # ends of the spectrum of a single band, as in the files 
 
 
 class _Table(NamedTuple):
-    """A table proportional to f, (T, P), at elevations (T,) and azimuths (P,) in degrees, a full turn; and its line."""
+    """A table (T, P) proportional to f, its elevations (T,) and azimuths (P,) in degrees, and its line."""
 
     theta: Array
     phi: Array

@@ -73,7 +73,7 @@ _BLACK_LAB = {"src_z", "src_a", "view_z", "view_a"}  # a program's heads; its va
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells.
+    """The rows of cells of a table.
 
     Attributes:
         sheet: title of the workbook's sheet; its rows end at their last cell that is not empty. None for CSV files.
@@ -99,7 +99,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Columns:
-    """A header's columns.
+    """The columns that a header names.
 
     Attributes:
         heads: all its cells.

@@ -22,7 +22,7 @@ from manifold.library.identity import require_outside_libraries
 
 @dataclass(frozen=True)
 class Entry:
-    """A file's entry in the table of the database; isotropic materials were measured at one incident azimuth."""
+    """A file of the database: name, size, checksum, and the number of incident azimuths (1 if isotropic)."""
 
     name: str
     size_bytes: int | None
@@ -38,7 +38,7 @@ class Entry:
 
 @cache
 def rgl_table() -> Mapping[str, Entry]:
-    """Return the database's spectral files by name: 51 isotropic ones, and 11 anisotropic ones without checksums."""
+    """Return the spectral files of the database by name: 51 isotropic, and 11 anisotropic without checksums."""
     data = resources.files("manifold.library")
     with (data / "rgl_isotropic.tsv").open(encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines, delimiter="\t"))
@@ -50,7 +50,7 @@ def rgl_table() -> Mapping[str, Entry]:
 
 @cache
 def rgb_table() -> Mapping[str, Entry]:
-    """Return the RGB files of isotropic materials by name; those of docs/explanation/data.md have checksums."""
+    """Return the RGB files of isotropic materials by name; 20 of them have checksums."""
     with (resources.files("manifold.library") / "rgl_rgb.tsv").open(encoding="utf-8") as lines:
         sums = {row["material"]: row for row in csv.DictReader(lines, delimiter="\t")}
     entries = []
@@ -63,7 +63,7 @@ def rgb_table() -> Mapping[str, Entry]:
 
 
 def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic: bool) -> list[Entry]:
-    """Return the entries of some names, or all isotropic ones; with `anisotropic` the others as well.
+    """Return the entries of given names, or of all isotropic materials; with `anisotropic` of all materials.
 
     RGB files without names are those with a checksum.
     """
@@ -86,8 +86,8 @@ class FetchResult:
     """The files of a fetch.
 
     Attributes:
-        present: paths of files that were there already.
-        without_checksum: names among all that were checked for structure only: no checksum is known.
+        present: paths of files that existed already.
+        without_checksum: names of files of which only the structure was checked, because no checksum is known.
     """
 
     downloaded: tuple[Path, ...]
@@ -96,7 +96,7 @@ class FetchResult:
 
 
 class IncompleteFetchError(FetchError):
-    """Some files could not be fetched: why not, by material name, and what worked."""
+    """Some files could not be downloaded; the error has the reason by material name, and the other results."""
 
     def __init__(self, message: str, result: FetchResult, failed: dict[str, str]) -> None:
         super().__init__(message)
@@ -115,15 +115,14 @@ def fetch(
     timeout_s: float = 30.0,
     attempts: int = 4,
 ) -> FetchResult:
-    """Download `BASE/NAME/NAME_spec.bsdf` for each name into a folder, or with `rgb` `NAME_rgb.bsdf`.
+    """Download files of the RGL database into a folder: `NAME_spec.bsdf`, or with `rgb` `NAME_rgb.bsdf`.
 
-    A file gets its final name when its SHA-256 is right. A file that is there already is hashed: the right one is left
-    alone, any other one is replaced. One bad file does not stop the others.
+    A file gets its final name only if its SHA-256 is right. An existing file with the right hash is kept, and any
+    other is replaced. A failed file does not stop the others.
 
-    Names of None are all isotropic ones, or with `anisotropic` also the others (1.2 GB more, no checksums known), or
-    with `rgb` the 20 whose checksums are known; the
-    table is the database's own by default; a connection without data for `timeout_s` seconds counts as stalled;
-    attempts are per file.
+    If `names` is None, all isotropic materials are downloaded, with `anisotropic` also the others (1.2 GB more,
+    without known checksums), or with `rgb` the 20 whose checksums are known. `table` replaces the built-in table. A
+    connection without data for `timeout_s` seconds counts as stalled. `attempts` are per file.
     """
     if rgb and anisotropic:
         raise UsageError("found rgb and anisotropic, expected one: anisotropic files are spectral")
@@ -224,7 +223,7 @@ class _Meter:
 
     @property
     def total(self) -> int:
-        """Size of the file as the server says; pooch sets it when a try begins."""
+        """Size of the file that the server states; pooch sets it when an attempt begins."""
         return self._total
 
     @total.setter
@@ -232,11 +231,11 @@ class _Meter:
         self._done, self._total = 0, size
 
     def reset(self) -> None:
-        """Begin at 0 again; pooch then adds the whole size."""
+        """Start again at 0; pooch then adds the whole size."""
         self._done = 0
 
     def update(self, count: int) -> None:
-        """Add bytes; more than there should be are a FetchError."""
+        """Add bytes. Raises FetchError if there are more than expected."""
         self._done += count
         most = self._entry.size_bytes or _MOST_BYTES
         if self._done > most + _BLOCK_BYTES:

@@ -1,7 +1,8 @@
-"""Many files of one command: missing ones are made, in several processes, then a table and a sheet of balls.
+"""Many outputs of one command: files, made in several processes, then a table and a contact sheet of balls.
 
-The folder of the files holds an index, which says what each was made of: a later run makes only what is missing or has
-changed. A file is noted there as soon as it is whole. One run at a time writes to a folder (`.manifold.lock`).
+An index in the folder records the inputs of every file, so that a later run only makes files that are missing or
+whose inputs have changed. A file enters the index as soon as it is complete. One run at a time writes to a folder
+(`.manifold.lock`).
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _ENTRY = '{"file": '  # every line of an index begins so
 
 
 class Source(Protocol):
-    """The source of an output; small enough to be sent to another process."""
+    """The input of one output; small enough to be sent to another process."""
 
     @property
     def name(self) -> str:
@@ -62,19 +63,19 @@ Beside = Callable[[Path, Content], Sequence[Path]]
 
 
 class SheetWarning(UserWarning):
-    """A batch is done, but the sheet of its balls could not be drawn."""
+    """A batch is complete, but its contact sheet of balls could not be drawn."""
 
 
 @dataclass(frozen=True)
 class Outcome(Generic[T]):
-    """One of the outputs of a run.
+    """The outcome of one output of a run: its file and result, or the reason of its failure.
 
     Attributes:
-        path: of the file, which is there where nothing failed.
-        content: what is known of it; None where it failed, unless its file alone was refused.
+        path: path of the file, which exists unless its making failed.
+        content: the result; None after a failure, unless only the writing of the file was refused.
         was_there: whether an earlier run had made it.
-        failure: why there is none, else None.
-        notes: what a user should know of it.
+        failure: why there is no file, else None.
+        notes: notes for the user.
     """
 
     name: str
@@ -92,21 +93,22 @@ class Outcome(Generic[T]):
 
 @dataclass(frozen=True)
 class Command(Generic[S]):
-    """The work of a command on each of many sources.
+    """The definition of a command for many sources: how an output is made, and how results are shown.
 
     Attributes:
-        what: its outputs are, in the plural: the name of index, table, sheet and default folder.
-        make: writes the file of a source and says what is known of it; pickled where there are workers.
-        how: all that outputs depend on beside their sources, plain values.
-        suffix: of outputs.
-        endings: names of sources that end so are names of files.
-        columns: of the table, by title: from what is known of an output.
-        under: the column that stands under the balls of the sheet.
-        has_balls: whether there is a sheet, of the balls that `appearance` draws or of the files, if they are pictures.
-        is_of_measured: whether the balls that `measured_appearance` draws stand beside them.
-        beside: names the other files that belong to an output, except its balls; has to be picklable.
-        prepare: called once in this process, if anything is to be made in it.
-        conclude: called with what was made, at the end.
+        what: plural noun for the outputs, which names index, table, sheet and default folder.
+        make: function that writes the file of a source and returns the result; it must be picklable for workers.
+        how: plain values of all settings on which outputs depend.
+        suffix: suffix of the output files.
+        endings: suffixes by which names of sources are recognised as files.
+        columns: functions from a result to the cells of the table, by title.
+        under: title of the column that is printed below the balls of the sheet.
+        has_balls: whether a sheet is drawn, with the balls of `appearance`, or the files themselves if they are
+            pictures.
+        is_of_measured: whether the sheet also has the measured balls of `measured_appearance`.
+        beside: function that names the other files of an output, except its balls; it must be picklable.
+        prepare: called once in this process before it makes an output.
+        conclude: called at the end with the outputs that were made.
     """
 
     what: str
@@ -126,9 +128,10 @@ class Command(Generic[S]):
 def batch(
     command: Command[S], sources: Sequence[S], folder: Path, workers: Executor | None = None
 ) -> Batch[S]:
-    """Make the outputs that an earlier run has not made of the same; one that fails does not stop the others.
+    """Make the outputs of all sources that no earlier run has made from the same inputs.
 
-    There is an outcome per source, in their order; the folder is made if missing; for workers see `work.run`.
+    A failed output does not stop the others. Returns one outcome per source, in order. The folder is made if
+    missing; for `workers` see `work.run`.
     """
     made = Batch(command, folder, [])
     with ExitStack() as at_end:
@@ -178,7 +181,7 @@ def _known(
         try:
             require_material_name(source.name)
             if command.what in (alike(source.name), alike(path.stem)):
-                raise UsageError("has the name of the table of all; rename it")
+                raise UsageError("has the name of the table of results; rename it")
             first = taken.setdefault(alike(path.name), source)
             if first is not source:
                 raise UsageError(f"{source} and {first} have the same name, {path.name}; use two folders")
@@ -203,12 +206,12 @@ class Batch(Generic[S]):
 
     @property
     def sheet(self) -> Path:
-        """The picture of all balls, where there are any."""
+        """Path of the contact sheet of balls."""
         return self.folder / f"{self.command.what}.png"
 
     @property
     def tables(self) -> tuple[Path, Path]:
-        """The table as CSV, and all that is known as JSON."""
+        """Paths of the table as CSV, and of all results as JSON."""
         return self.folder / f"{self.command.what}.csv", self.folder / f"{self.command.what}.json"
 
     def path(self, source: S) -> Path:
@@ -303,7 +306,7 @@ def measured_ball_path(path: Path) -> Path:
 
 
 def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
-    """Return colour and gloss, for the table, of a BRDF, by default an RGL file's, and draw its ball for the sheet."""
+    """Return colour and gloss of a BRDF, by default of the RGL file, for the table, and draw its ball."""
     brdf = MeasuredBRDF(read_bsdf(path)) if brdf is None else brdf
     if backend.is_available():
         is_file = is_rendered(path)
@@ -313,7 +316,7 @@ def appearance(path: Path, brdf: EvaluableBRDF | None = None) -> dict[str, Any]:
 
 
 def measured_appearance(path: Path, measured: BsdfFile) -> dict[str, Any]:
-    """Return colour and gloss, for the table, of the measured material that a file describes, and draw its ball."""
+    """Return colour and gloss of the measured material that a file describes, and draw its ball."""
     if backend.is_available():
         _write_ball(measured_ball_path(path), thumbnails.of_material(measured))
     return {"measured": _look(MeasuredBRDF(fill_unmeasured(measured)))}
@@ -356,7 +359,7 @@ MEASURED = appearance_columns("measured", "measured")
 
 
 class _Made(NamedTuple):
-    """The content of an output, and hashes of its files by their paths in the folder; none if it was refused."""
+    """The result of an output, and the hashes of its files by relative path; none if it was refused."""
 
     content: Content
     files: dict[str, str]
@@ -398,7 +401,7 @@ def make_folder(folder: Path, what: str) -> None:
 
 @contextmanager
 def only_run_in(folder: Path, what: str) -> Iterator[None]:
-    """Make a folder, and hold its lock: results of two runs would be mixed."""
+    """Make a folder and hold its lock, so that the results of two runs are not mixed."""
     make_folder(folder, what)
     lock = FileLock(folder / ".manifold.lock")
     disk.require_lockable(Path(lock.lock_file))
@@ -406,7 +409,7 @@ def only_run_in(folder: Path, what: str) -> Iterator[None]:
         lock.acquire(blocking=False)
     except Timeout:
         raise UsageError(
-            f"{folder}: another run writes to it; wait until it is done, or name another"
+            f"{folder}: another run writes to this folder; wait until it is done, or name another folder"
         ) from None
     except OSError as error:
         raise UsageError(f"{folder}: cannot be written ({error.strerror}); name another folder") from error
@@ -421,7 +424,7 @@ class OutputIndex:
 
     The last line of a file counts.
 
-    Of `exports`, in the plural, it is `exports.jsonl`.
+    The index of `exports` is the file `exports.jsonl`.
     """
 
     def __init__(self, folder: Path, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Commands for many materials: what each does with one, for `batch`."""
+"""The commands that take many materials: the function of each for one material, for `batch`."""
 
 from __future__ import annotations
 
@@ -58,7 +58,8 @@ def completions_of(
 ) -> Command[Sample]:  # fmt: skip
     """Complete the samples that `inputs.find_samples` finds through a library; see `completions.complete`.
 
-    The correction of colours is a file; the report is a page that lists one of each, which lie in a folder beside it.
+    `correction` is a file of `manifold calibrate`. The report is an index page; the reports of the specimens lie in
+    a folder beside it.
     """
     how = {
         "library": Library(library).content_hash,
@@ -124,7 +125,7 @@ def _complete(
 def coats(library: Path, *, is_mixture: bool = False, options: OutputOptions) -> Command[ColourSample]:
     """Make materials of the colours and gloss that `coat.read_colours` reads; see `coat.complete`.
 
-    Mixtures are of the library's materials, as those of samples without gloss always are.
+    Mixtures combine the materials of the library; colours without a gloss are always completed by mixtures.
     """
     columns = placed(coat.Coated.columns(), PREDICTED, before=EXPECTED_BALL)
     how = {"library": Library(library).content_hash, "mixture": is_mixture, **asdict(options)}
@@ -217,7 +218,7 @@ def locations(model: Path, *, library: Path | None, options: OutputOptions) -> C
 
 
 def _latent_columns(latent_dim: int) -> Columns:
-    """Return a column per coordinate of a latent, with the digits that reproduce it; empty of a step of a walk."""
+    """Return one column per coordinate of a latent, in full precision; empty for a step of a walk."""
 
     def column(k: int) -> Callable[[Content], Any]:
         return lambda content: content["coordinates"][k] if content["coordinates"] else None
@@ -282,8 +283,8 @@ def renders(
 ) -> Command[Input]:
     """Render the balls of materials; see `pictures.renders.render`.
 
-    A model and library are of all materials, where they are places of a table; there is no sheet of these. `direct`
-    evaluates the measured materials of predictions while rendering.
+    If the materials are places of a table, all have the same model and library, and no contact sheet is drawn.
+    `direct` evaluates predictions from their measured materials while rendering.
     """
     loaded = None if model is None else load_model(model, library)
     if loaded is not None and loaded.bands.is_rgb:

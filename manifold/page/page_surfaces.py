@@ -38,7 +38,7 @@ class _InBands(WrappedBRDF):
         own = brdf.bands
         if own.wavelengths_nm is None and bands.wavelengths_nm is not None:
             raise UsageError(
-                "the surface's mean is linear sRGB, the map has spectra; show it on a map in RGB"
+                "this surface is RGB but the map is spectral; open a map of an RGB library (--model)"
             )
         self.bands = bands
         nm = (own.wavelengths_nm, bands.wavelengths_nm)

@@ -1,4 +1,4 @@
-"""Pictures of materials in files: renders, maps, walks, slices and comparisons."""
+"""Commands that write pictures: renders, maps, walks, slices and comparisons."""
 
 import lazy_loader
 

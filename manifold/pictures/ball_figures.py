@@ -33,13 +33,11 @@ _GAP = 1.06  # distance of boxes, in their sizes
 def ball_map(
     model: Manifold, images: Sequence[Array], marked: Array | None = None, marked_image: Array | None = None
 ) -> Figure:
-    """Draw the first two latent dimensions: `model.pictured` as balls, over the expected error.
+    """Draw the map with rendered balls of the materials `model.pictured`, over the expected error.
 
-    Balls are RGBA (H, W, 4), cropped to the ball. A latent (Q,) is marked with the ball that is predicted
-    there.
-
-    Balls that would cover each other are moved apart, with a line to where they belong. All other materials are points
-    in their colours.
+    Balls are RGBA (H, W, 4), cropped to the ball. Overlapping balls are moved apart, with a line to their points.
+    Other materials are points in their colours. A latent (Q,), if given, is marked with the ball of its prediction.
+    Only the first two latent dimensions are drawn.
     """
     figure = new_figure(12, 9)
     axes = figure.add_subplot()

@@ -22,8 +22,7 @@ def comparison(
 ) -> Figure:
     """Draw two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W), in a light by its name.
 
-    Means are over the pixels `within`, those of a ball: the difference of the materials, whatever surrounds
-    them.
+    Means are over the pixels of the mask `within`, those of the ball, so that they describe the materials only.
     """
     height, width = delta_e.shape
     figure = new_figure(8.6, 0.6 + 8.0 * height / width)

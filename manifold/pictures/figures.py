@@ -1,4 +1,4 @@
-"""Common functions of all figures: no window, atomic saving."""
+"""Common functions of all figures: layout, names, contact sheets, saving."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ rcParams["font.family"] += [name for name in _FALLBACK_FONTS if name in fontMana
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of that many inches, drawn without a window."""
+    """Return an empty figure of a size in inches, which opens no window."""
     figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def fix_layout(figure: Figure) -> None:
-    """Fix a figure's layout: points have their final pixels, and later drawing does not move them."""
+    """Fix the layout of a figure, so that later drawing does not move points."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
 
@@ -50,7 +50,7 @@ def fix_layout(figure: Figure) -> None:
 def place_names(
     figure: Figure, axes: Axes, names: Sequence[Annotation], dot: float, points: Array, zorder: float
 ) -> None:
-    """Move names to where they cover least of points (K, 2) and of names before them, nearest to their own point.
+    """Move names to positions near their points where they cover few other points (K, 2) and names.
 
     Names are centred, with offsets in pixels, as all lengths are; a line leads to a point whose name is far.
     Half of a point's width is `dot`.
@@ -110,7 +110,7 @@ def in_lines(name: str, width: int = 40) -> str:
 
 
 def require_writable(path: Path) -> None:
-    """Check, before a figure is drawn, that `save` can write it."""
+    """Raise UsageError, before a figure is drawn, if `save` cannot write it."""
     if path.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{path}: no picture format '{path.suffix}'; expected one of {', '.join(_SUFFIXES)}")
     disk.require_writable(path)

@@ -1,4 +1,4 @@
-"""Pages of HTML in one file: title, labelled values, tables, pictures inside; printable to A4."""
+"""HTML pages in one file, with tables and embedded pictures, printable on A4."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _LONG = 20  # rows of a table that may be broken over pages
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page.
+    """A section of a page: labelled values, a table, pictures, and notes.
 
     Attributes:
         rows: values by label; several in a list.

@@ -1,4 +1,4 @@
-"""One function per command that draws balls or curves: the map, the walk, slices."""
+"""The figures of the commands `map`, `walk` and `slices`."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def latent_map(
     marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
 ) -> tuple[DiagnosedPrediction | None, tuple[str, ...]]:
-    """Draw the map of latents with a ball per material, or points without Mitsuba, and the ball of a prediction.
+    """Draw the map with a ball per material and the ball of a prediction; without Mitsuba, with points.
 
-    Return the prediction that is marked, and notes on omitted balls.
+    Return the marked prediction, and notes on omitted balls.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
@@ -145,7 +145,7 @@ def sources(materials: Sequence[MaterialSource]) -> list[Source]:
             label = file.name if is_told else f"{file.name}, {file.origin}"
             found.append((given, Source(label, MeasuredBRDF(blank_unmeasured(file)))))
     if not found:
-        raise UsageError("nothing to draw is given; give files, materials of a library, or places on a map")
+        raise UsageError("no material to draw; give files, materials of a library, or places on a map")
     labels = [source.label for _, source in found]
     return [
         replace(source, label=given) if labels.count(source.label) > 1 else source for given, source in found

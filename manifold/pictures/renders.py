@@ -1,4 +1,4 @@
-"""The work behind `manifold render` and `manifold compare`: materials in, pictures out."""
+"""The pictures of `manifold render` and `manifold compare`."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ RIM = 0.03  # share of the ball's radius: where it meets the ground, and pixels 
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered(Result):
-    """A picture that was made.
+    """The result of `render`: the file and how it was rendered.
 
     Attributes:
-        route: how Mitsuba gets the material.
-        seconds: rendering, without reading.
+        route: how Mitsuba evaluates the material, in words.
+        seconds: time of rendering, without reading.
         prediction: the rendered prediction; None for measured and fitted materials.
     """
 
@@ -90,18 +90,18 @@ def settings_key(settings: RenderSettings) -> dict[str, Any]:
 def render(
     source: MaterialSource, output: Path, settings: RenderSettings | None = None, *, direct: bool = False,
     ) -> Rendered:  # fmt: skip
-    """Render the ball of a material into a picture.
+    """Render the ball of a material into a picture file.
 
     Args:
         source: an RGL file, the JSON of a fit, a material of a library, or a place; see `ball_material`.
         output: the picture.
-        settings: how; the usual ones by default.
+        settings: settings of the render.
         direct: evaluate the measured materials of a prediction while rendering.
 
     Raises:
-        UsageError: the picture cannot be written, an RGB material meets another light than D65, or `direct` without a
-            place.
-        FileFormatError: the file is neither.
+        UsageError: the picture cannot be written, an RGB material is rendered under a light other than D65, or
+            `direct` is set for a material that is no place.
+        FileFormatError: the file is neither an RGL file nor a fit.
     """
     images.require_image_path(output)
     settings = settings or RenderSettings()
@@ -136,7 +136,7 @@ def ball_material(
             yield made
         return
     if direct:
-        raise UsageError(f"{source}: direct renders are of places; a file holds its values")
+        raise UsageError(f"{source}: --direct evaluates predictions; leave it out to render a file")
     with source_file(source) as path:
         yield read_material(path), None
 
@@ -161,16 +161,14 @@ def latent_material(
             yield BallMaterial(f"latent {at}", file.bsdf, file.is_rgb, "predicted file"), made
         return
     if not backend.choose().is_llvm:
-        raise UsageError(f"direct renders need Mitsuba's LLVM variants; {backend.INSTALL}, or render a file")
+        raise UsageError(f"--direct needs Mitsuba's LLVM variants; {backend.INSTALL}, or leave it out")
     if isinstance(colour.reflectance, ReflectanceSpectrum):
-        raise UsageError("direct renders take reflectances from a file; name one, or render a predicted file")
+        raise UsageError("--direct takes reflectances only from a file; name one, or leave --direct out")
     loaded = load_model(model, library)
     warn_if_invisible(loaded.bands)
     predicted = diagnostics.predict_and_diagnose(loaded, latent, colour)
     if predicted.latent is None:
-        raise UsageError(
-            f"{at}: direct renders are of latents, not of steps of walks; render a predicted file"
-        )
+        raise UsageError(f"{at}: --direct evaluates latents, but no steps of walks; leave it out")
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}
@@ -186,9 +184,9 @@ class Comparison(Result):
     Attributes:
         path: of the figure.
         a, b: what was compared.
-        light: in which they are seen.
-        ciede2000_ball, itp_ball, flip_ball: over the pixels of the ball; None if pictures were compared.
-        ciede2000, itp, flip: over all pixels; `itp` is Delta E_ITP of ITU-R BT.2124.
+        light: the light of the renders.
+        ciede2000_ball, itp_ball, flip_ball: means over the pixels of the ball; None if pictures were compared.
+        ciede2000, itp, flip: means over all pixels; `itp` is Delta E_ITP of ITU-R BT.2124.
         diagnostics: of the predictions among them.
     """
 
@@ -208,9 +206,9 @@ class Comparison(Result):
 def compare(
     a: MaterialSource, b: MaterialSource, output: Path, settings: RenderSettings,
 ) -> Comparison:  # fmt: skip
-    """Compare two pictures, or two materials rendered alike.
+    """Compare two pictures, or the renders of two materials, and draw maps of their difference.
 
-    Linear pictures are tone-mapped first; that caps what is brighter than a display.
+    Linear pictures are tone-mapped first, so values brighter than the display are compressed.
 
     Raises:
         UsageError: one is a material and the other a picture, or the figure cannot be written.
@@ -225,7 +223,9 @@ def compare(
         if isinstance(source, FileSource) and kind_of(source.path) is Kind.PICTURE
     ]
     if len(pictures) == 1:
-        raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")
+        raise UsageError(
+            f"{a} and {b}: found a material and a picture, expected two materials or two pictures"
+        )
     ball = None
     diagnostics: list[str] = []
     if pictures:

@@ -34,7 +34,7 @@ _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One BRDF of a picture, and the prediction that it is, if any."""
+    """A BRDF to be drawn, with its label and, if it is predicted, the prediction."""
 
     label: str
     brdf: EvaluableBRDF
@@ -84,8 +84,8 @@ def draw_slices(
 def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
     """Draw colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
 
-    All images share one exposure: white is what one in two hundred values below theta_d = 75 degrees exceeds, or thrice
-    their median, so that colours beside highlights are visible. What was not measured (NaN) is white.
+    All images share one exposure: white is the value that 0.5 % of the values below theta_d = 75 degrees exceed, or
+    three times their median, so that colours beside highlights are visible. Unmeasured values (NaN) are white.
     """
     _require_sources(sources)
     figure = new_figure(3.1 * len(sources) + 0.6, 3.7)

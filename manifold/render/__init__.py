@@ -1,4 +1,7 @@
-"""Mitsuba: backend, scenes, renders, images and their differences. `backend` alone imports mitsuba and drjit."""
+"""Rendering by Mitsuba: backend, scenes, renders, images and their differences.
+
+Only `backend` imports mitsuba and drjit.
+"""
 
 import lazy_loader
 

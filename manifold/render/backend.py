@@ -5,9 +5,9 @@ processors, so the newest of version 17 or later is taken.
 This module (and nothing else) imports Mitsuba and Dr.Jit; others ask `mitsuba()` and `drjit()` for them, and get a
 `RendererError` where Mitsuba is missing.
 
-Caveats: Dr.Jit takes its libLLVM when it is imported and never another one in the same process. The variant is one
-setting of the whole process, so threads must not render in different ones at a time; objects of one variant mean
-nothing in another. Neither survives a fork: use spawned processes.
+Caveats: Dr.Jit loads its libLLVM when it is imported, and cannot change it in the same process. The variant is a
+setting of the whole process, so threads must not render in different variants at the same time, and objects of one
+variant cannot be used in another. Neither survives a fork: use spawned processes.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ _COLOURS = ("spectral", "rgb", "mono")
 
 
 class RendererWarning(UserWarning):
-    """Rendering works, but slowly."""
+    """Mitsuba runs its slow scalar variants, because no suitable libLLVM was found."""
 
 
 @dataclass(frozen=True)
 class Backend:
-    """The way Mitsuba runs in this process.
+    """How Mitsuba runs in this process: in LLVM or in scalar variants.
 
     Attributes:
         kind: `llvm` (vectorised, compiled) or `scalar`.
         library: the libLLVM of an LLVM backend.
-        advice: one line on what to install for faster renders, where there is something to say.
+        advice: one line on what to install for faster renders; empty if nothing is missing.
     """
 
     kind: str
@@ -175,9 +175,9 @@ _is_kept = False  # by a block of `variant_kept`
 
 
 def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
-    """Set Mitsuba's variant for a kind of colour, `spectral`, `rgb` or `mono`, and return Mitsuba.
+    """Set Mitsuba's variant for `spectral`, `rgb` or `mono` colours, and return the module.
 
-    The first call warns once if it is slow.
+    The first call warns if rendering is slow.
     """
     global _is_advised
     if colour not in _COLOURS:
@@ -205,7 +205,7 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
 
 
 def _require_same_process() -> None:
-    """Raise RendererError in a fork of a process that has used Mitsuba, whose threads would be waited for."""
+    """Raise RendererError in a fork of a process that has used Mitsuba, because its threads do not exist here."""
     global _process
     _process = _process or os.getpid()
     if _process != os.getpid():
@@ -217,9 +217,9 @@ def _require_same_process() -> None:
 
 @contextmanager
 def variant_kept() -> Iterator[None]:
-    """Set the variant again that the user had set before the block; also a decorator.
+    """Restore the user's variant after the block; also usable as a decorator.
 
-    A block within another leaves that to the other: to set a variant takes Mitsuba 50 ms.
+    Only the outermost of nested blocks restores it, because setting a variant takes 50 ms.
     """
     global _is_kept
     if _is_kept:
@@ -257,7 +257,7 @@ def only_errors() -> Iterator[None]:
 
 
 def on_variant(callback: Callable[[str], None]) -> None:
-    """Call back with the variant that is set, if any, and with every one that is set later; never without Mitsuba."""
+    """Call a function with the current variant, if any, and with every variant that is set later."""
     if not is_available():
         return
     mi = imported()
@@ -277,7 +277,7 @@ def drjit() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep Dr.Jit, if it is loaded, from worker threads, which use a core while they wait for small launches."""
+    """Run Dr.Jit, if it is loaded, without worker threads, which occupy a core while they wait."""
     dr = sys.modules.get("drjit")
     if dr is None:
         yield

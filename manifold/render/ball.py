@@ -1,4 +1,4 @@
-"""Renders of the ball of a material from a file, a fit, or any BRDF."""
+"""Renders of the material ball of a file, a fit, or any BRDF."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class BallMaterial:
     """A material as Mitsuba renders it.
 
     Attributes:
-        name: for titles.
-        bsdf: dictionary of Mitsuba.
-        is_rgb: whether it is linear sRGB, with no spectrum.
-        route: in words, how the renderer evaluates it.
+        name: name for titles.
+        bsdf: the BSDF as a dictionary of Mitsuba.
+        is_rgb: whether the material is linear sRGB, without a spectrum.
+        route: how the renderer evaluates it, in words.
     """
 
     name: str
@@ -40,12 +40,12 @@ class BallMaterial:
     route: str
 
     def render(self, settings: RenderSettings) -> Array:
-        """Render the ball in linear sRGB; see `render_bsdf`."""
+        """Render the ball in linear sRGB, see `render_bsdf`."""
         return render_bsdf(self.bsdf, self.is_rgb, settings)
 
 
 def read_material(path: Path) -> BallMaterial:
-    """Read an RGL file, or the JSON of a fit."""
+    """Read a material to be rendered: an RGL file, or the JSON of a fit."""
     if path.suffix == ".json" or is_fit(path):
         from manifold.render import fit_json
 
@@ -68,7 +68,7 @@ def read_material(path: Path) -> BallMaterial:
 def make_settings(
     *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
 ) -> RenderSettings:
-    """Make settings with an illuminant by name or file, and an environment from a file."""
+    """Return settings with the illuminant of a name or file, and the environment of a file."""
     image = None
     if environment is not None:
         try:
@@ -79,7 +79,7 @@ def make_settings(
 
 
 def parse_illuminant(text: str) -> Illuminant:
-    """Return a CIE illuminant by its name, or the light of a file of wavelengths and powers."""
+    """Return the CIE illuminant of a name, or the light of a file of wavelengths and powers."""
     path = Path(text)
     if path.suffix and path.is_file():
         return Illuminant.read(path)
@@ -102,16 +102,16 @@ def render_ball(
     """Render the ball of a material under an environment light: linear sRGB, float64, shape (size, size, 3).
 
     Args:
-        material: the path of a `.bsdf` or of a fit, a file that was read, or any BRDF, such as a prediction, which is
-            measured by the virtual goniometer first.
+        material: path of a `.bsdf` file or of a fit, a `BsdfFile`, or any BRDF, such as a prediction, which the
+            virtual goniometer measures first.
         size: pixels per side.
         samples: light paths per pixel.
-        seed: fixes the noise.
+        seed: seed of the noise.
         illuminant: name of a CIE illuminant, or path of a text file of wavelengths in nm and powers.
-        environment: picture of the surroundings, latitude by longitude; a studio by default.
+        environment: picture of the surroundings by latitude and longitude; by default a studio.
 
     Raises:
-        UsageError: the material has no spectrum, and the light is not D65; or an argument cannot be used.
+        UsageError: the material has no spectrum and the light is not D65, or an argument is out of range.
         FileFormatError: a file is not what it should be.
         RendererError: Mitsuba is missing.
     """
@@ -127,9 +127,9 @@ def render_ball(
 
 
 def render_material(material: BRDF | BsdfFile, settings: RenderSettings) -> Array:
-    """Render the ball of a file that was read, or of a BRDF, which is measured first, negative values as 0.
+    """Render the ball of a `BsdfFile`, or of a BRDF, which the virtual goniometer measures first.
 
-    Returns and raises: as `render_bsdf`.
+    Negative values are rendered as 0. Returns linear sRGB, shape (size, size, 3), and raises as `render_bsdf`.
     """
     if isinstance(material, BsdfFile) and material.rotation_rad:
         material = MeasuredBRDF(material)  # Mitsuba knows no rotation of a file

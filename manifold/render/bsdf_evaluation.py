@@ -27,7 +27,7 @@ _TINTS = ("spec_tint", "sheen_tint")
 
 
 class Evaluator(Protocol):
-    """A BSDF family at M direction pairs, for B bands; f_cos in 1/sr."""
+    """The interface that evaluates a BSDF family at M direction pairs in B bands; f_cos is in 1/sr."""
 
     layout: Layout
 
@@ -38,9 +38,9 @@ class Evaluator(Protocol):
         """Return f_cos (M, B) of one vector (K,), and its derivatives (M, B, K)."""
 
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
-        """Return f_cos (M, B) of one vector (K,), and derivatives (M, B, n) by each band's own n values.
+        """Return f_cos (M, B) of one vector (K,), and its derivatives (M, B, n) by the n values of each band.
 
-        Bands are taken to be independent of each other.
+        A band must depend only on its own values.
         """
 
 
@@ -88,7 +88,7 @@ def is_analytic(family: BsdfFamily) -> bool:
 
 
 def require_independent_bands(family: BsdfFamily) -> None:
-    """Refuse tints of spectral samples: they depend on a luminance of three channels, which bands do not have."""
+    """Raise UsageError for tints of spectral values, because a tint depends on the luminance of three channels."""
     free = {parameter.name for parameter in family.parameters}
     mixing = [name for name in _TINTS if name in free or family.fixed.get(name, 0)]
     if family.type == "principled" and mixing:
@@ -295,7 +295,7 @@ class LaneEvaluator:
     def jacobian(self, p: Array) -> tuple[Array, Array]:
         """Return f_cos and its derivatives; see `Evaluator`.
 
-        One tangent serves each scalar, and one each channel of the parameters per band.
+        There is one tangent per scalar, and one per channel of the parameters per band.
         """
         layout = self.layout
         columns = [
@@ -318,7 +318,7 @@ class LaneEvaluator:
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
         """Return f_cos and its derivatives per band; see `Evaluator`.
 
-        One tangent serves each parameter, for the three channels at once.
+        There is one tangent per parameter, for the three channels together.
         """
         columns = [(j, None) for j, o in enumerate(self.layout.family.parameters) if o.per_band]
         value, slope = self._differentiate(p, columns)

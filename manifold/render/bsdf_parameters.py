@@ -21,17 +21,18 @@ _GLOSS_FLOOR = 0.0101  # Mitsuba's clear coat: alpha 0.1 at gloss 0, 0.001 at gl
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One parameter of a Mitsuba BSDF that a fit may change.
+    """A parameter of a Mitsuba BSDF that a fit may change, with its range.
 
     Attributes:
-        name: as in Mitsuba's dictionaries.
+        name: name in Mitsuba's dictionaries.
         minimum, maximum: the range, ends included.
-        default: where a search begins, and what a missing value means.
-        transform: the coordinate in which the optimiser sees it.
-        per_band: one value per band, such as a colour, instead of one for all.
-        affine: the BSDF is an affine function of it, band by band; the global search then solves it exactly.
-        tolerance: the standard error, doubled, up to which the parameter counts as determined.
-        undetermined: what it keeps where the samples do not determine it; None where it is fitted even so.
+        default: start of the search, and value if none is given.
+        transform: the transform into the coordinate of the optimiser.
+        per_band: whether there is one value per band, as for a colour, or one for all bands.
+        affine: whether the BSDF is an affine function of the parameter in each band; the global search then solves
+            for it exactly.
+        tolerance: the parameter counts as determined if twice its standard error is at most this.
+        undetermined: the value that it keeps if the data do not determine it; None to keep the fitted value.
     """
 
     name: str
@@ -63,7 +64,7 @@ class FreeParameter:
 
     @property
     def range(self) -> float:
-        """Maximum minus minimum."""
+        """Width of the range, maximum minus minimum."""
         return self.maximum - self.minimum
 
     def inward(self, p: Array | float) -> Array:
@@ -106,8 +107,8 @@ class BsdfFamily:
 
     Attributes:
         type: the plugin's name, built in or registered from Python.
-        parameters: what is fitted.
-        fixed: the other entries of the plugin's dictionary.
+        parameters: the free parameters.
+        fixed: the fixed entries of the plugin's dictionary.
     """
 
     type: str
@@ -148,15 +149,15 @@ class BsdfFamily:
 class Layout:
     """The layout of a family's parameters in one vector of K numbers, for B bands.
 
-    Parameters stand in the family's order; one that is per band takes B places.
+    Parameters have the order of the family; a parameter per band takes B places.
 
     Attributes:
-        slices: places of each parameter, by name.
-        owner: the parameter of each place.
+        slices: slice of each parameter by name.
+        owner: index of the parameter of each place.
         size: K.
         minimum, maximum, default, tolerance: of each place, shape (K,).
-        is_per_band: places of parameters per band, bool (K,).
-        labels: name of each place; with the band's index where a parameter has several.
+        is_per_band: whether the parameter of a place is per band, bool (K,).
+        labels: name of each place, with the index of the band if the parameter is per band.
     """
 
     def __init__(self, family: BsdfFamily, n_bands: int) -> None:
@@ -232,7 +233,7 @@ def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool 
 
     Wide base colours range from -0.25 to 1.25, not from 0 to 1.
 
-    Roughness is the artist's: Mitsuba squares it to get the GGX alpha.
+    `roughness` is the artist's parameter: Mitsuba squares it to get the GGX alpha.
     """
     colour = _WIDE if wide_colours else _COLOUR
     family = BsdfFamily("principled", (colour, *_PRINCIPLED[1:]))

@@ -1,4 +1,4 @@
-"""Fits as JSON: written with everything that made them, read back as BSDFs. Schema: `fit.schema.json`."""
+"""Fits as JSON, with their inputs and settings; they are read back as BSDFs. Schema: `fit.schema.json`."""
 
 from __future__ import annotations
 
@@ -155,13 +155,13 @@ PROGRAM = f"manifold {__version__}"
 
 @dataclass(frozen=True)
 class Source:
-    """The source of a fit.
+    """Where the fitted values come from: a measured file, or a prediction.
 
     Attributes:
         file, sha256: name and hash of the measured file; None for a prediction.
-        latent, model, model_sha256: where a prediction comes from, the model's file and its hash; None for a file.
-        walk: of a step of a walk, which has no latent, where it is, in words; else None.
-        colour: of a prediction, in words; None for a file, and where colours are fixed by latents.
+        latent, model, model_sha256: latent, model file and its hash for a prediction; None for a file.
+        walk: the step of a walk in words, because it has no latent; else None.
+        colour: colour of a prediction in words; None for a file, and if latents fix the colours.
     """
 
     name: str
@@ -175,7 +175,7 @@ class Source:
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:
-    """Add the hash by which later changes of plain values are found."""
+    """Return plain values with a hash that reveals later changes."""
     return content | {"sha256": _digest(content)}
 
 
@@ -190,7 +190,7 @@ def _digest(content: dict[str, Any]) -> str:
 
 
 def write_document(path: Path, content: dict[str, Any]) -> None:
-    """Write what `document` has made."""
+    """Write the plain values of `document` to a file."""
     disk.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 

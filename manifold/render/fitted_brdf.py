@@ -1,4 +1,4 @@
-"""The BSDF of a written fit, evaluated like any other BRDF: for slices, comparisons and tests."""
+"""The fitted BSDF of a JSON file as a BRDF that can be evaluated, for slices, comparisons and tests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BLOCK = 1 << 18  # pairs that are evaluated at once: 100 MB
 
 
 class FittedBRDF:
-    """Values of a fit in linear sRGB, or in its bands where colours were fitted per band. It does not sample."""
+    """A fitted BSDF in linear sRGB, or in bands if its colours were fitted per band; it cannot be sampled."""
 
     def __init__(self, content: Mapping[str, Any]):
         """Take the content of a fit's JSON; see `fit_json.read`."""

@@ -1,4 +1,4 @@
-"""Pictures in files, EXR linear and PNG tone-mapped, everything in sRGB primaries; and differences between pictures."""
+"""Reading and writing of pictures (EXR linear, PNG tone-mapped) in sRGB primaries, and their differences."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _COMPRESSION = 1  # of PNG: a third of the time of the default, for files a sixt
 def tone_map(linear: Array) -> Array:
     """Convert linear sRGB (..., 3) to display values in [0, 1].
 
-    Values up to 0.7 keep their colours exactly; brighter ones approach white without reaching it, so highlights stay
-    apart. Negative values (colours outside sRGB) are cut.
+    Values up to 0.7 keep their colours exactly. Brighter values approach white without reaching it, so that
+    highlights remain distinguishable. Negative values (colours outside sRGB) become 0.
 
     >>> tone_map(np.array([0.0, 0.18, 1.0, 100.0])).round(2)
     array([0.  , 0.46, 0.95, 1.  ])
@@ -37,17 +37,17 @@ def tone_map(linear: Array) -> Array:
 
 
 def require_image_path(path: Path) -> None:
-    """Check, before a picture is made, that `write_image` can write it."""
+    """Raise UsageError, before a picture is rendered, if `write_image` cannot write it."""
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: pictures are written as .exr (linear) or .png (tone-mapped); name one so")
     disk.require_writable(path)
 
 
 def write_image(path: Path, linear: Array) -> None:
-    """Write linear sRGB (H, W, 3): as it is into `.exr`, tone-mapped into `.png`; atomically.
+    """Write linear sRGB (H, W, 3) as `.exr`, or tone-mapped as `.png`; the file is replaced atomically.
 
-    An array (H, W, 1) is written into `.exr` as one channel.
-    Values in half precision stay so, others are written in single precision.
+    An array (H, W, 1) becomes one channel of an `.exr` file. Values in half precision are written in half
+    precision, others in single precision.
 
     Raises:
         UsageError: the suffix is neither `.exr` nor `.png`, or the file cannot be written.
@@ -100,7 +100,7 @@ _WHITE = np.array([1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class Summary:
-    """Statistics of a map of differences."""
+    """Statistics of a map of differences between pictures."""
 
     mean: float
     median: float

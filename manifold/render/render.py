@@ -1,8 +1,9 @@
 """Renders of the material ball in Mitsuba; importing this module registers the BSDF plugin `manifold`.
 
 Spectral scenes are rendered with a colorimetric film: its three channels weigh the light that arrives by
-colour-science's matching functions and by the illuminant, which the scene does not contain. So one scene serves all
-illuminants, and the spikes of fluorescent lamps are sampled. White is adapted to that of sRGB, as the eye does.
+colour-science's matching functions and by the illuminant, which the scene does not contain. Therefore one scene can
+be rendered under all illuminants, and the emission lines of fluorescent lamps are sampled. The white of the
+illuminant is adapted to that of sRGB.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ backend.on_variant(register)
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Settings of a render.
+    """Settings of a render: size, samples per pixel, light.
 
     Attributes:
         size: pixels per side.
         samples: light paths per pixel.
         seed: of the noise; equal seeds give equal pictures.
-        environment: linear RGB radiance as `lights.studio` lays it out, (H, W, 3); that by default.
+        environment: linear RGB radiance (H, W, 3) in the layout of `lights.studio`, which is the default.
         window: the part of the picture that is rendered, as left, top, width and height in pixels; all of it if None.
     """
 
@@ -122,7 +123,7 @@ def require_d65(illuminant: Illuminant) -> None:
 def render_scene(mi: Any, scene: Any, settings: RenderSettings) -> Array:
     """Render the channels of a scene's film, float64, shape (size, size, channels).
 
-    Passes of a few seconds have seeds of their own that follow from the settings'.
+    Long renders are split into passes of a few seconds; each has its own seed, derived from that of the settings.
     """
     most = max(1, _LANES // settings.size**2)
     n_passes = -(-settings.samples // most)

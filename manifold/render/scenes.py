@@ -1,7 +1,8 @@
 """The material ball: a sphere on a pedestal under the studio light, as a Mitsuba scene.
 
 World: z points up, the camera looks along +y, lengths are in radii of the ball. The studio is an environment image,
-scaled so that a white diffuser that lies on the floor has the radiance 1: what is diffuse shows its reflectance.
+scaled so that a white diffuser that lies on the floor has the radiance 1, and a diffuse material shows its
+reflectance.
 """
 
 from __future__ import annotations

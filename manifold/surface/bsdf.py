@@ -1,4 +1,4 @@
-"""The BSDF plugin `surface`: another BSDF whose spectrum is changed from point to point by a texture.
+"""The BSDF plugin `surface`: another BSDF whose colour a texture changes from point to point.
 
 Scenes name it after `manifold.surface.bsdf.register()`, in LLVM variants:
 
@@ -6,11 +6,11 @@ Scenes name it after `manifold.surface.bsdf.register()`, in LLVM variants:
      "nested": {"type": "measured", "filename": "mean_spec.bsdf"}}
 
 Properties:
-    changes: texture of the changes of red, green and blue, as `spectral_changes` gives them. In RGB variants
-        they multiply the colour; in spectral ones, wavelength by wavelength, `weights_at` says by which share.
+    changes: texture of factors of red, green and blue, as `spectral_changes` returns them. In RGB variants they
+        multiply the colour; in spectral ones, the factor of a wavelength is their sum weighted by `weights_at`.
     nested: the BSDF that is changed.
 
-Slopes are Mitsuba's own: put it into a `normalmap`.
+For slopes, put the plugin into Mitsuba's `normalmap`.
 """
 
 from __future__ import annotations
@@ -97,5 +97,5 @@ def _objects(properties: Any) -> list[Any]:
 
 
 def register() -> None:
-    """Register the plugin in the variant that is set now, and in every one that is set later."""
+    """Register the plugin in the current variant and in every variant that is set later."""
     backend.on_variant(_register)

@@ -27,18 +27,21 @@ _BLOCK_ROWS = 128  # that are fitted at once
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A surface, point by point; H rows, W columns. Columns point along x, rows against y.
+    """The colour, slope and glints of a surface at each of H x W points.
+
+    Columns point along x, rows against y.
 
     Attributes:
         name: of the sample.
-        mean: linear sRGB of its diffuse colour, a white diffuser being 1, shape (3,).
-        albedo: of every point relative to the mean, shape (H, W, 3), above 0, of mean 1.
+        mean: mean diffuse colour in linear sRGB, 1 for a white diffuser, shape (3,).
+        albedo: albedo of every point relative to the mean, shape (H, W, 3), above 0, of mean 1.
         slope: x and y components of the normal over its z component, shape (H, W, 2).
-        slope_std: standard deviations of both components, shape (2,); that of the prior where no lamp tells.
-        third: third factor of the response, shape (H, W); see `response`.
-        glints: pictures in which a point is brighter than a smooth relief explains, shape (J, H, W).
-        gain: of the response to slope; see `response`.
-        pictures: what it was made from.
+        slope_std: standard deviations of both components, shape (2,); the prior's if no lamp determines a
+            component.
+        third: third factor of the brightness, shape (H, W); see `response`.
+        glints: whether a point is brighter in a picture than a smooth relief explains, bool, shape (J, H, W).
+        gain: gain of the response to slope; see `response`.
+        pictures: the pictures from which the surface was estimated.
     """
 
     name: str
@@ -56,7 +59,7 @@ class Surface:
 
         Args:
             lamp: unit vector towards it, shape (3,); NaN for diffuse light.
-            mean: linear sRGB that the picture has in the mean, shape (3,).
+            mean: mean of the picture in linear sRGB, shape (3,).
         """
         factors = Response.of(lamp[None], mean[None], self.gain).factors[0]
         bright = self.albedo * np.exp(self._state @ factors)[..., None]
@@ -64,7 +67,7 @@ class Surface:
 
     @property
     def is_middle(self) -> Mask:
-        """Pictures in which glints are sought, those under lamps near the normal, shape (J,)."""
+        """Mask of the pictures in which glints are counted: those under lamps near the normal, shape (J,)."""
         return _is_middle(self.pictures)
 
     @property
@@ -73,22 +76,24 @@ class Surface:
 
     @cached_property
     def height(self) -> Array:
-        """Heights in pixels, of mean 0, shape (H, W): the surface whose slopes agree best, each as it is known."""
+        """Heights in pixels, of mean 0, shape (H, W), from the slopes weighted by their uncertainty."""
         return integrated(self.slope, self.slope_std)
 
     @property
     def relief(self) -> Array:
-        """Slopes of the heights, shape (H, W, 2): where lamps do not tell, those that integrability leaves."""
+        """Slopes of the heights, shape (H, W, 2); integrability completes those that no lamp determines."""
         return _slopes_of(self.height)
 
 
 def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = None) -> Surface:
-    """Estimate the surface that explains pictures best, with Gaussian priors, robust to glints and cast shadows.
+    """Estimate the surface that best explains pictures under several lamps.
+
+    The fit has Gaussian priors and is robust to glints and cast shadows.
 
     Args:
-        pictures: three or more under lamps.
-        brdf: of the mean, whose lobe says how steep slopes are; if None, they are as steep as those of a Lambertian
-            under lamps at 30 degrees.
+        pictures: pictures, three or more of them under lamps.
+        brdf: mean BRDF, whose lobe sets the scale of the slopes; if None, the scale is that of a Lambertian under
+            lamps at 30 degrees.
     """
     gain = 1.0 if brdf is None else gain_of(brdf, pictures)
     response = Response.of_pictures(pictures, gain)
@@ -119,18 +124,18 @@ def estimate_surface(pictures: SurfacePictures, brdf: EvaluableBRDF | None = Non
 
 
 def brightest(colours: Array) -> float:
-    """Return the brightest channel of the brightest of points (H, W, 3), glints and dust excepted."""
+    """Return the largest channel of the brightest point of a picture (H, W, 3), except glints and dust."""
     return float(np.max(np.quantile(colours, _BRIGHTEST, axis=(0, 1))))
 
 
 def _fitted(
     values: Array, log_means: Array, response: Response, trusted: Mask, prior: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Fit the logs of pictures (J, H, W, 3), each less that of its mean (J, 3), point by point.
+    """Fit the logarithms of pictures (J, H, W, 3) relative to their means (J, 3), point by point.
 
     Returns:
-        Slopes and third factor (H, W, 3), log albedo (H, W, 3), what the fit leaves of each picture in the mean over
-        its channels (J, H, W), and the mean covariance of slopes and third factor (3, 3).
+        Slopes and third factor (H, W, 3), log albedo (H, W, 3), the residual of each picture, mean over its
+        channels (J, H, W), and the mean covariance of slopes and third factor (3, 3).
     """
     J, H, W, _ = values.shape
     state, albedo, residual = np.empty((H, W, 3)), np.empty((H, W, 3)), np.empty((J, H, W))
@@ -187,7 +192,7 @@ def _is_middle(pictures: SurfacePictures) -> Mask:
 
 
 def integrated(slope: Array, slope_std: Array) -> Array:
-    """Return heights whose slopes agree best with given ones, by least squares; the surface is mirrored at its edges.
+    """Return the heights whose slopes fit given slopes best, by least squares with mirrored edges.
 
     Args:
         slope: components of normals along x (columns) and y (against rows), shape (H, W, 2).

@@ -1,4 +1,4 @@
-"""The work behind `manifold surface`: pictures and readings of a sample in, textures and materials of engines out."""
+"""Textures and engine materials of a specimen, from its pictures and readings (`manifold surface`)."""
 
 from __future__ import annotations
 
@@ -52,19 +52,19 @@ _VISIBLE_SPARKLE = 1.0  # glints per 10,000 pixels and lamp that a note mentions
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurfaceFiles(Result):
-    """A surface, as written.
+    """The files of a written surface, and its statistics.
 
     Attributes:
-        folder: of its files.
+        folder: the folder of the files.
         surface: of the sample.
         sparkle: of the sample.
-        textures: which continue across their edges.
-        mm_per_pixel: width of a pixel of the textures; None if it is not known.
-        completed: the BRDF of the mean; None where there were no readings.
-        exports: differences of engines' models from the mean on the ball, CIEDE2000, by target.
-        paths: of what was written, by what it is.
-        notes: what a user should know, in sentences.
-        seconds: in all.
+        textures: tiling textures.
+        mm_per_pixel: width of a pixel of the textures; None if unknown.
+        completed: the completed mean BRDF; None without readings.
+        exports: CIEDE2000 of the ball between the mean BRDF and the fitted engine models, by target.
+        paths: paths of the written files by kind.
+        notes: notes for the user, in sentences.
+        seconds: total time.
     """
 
     surface: Surface
@@ -120,7 +120,7 @@ class SurfaceFiles(Result):
     @property
     @derived()
     def gain(self) -> float:
-        """See `Surface`."""
+        """Gain of the response to slope, see `Surface`."""
         return self.surface.gain
 
     @property
@@ -160,7 +160,7 @@ class SurfaceFiles(Result):
         "{0.roughness:.2f} (GGX alpha)",
     )  # fmt: skip
     def flakes(self) -> Flakes | None:
-        """See `Sparkle`."""
+        """The flakes that would show the counted glints, see `Sparkle`."""
         return self.sparkle.flakes
 
     @property
@@ -171,7 +171,7 @@ class SurfaceFiles(Result):
         ],
     )
     def instrument(self) -> list[dict[str, Any]]:
-        """Graininess and sparkle by the instrument, an entry a geometry, as the workbook names them."""
+        """The instrument's graininess and sparkle, one entry per geometry, with the names of the workbook."""
         if self.completed is None:
             return []
         return [dict(values) for values in self.completed.completion.readings.texture.get("values", ())]
@@ -218,17 +218,17 @@ def make_surface(
     targets: Sequence[str] = TARGETS,
     mm_per_pixel: float | None = None,
 ) -> SurfaceFiles:
-    """Write the surface of a sample, as textures and as materials of engines, while holding the folder's lock.
+    """Write the surface of a specimen into a folder, as textures and as materials of engines.
 
     Args:
-        library: of measured materials, by which the readings are completed.
+        library: library of measured materials that completes the readings.
         pictures: of the sample.
-        readings: of it; None where there are none, and then no BRDF of the mean.
-        folder: to write into; made if missing.
-        name: with which those of files begin; that of the sample if None.
-        size: of textures, in pixels.
-        targets: of exports that take textures; none are written without readings.
-        mm_per_pixel: width of a pixel of the pictures, which is recorded; None if it is not known.
+        readings: readings of the specimen; if None, no mean BRDF is written.
+        folder: folder to write into; made if missing, and locked against other runs.
+        name: beginning of the names of files; by default the name of the specimen.
+        size: width and height of the textures in pixels.
+        targets: export targets, which must support textures; nothing is exported without readings.
+        mm_per_pixel: width of a pixel of the pictures, which is recorded; None if unknown.
 
     Raises:
         UsageError: a target takes no textures, the folder cannot be written or another run writes to it, or a file
@@ -409,8 +409,8 @@ def write_exports(
 ) -> dict[str, float]:  # fmt: skip
     """Fit engines' models to the mean, write them with textures, and return their differences on the ball.
 
-    Flakes are coats with normals of their own, in place of what coat there is around them. `cut` receives the share of
-    points that are cut in each base texture.
+    Flakes are written as a clear coat with its own normals, which replaces any coat of the fitted model there.
+    `cut` receives the share of points that are clipped in each base texture.
     """
     from manifold.fit import exporting
 

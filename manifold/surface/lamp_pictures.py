@@ -31,7 +31,7 @@ _HALF_CODE = 0.5 / 255.0
 
 @dataclass(frozen=True, eq=False)
 class SurfacePictures:
-    """Pictures of one spot; J of them, H rows, W columns.
+    """J pictures of one spot of a surface, with H rows and W columns.
 
     Columns point along x, rows against y, both in the plane of the sample; z is its normal.
 
@@ -40,11 +40,11 @@ class SurfacePictures:
         values: linear sRGB, shape (J, H, W, 3), above 0; channels registered to each other.
         lamps: unit vectors towards the lamps, shape (J, 3); NaN for diffuse light.
         camera: unit vector towards the camera, shape (3,).
-        labels: J names of the pictures, as their source has them.
-        means: mean linear sRGB that readings give for each picture, a white diffuser being 1, shape (J, 3); NaN where
-            there is no reading.
-        notes: what was assumed, in sentences.
-        sources: files that they were read from.
+        labels: the J names of the pictures in their source.
+        means: mean linear sRGB of the reading at the geometry of each picture, 1 for a white diffuser, shape (J,
+            3); NaN without a reading.
+        notes: assumptions, in sentences.
+        sources: files from which the pictures were read.
     """
 
     name: str
@@ -58,7 +58,7 @@ class SurfacePictures:
 
     @property
     def is_diffuse(self) -> Mask:
-        """Pictures in diffuse light, shape (J,)."""
+        """Mask of the pictures in diffuse light, shape (J,)."""
         return np.isnan(self.lamps[:, 0])
 
     def without(self, picture: int) -> SurfacePictures:
@@ -76,15 +76,15 @@ class SurfacePictures:
 
 
 def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePictures, Readings]:
-    """Read the pictures of a multi-angle spectrophotometer's workbook, and its readings.
+    """Read the pictures and the readings of a workbook of a multi-angle spectrophotometer.
 
     Args:
         path: `.xlsx` with a sheet `Texture Images`.
-        sample: which of several.
+        sample: name of the specimen, for a workbook with several.
 
     Raises:
-        FileFormatError: it has fewer than three pictures under lamps, their sizes differ, or their means do not belong
-            to the readings at the same geometries.
+        FileFormatError: the workbook has fewer than three pictures under lamps, their sizes differ, or their means
+            contradict the readings at the same geometries.
     """
     from manifold.formats.registry import read_readings
 
@@ -116,26 +116,26 @@ def read_workbook(path: Path, sample: str | None = None) -> tuple[SurfacePicture
 
 
 def read_folder(pictures: Sequence[Path], lamps: Path) -> SurfacePictures:
-    """Read pictures of a flat sample seen from above.
+    """Read pictures of a flat specimen that is seen from above.
 
     Args:
-        pictures: one file a lamp, in the order of the lamps, unless these name them.
-        lamps: text of directions as of `estimate.lamps.read_lamps`; x points right in the pictures, y up, z towards the
-            camera.
+        pictures: one file per lamp, in the order of the lamps unless the lamps name their pictures.
+        lamps: text file of directions (see `estimate.lamps.read_lamps`); x points right in the pictures, y up, z
+            towards the camera.
 
     Raises:
-        UsageError: there is another number of lamps, or one does not stand above the sample.
+        UsageError: the numbers of lamps and pictures differ, or a lamp is below the surface.
         FileFormatError: a line is no direction, or the sizes of the pictures differ.
     """
     found = read_lamps(lamps, [path.name for path in pictures])
     if len(found) != len(pictures) or len(found) < _LEAST_LAMPS:
         raise UsageError(
-            f"{lamps}: found {len(found)} lamps for {len(pictures)} pictures, expected one a picture, of "
+            f"{lamps}: found {len(found)} lamps for {len(pictures)} pictures, expected one per picture, at least "
             f"{_LEAST_LAMPS} or more"
         )
     directions = np.array([lamp.direction for lamp in found])
     if np.any(directions[:, 2] <= 0.0):
-        raise UsageError(f"{lamps}: a lamp does not stand above the sample, expected z above 0")
+        raise UsageError(f"{lamps}: a lamp is below the surface, expected z above 0")
     read = (read_picture(path).values / lamp.colour for path, lamp in zip(pictures, found, strict=True))
     values = _stacked(lamps, read, len(pictures))
     np.maximum(values, _HALF_CODE, out=values)
@@ -159,7 +159,7 @@ def files_in(sources: Sequence[Path]) -> list[Path]:
 
 
 def in_plane(angles_deg: Array | float) -> Array:
-    """Return directions in the instrument's plane, which is vertical in its pictures; positive towards larger rows."""
+    """Return directions in the plane of the lamps, which is vertical in pictures; positive angles point down."""
     angles = np.deg2rad(angles_deg)
     return np.stack([0.0 * angles, -np.sin(angles), np.cos(angles)], axis=-1)
 
@@ -173,7 +173,7 @@ def _decoded(path: Path, caption: str, content: bytes) -> Array:
 
 
 def _stacked(path: Path, pictures: Iterable[Array], count: int) -> Array:
-    """Stack `count` pictures of one size; none is read after one that does not fit."""
+    """Stack `count` pictures of equal size; reading stops at the first picture of another size."""
     stack = np.empty((0, 0, 0, 3))
     for j, picture in enumerate(pictures):
         h, w = picture.shape[:2]
@@ -194,7 +194,7 @@ def _stacked(path: Path, pictures: Iterable[Array], count: int) -> Array:
 
 
 def _registered(values: Array) -> tuple[Array, tuple[str, ...]]:
-    """Move red and blue of pictures along the rows onto green, by the shift that agrees best over all."""
+    """Align red and blue of the pictures with green, by the shift along the rows that fits all best."""
     moved, notes = values.copy(), []
     middle = values.mean(axis=(1, 2), keepdims=True)
     detail = [_detail(channel) for channel in np.moveaxis(values / middle, -1, 0)]
@@ -219,7 +219,7 @@ def _detail(pictures: Array) -> Array:
 
 
 def _agreement(fixed: Array, moving: Array, steps: Array) -> Array:
-    """Return the correlation of a channel's detail with another's moved along the rows by Fourier shifts, per step."""
+    """Return the correlation of two channels' detail for each shift of one along the rows."""
     spectra = [np.fft.rfft2(channel.swapaxes(1, 2)) for channel in (fixed, moving)]
     cross = np.sum(np.conj(spectra[0]) * spectra[1], axis=(0, 1))
     n = fixed.shape[1]

@@ -1,4 +1,4 @@
-"""A surface as it looks: a plane under a moving lamp, a ball in the studio; and scenes of it for Mitsuba."""
+"""Previews of a surface: a plane under a moving lamp and a ball in the studio; and materials for Mitsuba."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ _BALL_RADIUS, _EDGE, _GROUND = 0.9, 0.98, 0.05  # of half a side; of the ball; l
 def strip(brdf: EvaluableBRDF, textures: Textures, flakes: DrawnFlakes | None = None) -> Array:
     """Render a plane under three lamps and a ball in the studio, side by side in linear sRGB, shape (S, 4 S, 3).
 
-    All are seen from afar, so that a lit facet's radiance is a function of its normal: tables of it are interpolated.
+    The camera is far away, so that the radiance of a facet depends only on its normal; tables of it are
+    interpolated.
 
     Args:
-        brdf: of the mean; isotropic.
-        textures: of the surface.
-        flakes: between the rest; None for none.
+        brdf: mean BRDF, isotropic.
+        textures: textures of the surface.
+        flakes: drawn flakes, or None.
     """
     fine = (np.arange(_FINER * _SIZE) + 0.5) / (_FINER * _SIZE)
     above = np.array([0.0, 0.0, 1.0])

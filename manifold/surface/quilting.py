@@ -1,8 +1,8 @@
-"""A texture that repeats, quilted from patches of a sample.
+"""A tiling texture that is quilted from patches of a picture (the *sample*).
 
 Patches lie on a grid that closes on itself, and overlap their neighbours. Between two of them runs the seam along which
-they differ least (Efros & Freeman 2001, Image quilting, by dynamic programming). Fine detail changes at once there, so
-that marks of the sample stay whole; what varies slowly is blended over a whole patch (Burt & Adelson 1983, A
+they differ least (Efros & Freeman 2001, Image quilting, by dynamic programming). Fine detail changes abruptly at
+the seam, so that marks stay whole; slow variations are blended over a whole patch (Burt & Adelson 1983, A
 multiresolution spline), with weights that keep its variance (Heitz & Neyret 2018, Histogram-preserving blending).
 All parts of the sample are used about equally often: a patch is taken where few others were taken, and seams prefer the
 side that is used less.
@@ -33,11 +33,11 @@ _REACH_PX = 24  # of the blend of slow variation, beyond a patch
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A part of a sample, and where it lies on a texture that repeats.
+    """A rectangle of the sample, and its position on the tiling texture.
 
     Attributes:
-        rows, columns: of the texture, modulo its size.
-        top, left: of the sample.
+        rows, columns: rows and columns of the texture, modulo its size.
+        top, left: top row and left column in the sample.
     """
 
     rows: Indices
@@ -57,10 +57,10 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class Quilt:
-    """Patches of a texture that repeats.
+    """The patches that make up a tiling texture.
 
     Attributes:
-        strips: patches, by rows of the grid.
+        strips: the patches by rows of the grid.
         owner: index of the patch that each pixel shows, counted strip by strip, shape (S, S).
     """
 
@@ -104,12 +104,12 @@ class Quilt:
 
 
 def quilt(values: Array, size: int, rng: np.random.Generator) -> Quilt:
-    """Lay patches of a sample on a texture that repeats.
+    """Cover a tiling texture with patches of a sample.
 
     Args:
-        values: of the sample, in which seams look for likeness, shape (H, W, C).
+        values: values of the sample by which seams are chosen, shape (H, W, C).
         size: pixels of a side of the texture.
-        rng: draws the grid and the places of patches.
+        rng: random generator of the grid and the positions of patches.
 
     Raises:
         UsageError: the sample is smaller than a patch.
@@ -138,7 +138,7 @@ def _edges(size: int, cells: int, rng: np.random.Generator) -> Indices:
 
 
 def _least_used(uses: Array, rows: Indices, columns: Indices, rng: np.random.Generator) -> Patch:
-    """Return a patch of random places where few others lie, and count its use."""
+    """Return the least-used of some random patches, and count its use."""
     (h, w), height, width = uses.shape, len(rows), len(columns)
     weight = _ramp(height, _OVERLAP_PX)[:, None] * _ramp(width, _OVERLAP_PX)
     # Beyond the sample and back: its edges are reached by few places.

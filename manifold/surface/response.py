@@ -1,12 +1,13 @@
-"""How the brightness of a point answers to its slope, as measured on real paints, by the angle of the lamp.
+"""The response of a point's brightness to its slope by angle of the lamp, measured on real paints.
 
     ln N_j = ln a + s(lamp_j) . slope + t(lamp_j) u
 
 with `a` the albedo of a point in each channel, `slope` the components of its normal along x and y, and `u` a third
-factor, which stands for occlusion and gloss. A Lambertian would have s = tan of the lamp's angle: real surfaces answer
-less to lamps from the mirror's side, and more to grazing ones opposite, where relief casts shadows. Learned by
-`benchmarks/bench_surface.py --learn` from workbooks of mineral paints, seen from 15 degrees. Pictures alone do not tell
-how steep slopes are: glossier paints answer more. `gain` takes that from the BRDF of the mean.
+factor, which stands for occlusion and gloss. A Lambertian would have s = tan of the lamp's angle: real surfaces
+respond less to lamps on the side of the mirror direction, and more to grazing ones on the opposite side, where the
+relief casts shadows. `benchmarks/bench_surface.py --learn` fitted the table to workbooks of mineral paints, seen
+from 15 degrees. Pictures do not determine the scale of slopes, because glossier paints respond more; `gain` sets it
+from the mean BRDF.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ THIRD_STD = 0.071
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Responses of J pictures.
+    """The responses of J pictures to slope and to the third factor.
 
     Attributes:
         factors: of ln N to slope along x, along y, and the third factor, shape (J, 3).
@@ -94,7 +95,8 @@ class Response:
 def gain_of(brdf: EvaluableBRDF, pictures: SurfacePictures) -> float:
     """Return the ratio of a BRDF's response to slope to the table's, by least squares over the lamps.
 
-    Its own response is the mean of d ln N / d slope over slopes of the paints (Stein's lemma, Gaussian quadrature).
+    The response of the BRDF is the mean of d ln N / d slope over the slopes of the paints (Stein's lemma, Gaussian
+    quadrature).
     """
     nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
     slope = SLOPE_STD * np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1)
@@ -112,7 +114,7 @@ def shaded(brdf: EvaluableBRDF, slope: Array, lamp: Array, camera: Array) -> Arr
     """Return facets as a camera sees them under a lamp, linear sRGB (..., 3); 1 is a white diffuser that lies flat.
 
     Args:
-        brdf: of the facets; isotropic.
+        brdf: BRDF of the facets, isotropic.
         slope: x and y components of their normals over the z component, shape (..., 2).
         lamp, camera: unit vectors, shape (3,).
     """

@@ -1,4 +1,4 @@
-"""Sparkle: points that light up under one lamp and not under the next, and flakes that would show it."""
+"""Sparkle: points that light up under one lamp but not under the next, and flakes that reproduce it."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _DRAWS = 40_000  # flakes, by which shares are computed
 
 @dataclass(frozen=True)
 class Flakes:
-    """Facets whose slopes are normally distributed, and which show the glints that were counted.
+    """Flakes with normally distributed slopes that show as many glints as were counted.
 
     Attributes:
-        density: per 10,000 pixels, whichever lamp they light up under.
-        size_px: area in pixels.
+        density: number of flakes per 10,000 pixels.
+        size_px: area of a flake in pixels.
         slope_std: standard deviation of each component of their slopes, at most 0.7.
-        roughness: GGX alpha of the reflection of one.
-        reflectance: at normal incidence.
+        roughness: GGX alpha of a flake.
+        reflectance: reflectance at normal incidence.
     """
 
     density: float
@@ -64,7 +64,7 @@ class Flakes:
 
 @dataclass(frozen=True, eq=False)
 class Facet(AnalyticBRDF):
-    """A rough mirror without colour, in linear sRGB."""
+    """The BRDF of a flake: a rough mirror without colour, in linear sRGB."""
 
     ggx: GGX
     reflectance: float
@@ -76,10 +76,10 @@ class Facet(AnalyticBRDF):
 
 @dataclass(frozen=True, eq=False)
 class DrawnFlakes:
-    """Flakes as textures that repeat.
+    """Flakes drawn into tiling textures.
 
     Attributes:
-        flakes: what they are.
+        flakes: their statistics.
         normal: of the flakes, upwards between them, shape (S, S, 3).
         mask: where flakes are, shape (S, S).
     """
@@ -104,11 +104,11 @@ class Sparkle:
     """Statistics of the glints of a surface; densities are per 10,000 pixels and lamp.
 
     Attributes:
-        density: glints, in the mean over lamps within 50 degrees of the normal.
-        size_px: their area in pixels, median; 0 where there are none.
-        brightness: their brightest pixel over the surroundings, median; 1 where there are none.
-        seen_once: share of them that no other lamp shows, but for chance.
-        flakes: which would show them; None where fewer than three lamps show any.
+        density: number of glints, mean over lamps within 50 degrees of the normal.
+        size_px: median area of a glint in pixels; 0 without glints.
+        brightness: median ratio of the brightest pixel of a glint to its surroundings; 1 without glints.
+        seen_once: share of glints that only one lamp shows, corrected for chance.
+        flakes: flakes that would show these glints; None if fewer than three lamps show any.
     """
 
     density: float

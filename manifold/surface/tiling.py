@@ -1,4 +1,4 @@
-"""Textures of any size from one sample: without seams, and with as many marks as the sample has."""
+"""Tiling textures of any size from the pictures of a specimen, with its density of marks."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _PLACES = 64  # random places, of which the one most alike replaces dust
 
 @dataclass(frozen=True, eq=False)
 class Textures:
-    """Textures of a surface that continue across their edges; S rows and columns.
+    """Tiling textures of a surface, S rows and columns.
 
     Attributes:
         albedo: relative to the mean, shape (S, S, 3), above 0, of mean 1.
         slope: x and y components of the normal over its z component; rows run against y; shape (S, S, 2).
         height: in pixels, of mean 0, shape (S, S).
-        notes: what of the sample is left out, in sentences.
+        notes: the parts of the specimen that are omitted, in sentences.
     """
 
     albedo: Array
@@ -62,12 +62,12 @@ class Textures:
 
 
 def tile(surface: Surface, size: int = 1024, seed: int = 0) -> Textures:
-    """Return textures of a surface.
+    """Return tiling textures of a surface.
 
     Args:
-        surface: the sample; its edges may differ in brightness.
+        surface: the estimated surface; its edges may differ in brightness.
         size: pixels of a side.
-        seed: of the random places of patches.
+        seed: seed of the random positions of patches.
 
     Raises:
         UsageError: the size is less than two cells of the grid, or more than 8192.
@@ -134,7 +134,8 @@ def uncropped(albedo: Array) -> tuple[slice, slice]:
 def dust_in(logs: Array) -> Mask:
     """Return a mask (H, W) of small spots of a colour that the sample has nowhere else, from logs of colours (H, W, 3).
 
-    A colour of three spots or more belongs to the sample: fewer spots do not tell how frequent they are. The mask
+    A colour that occurs in three spots or more is kept as part of the specimen; the frequency of rarer spots is
+    unknown. The mask
     includes the two pixels around each spot.
     """
     smooth = gaussian_filter(logs, (_DUST_PX, _DUST_PX, 0.0))

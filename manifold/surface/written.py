@@ -1,4 +1,4 @@
-"""A surface as `manifold surface` has written it, read again."""
+"""Reading a surface that `manifold surface` has written."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ _LEAST_UP = 0.05  # z component of a normal: slopes stay finite whatever a pictu
 
 @dataclass(frozen=True, eq=False)
 class WrittenSurface:
-    """A surface in files.
+    """A surface that was read from its files.
 
     Attributes:
         name: of the sample.
         brdf: of the mean.
-        textures: as they were written: in 8 bits, colours cut where they are brighter than white.
-        flakes: those that were drawn; None where there are none.
-        expected_ball: expected error of the ball of the mean, CIEDE2000; None where it is not known.
+        textures: the written textures: 8 bits, with colours clipped at white.
+        flakes: the drawn flakes, or None.
+        expected_ball: expected ball error of the mean BRDF, CIEDE2000; None if unknown.
     """
 
     name: str
@@ -54,11 +54,11 @@ def read_surface(path: Path | str) -> WrittenSurface:
     """Read a surface that `manifold surface` wrote.
 
     Args:
-        path: its folder, or its `NAME.json` where the folder has several.
+        path: the folder, or `NAME.json` if the folder has several surfaces.
 
     Raises:
-        FileFormatError: it is no such surface, or has no BRDF of the mean.
-        MissingFileError: one of its files is missing, or the folder has no surface.
+        FileFormatError: the files are no such surface, or have no mean BRDF.
+        MissingFileError: a file is missing, or the folder has no surface.
         UsageError: the folder has several.
     """
     path = Path(path)
@@ -66,7 +66,7 @@ def read_surface(path: Path | str) -> WrittenSurface:
     if path.is_dir():  # the JSON beside the only BRDF of a mean
         there = [mean.with_suffix(".json") for mean in sorted(path.glob("*.bsdf"))]
         if not there:
-            raise MissingFileError(f"{path}: no surface; run manifold surface of a workbook")
+            raise MissingFileError(f"{path}: no surface in this folder; run `manifold surface` on a workbook")
         if len(there) > 1:
             raise UsageError(f"{path}: {len(there)} surfaces; name the JSON of one, such as {there[0].name}")
         document = there[0]
@@ -84,17 +84,19 @@ def read_surface(path: Path | str) -> WrittenSurface:
             raise TypeError(f"sample {name!r}")
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         reason = printable(repr(error), 120)
-        raise FileFormatError(f"{document}: is not the JSON of a surface ({reason}); {_ADVICE}") from None
+        raise FileFormatError(
+            f"{document}: not a JSON file of `manifold surface` ({reason}); {_ADVICE}"
+        ) from None
     if missing := [kind for kind in _NEEDED if kind not in files]:
         raise FileFormatError(
-            f"{document}: no file of its {missing[0]}; {_ADVICE}, of a workbook with readings"
+            f"{document}: names no file of the {missing[0]}; {_ADVICE}, on a workbook with readings"
         )
     pictures = {kind: read_display(files[kind]) for kind in ("albedo", "normal")}
     pictures["height"] = read_image(files["height"])
     if drawn is not None:
         pictures |= {kind: read_display(files[kind]) for kind in ("flakes", "flake_weights")}
     if odd := [kind for kind, values in pictures.items() if values.shape != pictures["albedo"].shape]:
-        raise FileFormatError(f"{files[odd[0]]}: of another size than {files['albedo'].name}; {_ADVICE}")
+        raise FileFormatError(f"{files[odd[0]]}: has another size than {files['albedo'].name}; {_ADVICE}")
     normal = _normals(pictures["normal"])
     textures = Textures(
         decode_srgb(pictures["albedo"]) / mean, normal[..., :2] / normal[..., 2:], pictures["height"][..., 0]

@@ -17,7 +17,7 @@ DOCUMENTS = [
     *(
         path
         for path in sorted((REPOSITORY / "docs").rglob("*.md"))
-        if not {"_build", "_work", "gallery", "generated"} & {*path.parts}
+        if not {"_build", "_work", "gallery", "generated", "api"} & {*path.parts}
         and path.name not in ("api.md", "commands.md")
     ),
 ]

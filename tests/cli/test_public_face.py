@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import importlib.util
 import inspect
 import re
 import shutil
@@ -13,11 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from helpers.paths import REPOSITORY
 from helpers.small_library import NAMES, measured
 from surface.surface_twins import workbook
 
 import manifold
+from manifold.cli import application
+from manifold.cli.main import app
 from manifold.io_rgl import write_bsdf
 from manifold.render import backend
 
@@ -44,15 +48,29 @@ def test_every_package_lists_its_names_and_has_them(package):
         module.no_such_name  # noqa: B018
 
 
-def examples():
-    """The examples of the reference, by full name, in their order."""
-    text = (REPOSITORY / "docs/reference/examples.py").read_text(encoding="utf-8")
-    parts = re.split(r"^# (manifold(?:\.\w+)+)$", text, flags=re.MULTILINE)
-    return dict(zip(parts[1::2], parts[2::2], strict=True))
+def reference_pages():
+    """The module that writes the reference."""
+    spec = importlib.util.spec_from_file_location("reference_pages", REPOSITORY / "docs/reference_pages.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_every_public_name_has_an_example():
-    assert sorted(examples()) == sorted(f"{package}.{name}" for package, name in NAMES_OF)
+    named = [name for page in reference_pages().read_examples().values() for name in page.examples]
+    assert sorted(named) == sorted(f"{package}.{name}" for package, name in NAMES_OF)
+
+
+def test_the_reference_of_commands_has_every_option_in_the_order_of_the_groups(tmp_path, monkeypatch):
+    pages = reference_pages()
+    monkeypatch.setattr(pages, "REFERENCE", tmp_path)
+    pages.write_commands()
+    written = (tmp_path / "commands.md").read_text(encoding="utf-8")
+    assert re.findall(r"^### (.*)$", written, re.MULTILINE) == list(application.COMMANDS)
+    helps = dict(zip(application.COMMANDS, written.split("\n### ")[1:], strict=True))
+    for name, command in typer.main.get_command(app).commands.items():
+        shown = [p for p in command.params if p.param_type_name == "option" and not p.hidden]
+        assert [p.opts[0] for p in shown if p.opts[0] not in helps[name]] == []
 
 
 @pytest.mark.parametrize(("package", "name"), NAMES_OF)
@@ -69,11 +87,12 @@ def test_the_examples_of_the_reference_run(tmp_path, monkeypatch):
         write_bsdf(tmp_path / "corpus" / f"{name}_rgb.bsdf", measured(name))
     workbook(tmp_path / "sample.xlsx", np.random.default_rng(0))
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
-    for code in examples().values():
-        exec(code, names)
-    assert names["errors"].ball < 5.0  # a material of the library, described by all of it
-    assert names["written"].name
+    after: dict[str, dict[str, object]] = {}
+    for package, page in reference_pages().read_examples().items():
+        after[package] = {}
+        exec("\n".join([page.setup, *page.examples.values()]), after[package])
+    assert after["manifold.model"]["errors"].ball < 5.0  # a material of the library, described by all of it
+    assert after["manifold.surface"]["written"].name
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,7 @@ def rgl_of(bands: Bands, path):
 
 def test_a_sample_of_a_file_of_one_material_is_refused(tmp_path):
     rgl_of(Bands(None), tmp_path / "one.bsdf")
-    with pytest.raises(UsageError, match="holds one material, expected no name of a sample"):
+    with pytest.raises(UsageError, match="an RGL file holds one material; leave the name of the sample out"):
         convert([tmp_path / "one.bsdf"], tmp_path / "one.csv", sample="other")
 
 

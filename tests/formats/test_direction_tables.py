@@ -307,7 +307,10 @@ def test_few_values_that_look_like_factors_stay_a_brdf_with_a_note(factor, is_sa
             "10,20,30,40,5\ntheta_i,phi_i,theta_o,phi_o,465\n10,20,30,40,5\n",
             "row 1: readings above the header",
         ),
-        ('theta_i,phi_i,theta_o,phi_o,465\n10,20,30,40,"5\n20,20,30,40,5"\n', "row 2: not cells of a table"),
+        (
+            'theta_i,phi_i,theta_o,phi_o,465\n10,20,30,40,"5\n20,20,30,40,5"\n',
+            "row 2: a quote that does not end",
+        ),
         ("theta_i,phi_i,theta_o,phi_o,465\n10,0,170,0,0.5\n", "no rows of reflected light"),
     ],
 )
@@ -409,7 +412,7 @@ def test_a_unit_is_refused_where_the_file_says_one_or_there_is_none_such(tmp_pat
     path.write_text(
         "theta_i,phi_i,theta_o,phi_o,BRDF\n" + "".join(f"{a},180,{a},0,0.4\n" for a in (10, 20, 30, 40))
     )
-    with pytest.raises(UsageError, match="says its unit, expected none; leave --unit percent out"):
+    with pytest.raises(UsageError, match="states its unit; leave --unit percent out"):
         registry.read_readings(path, unit="percent")
     path.write_text(path.read_text().replace("BRDF", "value"))
     with pytest.raises(UsageError, match="no unit is called 'nits', expected one of brdf, factor, percent"):

@@ -64,7 +64,7 @@ def test_cells_far_out_do_not_fill_the_memory(contents, tmp_path):
     repacked(
         contents["ma-t12"], path, lambda n, part: (n, part.replace(b"</sheetData>", rows + b"</sheetData>"))
     )
-    with pytest.raises(ManifoldError, match="2000000 cells in all"):
+    with pytest.raises(ManifoldError, match="2000000 cells in total"):
         registry.read_all(path)
 
 

@@ -266,7 +266,10 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         ("Name,Geometry,r,g,b\nx,45as15,120,100,90\n", "a header without values .Name, Geometry, r, g, b."),
         ("Geometry,400,500,600\nd/8 SPIN,1,2,3\n", "found geometry 'd/8 SPIN', expected one such as 45as15"),
         ("Name,400,500,600\nA,1,2,3\n", "no header .* such as 'Name, Geometry, 400, 410'"),
-        ("Name,Angle,400,500,600\nA,25,1,2,3\nA,45,1,2,3\nA,75,1,2,3\n", "45as25 ... or 25/0"),
+        (
+            "Name,Angle,400,500,600\nA,25,1,2,3\nA,45,1,2,3\nA,75,1,2,3\n",
+            "write 45as25 ... if they are aspecular angles, or 25/0",
+        ),
         ("Geometry,400,500\n45/25,1,2\n45/75,1,2\n", "found geometry '45/25', expected one such as 45as15"),
         (TURNED.replace("500,", "5OO,"), "row 12, column 1: found '5OO', expected a wavelength in nm"),
         (TURNED.replace("500,1,2,", "500,1,two,"), "row 12, column 3: found 'two'"),
@@ -285,7 +288,7 @@ def test_a_row_per_geometry_and_wavelength_is_a_table_of_spectra(tmp_path):
         ("45as25,1,2\nGeometry,400,410\n45as15,1,2\n", "row 1: readings above the header"),
         ("Geometry,400,410\n45as15,1,2\n45as15,1,3\n", "row 3: geometry '45as15' is also in row 2"),
         ("Name,Geometry,400,410\nA,45as15,1,2\nA,195as25,1,3\n", "row 3: found geometry '195as25'"),
-        ('Name,Geometry,400,410\nA,45as15,"1,2\nA,45as25,1,3\n', "row 2: not cells of a table"),
+        ('Name,Geometry,400,410\nA,45as15,"1,2\nA,45as25,1,3\n', "row 2: a quote that does not end"),
         (
             "Name,Mode,Geometry,400,410\nA,M1,45/0,0.9,0.9\nB,M2,45/0,0.8,0.8\nA,M2,45/0,0.8,0.8\n",
             "row 4, column 2: M2 beside M1 at '45/0', expected one measuring condition",

@@ -120,8 +120,8 @@ def test_a_sheet_that_cannot_be_drawn_is_a_warning(tmp_path, monkeypatch):
 def test_no_file_takes_the_place_of_the_table(tmp_path):
     outcomes = run(tmp_path, ["words", "Words", "word"], written)
     assert [o.failure for o in outcomes] == [
-        "has the name of the table of all; rename it",
-        "has the name of the table of all; rename it",
+        "has the name of the table of results; rename it",
+        "has the name of the table of results; rename it",
         None,
     ]
     with (tmp_path / "words.csv").open(newline="") as file:
@@ -130,9 +130,9 @@ def test_no_file_takes_the_place_of_the_table(tmp_path):
 
 def test_a_folder_is_one_runs_at_a_time(tmp_path):
     def make(name, path):
-        with pytest.raises(UsageError, match="another run writes to it; wait until it is done"):
+        with pytest.raises(UsageError, match="another run writes to this folder; wait until it is done"):
             run(tmp_path, ["b"], written)
-        with pytest.raises(UsageError, match="another run writes to it"):  # whatever it writes
+        with pytest.raises(UsageError, match="another run writes to this folder"):  # whatever it writes
             batch(Command("letters", written, {}), [], tmp_path)
         return written(name, path)
 

@@ -16,12 +16,13 @@ from manifold.convert.targets import Options
 from manifold.core import cluster, pairs
 from manifold.estimate.inputs import find_inputs, find_samples
 from manifold.estimate.sources import FileSource
-from manifold.evaluate import embed, make_report
+from manifold.evaluate import make_report
 from manifold.library import importing
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.many import commands as many
 from manifold.many.batch import batch
+from manifold.model.embedding import embed
 from manifold.model.output_file import OutputOptions
 from manifold.model.settings import BlendSettings, GplvmSettings
 from manifold.study.chart import make_chart

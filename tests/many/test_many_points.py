@@ -110,7 +110,7 @@ def test_bad_rows_are_named_by_their_lines_and_the_others_are_made(model, tmp_pa
     ]  # fmt: skip
     assert made["failed"][-2:] == [
         "good_rgb.bsdf: line 13 and line 2 have the same name, good_rgb.bsdf; use two folders",
-        "predictions: has the name of the table of all; rename it",
+        "predictions: has the name of the table of results; rename it",
     ]
     assert sorted(path.name for path in tmp_path.rglob("*.bsdf")) == ["good_rgb.bsdf"]
 

@@ -61,7 +61,7 @@ def test_a_spectrum_and_the_same_file_give_the_same_colours(model, tmp_path):
 @pytest.mark.parametrize(
     ("nm", "values", "message"),
     [
-        ([400], [0.5], "at least 2"), ([400, 700], [0.5], "expected as many"), ([700, 400], [0.1, 0.1], "increase"),
+        ([400], [0.5], "at least 2"), ([400, 700], [0.5], "equal numbers"), ([700, 400], [0.1, 0.1], "increase"),
         ([400, 700], [0.1, np.nan], "expected 0 to 1"), ([400, np.inf], [0.1, 0.1], "increase"),
         ([400, 450], [0.1, 0.1], "covers 400 to 450 nm"),
     ],

@@ -175,7 +175,7 @@ def test_files_of_one_name_are_labelled_by_their_paths(folder, tmp_path):
 
 
 def test_nothing_to_draw_is_refused():
-    with pytest.raises(UsageError, match="nothing to draw"):
+    with pytest.raises(UsageError, match="no material to draw"):
         sources([])
 
 

@@ -255,7 +255,7 @@ def test_a_written_surface_is_read_again_and_shown_on_a_page(printed, tmp_path):
     )
     assert read.expected_ball == printed[2]["completion"]["expected"]["ball"]
     page = tmp_path / "map.html"
-    asked = ["explore", "--html", str(page), "--model", str(small_model(tmp_path)), "--surface", str(folder)]
+    asked = ["explore", "-o", str(page), "--model", str(small_model(tmp_path)), "--surface", str(folder)]
     result = CliRunner().invoke(app, asked)
     assert result.exit_code == 0, result.output
     assert '"name":"twin"' in page.read_text()
@@ -271,7 +271,7 @@ def test_a_folder_that_is_no_surface_is_refused(printed, tmp_path):
     document = folder / "twin.json"
     content = json.loads(document.read_text())
     assert read_surface(document).name == "twin"
-    for named, said in ((["mean"], "is not the JSON"), ({"albedo": "a.png"}, "no file of its mean")):
+    for named, said in ((["mean"], "not a JSON file"), ({"albedo": "a.png"}, "names no file of the mean")):
         document.write_text(json.dumps(content | {"files": named}))
         with pytest.raises(FileFormatError, match=said):
             read_surface(document)
@@ -284,14 +284,14 @@ def test_a_folder_that_is_no_surface_is_refused(printed, tmp_path):
         ({"mean_srgb_linear": [1e-320, 0.5, 0.5]}, "is not within 1e-06 and 1"),
         ({"mean_srgb_linear": [-1, 0.5, 1e308]}, "-1 is not within 1e-06 and 1"),
         ({"mean_srgb_linear": "abc"}, "'a' is not a number"),
-        ({"mean_srgb_linear": [0.5, 0.5]}, "is not the JSON of a surface"),
+        ({"mean_srgb_linear": [0.5, 0.5]}, "not a JSON file of `manifold surface`"),
         ({"completion": {"expected": {"ball": "<b>x</b>"}}}, "'<b>x</b>' is not a number"),
         ({"completion": {"expected": {"ball": {"a": 1}}}}, "is not a number"),
         ({"completion": {"expected": {"ball": True}}}, "True is not a number"),
         ({"completion": {"expected": {"ball": 10**400}}}, "is not within 0 and 1000"),
-        ({"sample": ["twin"]}, "is not the JSON of a surface"),
+        ({"sample": ["twin"]}, "not a JSON file of `manifold surface`"),
         ({"flakes": dict.fromkeys(("density", "size_px", "slope_std", "roughness", "reflectance"), "x")}, "'x' is not"),
-        ({"flakes": None}, "is not the JSON of a surface"),
+        ({"flakes": None}, "not a JSON file of `manifold surface`"),
     ],
 )  # fmt: skip
 def test_numbers_of_a_surface_are_checked_where_they_are_read(printed, tmp_path, changed, said):
@@ -311,7 +311,7 @@ def test_pictures_of_a_surface_are_of_one_size(printed, tmp_path):
     folder = shutil.copytree(printed[1], tmp_path / "made")
     with Image.open(folder / "twin_normal.png") as image:
         image.resize((96, 96)).save(folder / "twin_normal.png")
-    with pytest.raises(FileFormatError, match=r"twin_normal\.png: of another size than twin_albedo\.png"):
+    with pytest.raises(FileFormatError, match=r"twin_normal\.png: has another size than twin_albedo\.png"):
         read_surface(folder)
 
 
@@ -405,7 +405,7 @@ def test_two_runs_do_not_write_a_surface_into_one_folder(tmp_path):
     pictures = read_folder(files_in([tmp_path / "photos"]), lamps)
     with (
         only_run_in(tmp_path / "made", "results"),
-        pytest.raises(UsageError, match="another run writes to it"),
+        pytest.raises(UsageError, match="another run writes to this folder"),
     ):
         files.make_surface(tmp_path, pictures, None, tmp_path / "made", size=192)
 

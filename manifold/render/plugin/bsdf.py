@@ -1,4 +1,4 @@
-"""The BSDF plugin `manifold`: a prediction evaluated from the measured materials, without a `.bsdf` file.
+"""The BSDF plugin `manifold`, which evaluates a prediction from the measured materials without a file.
 
 Scenes name it after `import manifold.mitsuba`, in LLVM variants (scalar ones would interpret it):
 
@@ -15,16 +15,17 @@ Properties:
     latent: coordinates with commas between, a point, an array of Dr.Jit, or the name of a material that lies there, or
     latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
     like, reflectance, srgb: the colour, as in `manifold predict`.
-    tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
-        weights of the others are fitted again. 0 by default, which keeps all.
+    tolerance: skip materials as long as the mapped values change by no more than this fraction of their norm; the
+        weights of the others are refitted. The default of 0 keeps all.
 
 Parameters of `mi.traverse`, all differentiable:
     latent: its Q coordinates; where it moves, chosen colours keep their coordinates.
     colours: coordinates of a chosen colour, one per band; on a map of blends, cube roots of reflectances at 8 degrees.
     latent_0.data, latent_1.data, ...: texels of the textures.
 
-Weights carry the derivatives; samples and their densities do not depend on parameters. Where negative values are cut or
-a weight is 0, the derivative is 0, and so it is at a material's own latent. Derivatives by directions are refused.
+Only the weights have derivatives; samples and their densities do not depend on parameters. The derivative is 0
+where a negative value is clipped, a weight is 0, or the latent is that of a library material. Derivatives by
+directions are refused.
 """
 
 # Models and what evaluates them are imported where they are used: the plugin is registered for every render.

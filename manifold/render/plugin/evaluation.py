@@ -1,4 +1,4 @@
-"""Sums over packed materials on Dr.Jit: values and densities of the plugin `manifold`, and samples."""
+"""Evaluation and sampling of the plugin `manifold`: sums over packed materials on Dr.Jit arrays."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from manifold.render.plugin.warp import Family, PackedWarps, Slices, bisect
 
 @dataclass(frozen=True, eq=False)
 class Lobes:
-    """Sums over the materials at latents, per lane.
+    """Common sums over the materials at the latents of all lanes.
 
     Attributes:
         latent: Q arrays, float64, without derivatives.
-        sums: two arrays that `VaryingWeights.weight` needs.
-        slopes: those of a sum by the latents, Q arrays; none where no derivatives are asked for.
+        sums: two arrays from which `VaryingWeights.weight` computes weights.
+        slopes: derivatives of a sum by the latents, Q arrays; empty if no derivatives are needed.
         magnitude: sum of the absolute weights.
         offsets: Q arrays of value 0 with the derivatives of the latents.
     """
@@ -165,11 +165,11 @@ _OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where so
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Neighbouring materials whose tables have the same sizes.
+    """Consecutive materials whose tables have equal sizes.
 
     Attributes:
         first: meta data of the first, shape (META,).
-        step: what that grows by from one to the next.
+        step: increment of the meta data from one material to the next.
     """
 
     start: int
@@ -200,7 +200,7 @@ class Evaluation:
     """Evaluates and samples a mixture in the variant that is set."""
 
     def __init__(self, mi: Any, dr: Any, mixture: Mixture) -> None:
-        """Upload the tables."""
+        """Upload the packed tables to Dr.Jit arrays."""
         self._mi, self._dr = mi, dr
         tables = mixture.tables
         self._n = len(mixture.names)

@@ -1,4 +1,4 @@
-"""The mixture that the plugin evaluates: packed materials and their weights."""
+"""The mixture that the plugin evaluates: materials as packed tables, and their weights."""
 
 from __future__ import annotations
 
@@ -36,14 +36,16 @@ class Mixture:
         bands: of the prediction.
         weights: of whole materials, (N,); of single bands, (B, N, B_s); None where the latent varies.
         lobes: shares of the materials in sampling, (N,), positive, of sum 1.
-        gp: what turns latents into weights, where they vary.
-        order: index of each material in the model, (N,); none of a measured file, which holds unmeasured cells.
-        slopes: of the weights by the latent's coordinates, and by the colour of a band; none unless asked for.
+        gp: the Gaussian process that turns varying latents into weights.
+        order: index of each material in the model, (N,); empty for a measured file, whose unmeasured cells are
+            kept.
+        slopes: derivatives of the weights by the latent's coordinates and by the colour of a band; empty if not
+            needed.
         is_blend: whether varying weights are those of `blend_weights` instead of the process's.
-        is_clipped: whether negative values are cut, as in predicted files; a measured file keeps its own, which are
-            colours outside sRGB.
-        left_out: materials that were left out.
-        left_out_error: what that changes, as a share of the norm of the mapped values.
+        is_clipped: whether negative values become 0, as in predicted files; a measured file keeps them, as colours
+            outside sRGB.
+        left_out: number of materials that were skipped.
+        left_out_error: the relative change of the mapped values by skipping them.
     """
 
     names: tuple[str, ...]
@@ -72,7 +74,7 @@ class FixedLatent:
     Attributes:
         latent: shape (Q,).
         colours: coordinates of a chosen colour, (B,); None where the latent carries it.
-        tolerance: how much leaving materials out may change; see `leave_out`.
+        tolerance: allowed relative change by skipping materials; see `leave_out`.
     """
 
     model: Manifold

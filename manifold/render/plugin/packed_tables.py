@@ -1,7 +1,7 @@
-"""Measured materials as flat tables that a vectorised evaluation gathers from in packets.
+"""Measured materials as flat tables, from which vectorised evaluations gather packets.
 
-Whatever one look-up needs lies side by side: the four corners of a grid cell, and for warps their cumulative sums
-too. That repeats every value four times and replaces scattered reads, which cost most of a look-up, by few wide ones.
+All data of a look-up lie side by side: the four corners of a grid cell and, for warps, their cumulative sums. Every
+value is stored four times, but a few wide reads replace many scattered ones, which would dominate the cost.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ _FLAT = 1e-4  # relative slope under which a linear density is treated as consta
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """One warp per lane: where its cells and its marginal begin, and its numbers of rows and columns."""
+    """One warp per lane: the positions of its cells and marginal, and its numbers of rows and columns."""
 
     cells: Any
     marginals: Any
@@ -54,13 +54,13 @@ class PackedWarps:
     """Warps in packed tables; see `packed_tables.Tables`."""
 
     def __init__(self, mi: Any, dr: Any, warps: Any, marginals: Any, most_nodes: int) -> None:
-        """Take flat Dr.Jit arrays."""
+        """Take the flat Dr.Jit arrays of cells and marginals."""
         self._mi, self._dr = mi, dr
         self._warps, self._marginals = warps, marginals
         self._n_steps = max(1, (most_nodes - 1).bit_length())
 
     def cell(self, x: Any, n: Any) -> tuple[Any, Any]:
-        """Return the index of the cell that holds x in [0, 1] on n nodes, and the position inside it."""
+        """Return the index of the cell of n nodes that contains x in [0, 1], and the position in it, 0 to 1."""
         mi, dr = self._mi, self._dr
         scaled = dr.clip(x, 0.0, 1.0) * mi.Float(n - 1)
         i = dr.minimum(mi.UInt32(scaled), n - 2)

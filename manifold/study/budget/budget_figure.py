@@ -24,7 +24,8 @@ def budget_figure(
 ) -> Figure:
     """Draw renders (H, W, 3) of the scene with the whole and the chosen files, and their CIEDE2000 (H, W).
 
-    Below is one row of costs per material, from plain values of `Chosen`, with the tolerance in CIEDE2000.
+    Below, one row per material has the costs of its representations, from plain values of `Chosen`, and the
+    tolerance in CIEDE2000.
     """
     height = 8.6 / 3.0 * delta_e.shape[0] / delta_e.shape[1]
     figure = new_figure(8.6, height + 0.5 + 2.7 * len(materials))

@@ -1,4 +1,4 @@
-"""`manifold budget`: paths in, results and assets out."""
+"""The command `manifold budget`: it analyses a scene and writes the chosen files."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from manifold.study.budget.verification import Pictures
 
 @dataclass(frozen=True)
 class BudgetSettings:
-    """The settings of a scene's analysis.
+    """The settings of the renders that analyse a scene.
 
     Attributes:
-        size: pixels of the longer side.
+        size: size of the longer side in pixels.
         samples: light paths per pixel.
         seed: of the noise.
     """
@@ -52,7 +52,7 @@ _TOLERANCE, _SETTINGS = Tolerance(), BudgetSettings()
 
 
 class Candidate(NamedTuple):
-    """A representation that could be chosen: bytes, predicted and, if it was rendered alone, verified difference."""
+    """A representation that could be chosen: its size, and its predicted and verified differences."""
 
     name: str
     bytes: int
@@ -62,21 +62,21 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The answer for one material.
+    """The representation that was chosen for one material, and its cost.
 
     Attributes:
         representation: name of the chosen candidate.
-        reason: why nothing cheaper.
-        lighting: where and by what light the scene shows it.
-        size, full_size: bytes of the choice and of the whole file.
-        numbers: that describe the choice; None for files.
-        milliseconds: for a million evaluations.
-        predicted: CIEDE2000 that was predicted for the choice.
-        verified: difference of the renders, all materials exchanged.
+        reason: why no cheaper one was chosen.
+        lighting: the directions and the light in which the scene shows the material.
+        size, full_size: bytes of the chosen representation and of the whole file.
+        numbers: count of numbers that describe the chosen representation; None for files.
+        milliseconds: time of a million evaluations.
+        predicted: predicted CIEDE2000 of the chosen representation.
+        verified: difference of the renders in which all materials are exchanged.
         noise: difference of two renders of the reference with different seeds.
-        asset: file that was written.
-        bsdf: of the choice, as Mitsuba takes it; a file that was not written has no name.
-        candidates: all of them, cheapest first.
+        asset: the written file.
+        bsdf: Mitsuba's dictionary of the chosen representation, without the name of a file that was not written.
+        candidates: all candidates, cheapest first.
     """
 
     material: str
@@ -96,7 +96,7 @@ class Chosen:
 
 
 class Unseen(NamedTuple):
-    """A material that no pixel shows, which stays as it is."""
+    """A material that no pixel shows; it stays unchanged."""
 
     material: str
     bytes: int
@@ -104,14 +104,14 @@ class Unseen(NamedTuple):
 
 @dataclass(frozen=True)
 class Budget:
-    """The answer for a scene.
+    """The chosen representations of all materials of a scene.
 
     Attributes:
         backend: `llvm` or `scalar`.
-        bytes, full_bytes: of all materials, and of all whole files.
-        materials: per material that is seen.
-        notes: what a user should know, one line each.
-        output: the scene that was written.
+        bytes, full_bytes: bytes of all chosen representations, and of all whole files.
+        materials: the choice for each visible material.
+        notes: notes for the user, one line each.
+        output: the written scene.
     """
 
     scene: str
@@ -278,7 +278,7 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
 
 
 def _reason(cheaper: list[Representation], alone: Mapping[str, Difference]) -> str:
-    """Return the reason why nothing cheaper was chosen: the closest of the cheaper representations."""
+    """Return why nothing cheaper was chosen, with the closest of the cheaper representations."""
     if not cheaper:
         return "no representation is cheaper"
     rendered = [one for one in cheaper if one.name in alone]
@@ -323,11 +323,11 @@ def _asset_names(files: Mapping[str, Path], is_rgb: bool) -> dict[str, str]:
 
 
 def _require_no_inputs(target: Path, names: Iterable[str], inputs: Sequence[Path]) -> None:
-    """Raise UsageError where the scene or a file beside it would replace a file that is read."""
+    """Raise UsageError if the scene or a file beside it would replace an input."""
     read = {path.resolve() for path in inputs}
     for path in (target, *(target.parent / name for name in names)):
         if path.resolve() in read:
-            raise UsageError(f"{path}: is read by this command and would be replaced; name another folder")
+            raise UsageError(f"{path}: this command would replace its own input; name another folder")
 
 
 def _write(

@@ -1,4 +1,4 @@
-"""Measured files with fewer bands or fewer angles, chosen by where and by what light a scene shows them."""
+"""Measured files reduced to fewer bands or angles, which suit the light and views of a scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COLOUR_WEIGHT = 30.0  # weight of colours against spectra, in standard deviatio
 
 
 def band_nodes(bands: Bands, light: Array, count: int) -> Array:
-    """Return the wavelengths in nm at which few bands serve best, increasing, shape (count,).
+    """Return the increasing wavelengths in nm, (count,), at which a few bands represent spectra best.
 
     Half of them follow the light, spectral power (L,) in its bands, as the observer sees it; half are spread
     over the visible range.
@@ -37,8 +37,9 @@ def few_bands(source: Bands, bands: Bands, light: Array, count: int) -> tuple[Ar
 
     `bands`, `light` and `count` are those of `band_nodes`.
 
-    By least squares. Between nodes a spectrum is linear, beyond them constant. What counts most is the colour under the
-    light, which three nodes already keep; the freedom that is left keeps the spectrum, where the observer sees.
+    The matrix minimises squared errors of spectra that are linear between the nodes and constant beyond them. The
+    colour under the light has the largest weight, which three nodes preserve; the other nodes preserve the visible
+    spectrum.
     """
     nodes, sensed = band_nodes(bands, light, count), _sensed(bands, light)
     level = np.sqrt(sensed.sum(axis=1) / sensed.sum() + 1e-3 / len(_SEEN_NM))[:, None]
@@ -117,12 +118,10 @@ def _resampled(values: Array, n: int) -> Array:
 
 
 def kept_elevations(file: BsdfFile, theta_rad: Array, count: int) -> Array:
-    """Return indices of the angles of incidence, at least two, that a scene of elevations (M,) needs most.
+    """Return increasing indices (count,) of the angles of incidence that a scene needs most.
 
-    They increase, shape (count,).
-
-    One after the other goes the node whose neighbours stand in for it best, weighed by how often its surroundings
-    occur; the first and the last stay.
+    The scene has elevations (M,). Nodes are removed one by one: each time the node that its neighbours interpolate
+    best, weighted by how often elevations near it occur. The first and the last node stay.
     """
     nodes = np.asarray(file.theta_i_rad, dtype=float)
     mean = file.spectra.mean(axis=(0, 2))  # (T, H, W)

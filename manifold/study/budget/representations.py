@@ -38,14 +38,14 @@ _ELSEWHERE = 0.05  # weight of directions that the pre-pass does not see
 
 @dataclass(frozen=True, eq=False)
 class Representation:
-    """One way to represent a material.
+    """A representation of a material: a BSDF with a few numbers, or a file.
 
     Attributes:
-        size: bytes of its numbers in single precision, or of its file.
-        bsdf: dictionary of Mitsuba, in the scene's kind of colour.
-        predicted: mean CIEDE2000 in direct light.
-        path: its file; None where its numbers are in `bsdf`.
-        numbers: how many of them, where there is no file.
+        size: size in bytes of the numbers in single precision, or of the file.
+        bsdf: Mitsuba's dictionary, in the kind of colour of the scene.
+        predicted: predicted mean CIEDE2000 in direct light.
+        path: the file; None if the numbers are in `bsdf`.
+        numbers: count of the numbers, if there is no file.
     """
 
     name: str
@@ -57,16 +57,16 @@ class Representation:
 
     @property
     def is_full(self) -> bool:
-        """Return whether it is the reference itself."""
+        """Return whether the representation is the whole file, the reference."""
         return self.name == FULL
 
 
 class _Builder:
-    """Makes the candidates of one material, and predicts how each appears.
+    """Builds the candidates of one material and predicts how each looks.
 
     Attributes:
-        rows: samples of the lighting that count, shape (m,).
-        found: candidates so far.
+        rows: indices of the lighting samples that contribute, shape (m,).
+        found: the candidates so far.
     """
 
     def __init__(self, path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> None:
@@ -194,7 +194,7 @@ def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool) -> float:
 
 
 def _fit(builder: _Builder) -> FitResult:
-    """Fit `principled` mainly to the directions that the scene shows; spectral ones in `_FITTED_BANDS`."""
+    """Fit `principled`, mainly to the directions that the scene shows; spectral files in `_FITTED_BANDS`."""
     file, lighting = builder.file, builder.lighting
     rows = builder.rows[np.unique(np.linspace(0, len(builder.rows) - 1, _FIT_PAIRS).astype(int))]
     elsewhere = fit_samples.from_brdf(MeasuredBRDF(file)).subsample(_FIT_PAIRS // 2)

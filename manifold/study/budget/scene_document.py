@@ -1,8 +1,8 @@
 """Mitsuba scenes whose measured materials and film are exchanged.
 
 A scene is an XML file, or a dictionary of plain values as `mi.load_dict` takes it (in files: JSON), where `to_world`
-may be a matrix of four rows. Sought are BSDFs of the types `measured` and `manifold`, at any depth and in included
-files.
+may be a matrix of four rows. Its materials are the BSDFs of the types `measured` and `manifold`, at any depth and
+in included files.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SceneMaterial:
     Attributes:
         key: identifies it in the scene; the same file or prediction used twice is one material.
         kind: `measured` or `manifold`.
-        properties: of the plugin, paths made absolute.
+        properties: properties of the plugin, with absolute paths.
     """
 
     key: str
@@ -48,7 +48,7 @@ class SceneMaterial:
 
 
 class SceneDocument:
-    """A scene as Mitsuba has parsed it, of which no plugin is loaded yet, and its measured materials, each once."""
+    """A parsed Mitsuba scene, whose plugins are not loaded yet, and its measured materials, each once."""
 
     def __init__(self, state: Any, origin: str) -> None:
         """Take Mitsuba's `ParserState`; see `read`."""
@@ -177,7 +177,7 @@ def _children(mi: Any, props: Any) -> list[tuple[str, int]]:
 
 
 def _accepted(work: Any, origin: str) -> Any:
-    """Run some of Mitsuba's work; its refusal of the scene becomes a UsageError."""
+    """Run a function of Mitsuba; an error that it raises becomes a UsageError."""
     try:
         return work()
     except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
@@ -203,7 +203,7 @@ def _dictionary(scene: Path | Mapping[str, Any], origin: str) -> dict[str, Any]:
     content = disk.read_json(scene, "a Mitsuba scene, .xml or .json") if isinstance(scene, Path) else scene
     if not isinstance(content, Mapping) or content.get("type") != "scene":
         raise FileFormatError(
-            f"{origin}: no dictionary of the type scene; expected what `mi.load_dict` takes"
+            f"{origin}: not a scene, expected a dictionary of the type scene as for `mi.load_dict`"
         )
     if holds_none(content):  # ends Mitsuba's process
         raise FileFormatError(f"{origin}: null in the scene, expected a value; remove that entry")

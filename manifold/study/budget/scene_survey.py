@@ -1,9 +1,9 @@
 """Pre-pass of a scene: pixels, viewing and incident directions, and illumination of its measured materials.
 
 A pre-pass of primary rays and direct light in Mitsuba's scalar variants, which pick up single rays faster than any
-kernel compiles. Materials seen only in mirrors or through glass, and light that arrives by way of other surfaces, are
-left to the renders that verify. A surface of several materials, as in a blend, shows all of them, each as if it were
-alone: its share is left to those renders too.
+kernel compiles. It ignores materials that are only visible in mirrors or through glass, and indirect light; the
+verifying renders include them. A surface with several materials, as in a blend, counts for each of them as if it
+were the only one; the verifying renders also include the shares.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _WHITE_QUANTILE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class MaterialLighting:
-    """Light and view of one material in a scene, at P of its pixels with `LIGHT_SAMPLES` directions of light each.
+    """Light and view of one material in a scene, at P pixels with `LIGHT_SAMPLES` directions of light each.
 
     Attributes:
         mask: pixels that show it, bool, shape (height, width).
@@ -84,12 +84,12 @@ class MaterialLighting:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Light and view of the measured materials of a scene.
+    """Light and view of all measured materials of a scene.
 
     Attributes:
-        lighting: by key of the material; those that no pixel shows are missing.
-        white: the exposure, XYZ or linear sRGB of what becomes display white: a perfect diffuser, as bright as the
-            brightest twentieth of the materials' pixels would be.
+        lighting: lighting by key of the material, without materials that no pixel shows.
+        white: the exposure: XYZ or linear sRGB that becomes display white. It is that of a perfect diffuser at the
+            brightest 5 % of the materials' pixels.
         size: width and height of the analysed picture.
     """
 
@@ -111,8 +111,8 @@ class Survey:
     def film(self) -> dict[str, Any]:
         """Return the film for renders whose first three channels `display` takes: linear sRGB, or X, Y, Z.
 
-        A fourth channel of spectral ones only steers wavelengths to where the light has power, so that lines
-        of fluorescent lamps are sampled as often as they matter.
+        Spectral films have a fourth channel, which only directs the sampling of wavelengths to those at which the
+        light has power, such as the emission lines of fluorescent lamps.
         """
         width, height = self.size
         common = {"width": width, "height": height, "rfilter": {"type": "box"}}
@@ -135,7 +135,7 @@ class Survey:
 def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, size: int) -> Survey:
     """Survey light and view of a scene's materials, by their measured files.
 
-    They are in linear sRGB or not; the picture has `size` pixels on the longer side.
+    The picture has `size` pixels on the longer side.
     """
     mi = backend.mitsuba("rgb" if is_rgb else "spectral", Backend("scalar"))
     width, height = document.film_size

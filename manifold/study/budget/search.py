@@ -1,11 +1,10 @@
 """The cheapest representation of every material of a scene that preserves its image: the search.
 
-Rendering is a callback: the search is given the differences that a render shows. Candidates are tried cheapest first;
-those whose predicted difference is far beyond the tolerance are not rendered. Each material is compared alone first,
-the others being the reference, then all together; where together they differ too much, all start again with a
-tolerance smaller by the square root of 2. Because of that grid, half the tolerance never gives a cheaper answer:
-whatever passes a small tolerance passes a larger one, and the larger tolerance's grid holds all steps of the smaller
-one's.
+Rendering is a callback, which returns the differences of a render. Candidates are tried from the cheapest on; those
+whose predicted difference is far above the tolerance are not rendered. First each material is exchanged alone, then
+all together. If all together differ too much, the search is repeated with a tolerance divided by the square root of
+2. A smaller tolerance never gives a cheaper result: a choice that passes it also passes the larger one, whose
+sequence of divided tolerances contains those of half of it.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ _MOST_STEPS = 16
 
 @dataclass(frozen=True)
 class Difference:
-    """Means over the pixels that show a material.
+    """Mean differences over the pixels that show a material.
 
     Attributes:
-        delta_e: CIEDE2000, the share of noise taken out.
+        delta_e: CIEDE2000 without the contribution of noise.
         rendered: CIEDE2000 as rendered.
         flip: FLIP as rendered.
     """
@@ -40,13 +39,13 @@ class Difference:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The most that a picture may differ.
+    """The largest allowed differences of a picture, and limits on size and time.
 
     Attributes:
         delta_e: mean CIEDE2000.
-        flip: mean FLIP; None for any.
-        size: bytes of all materials together; None for any.
-        milliseconds: for a million evaluations of a material; None for any.
+        flip: mean FLIP; None for no limit.
+        size: bytes of all materials together; None for no limit.
+        milliseconds: time of a million evaluations of a material; None for no limit.
     """
 
     delta_e: float = 1.0
@@ -77,11 +76,11 @@ Verify = Callable[[Choice], Mapping[str, Difference]]
 
 @dataclass(frozen=True)
 class Answer:
-    """The result of a search.
+    """The result of a search: the choice and its differences.
 
     Attributes:
-        choice: a candidate for every material.
-        together: how the picture differs with all of them, per material.
+        choice: the chosen candidate of every material.
+        together: differences per material with all chosen candidates.
         alone: differences of all candidates that were rendered alone, by material and the candidate's name.
     """
 
@@ -99,9 +98,10 @@ def search(
 ) -> Answer:
     """Find the cheapest choice within a tolerance.
 
-    Candidates of each material are sorted, cheapest first; the last resort, `Representation.is_full`, is among them.
-    `verify` renders a choice, and is called once for each. Times of candidates are needed where the tolerance limits
-    them; where it limits bytes, those of `others`, which stay as they are, count.
+    The candidates of a material are sorted from the cheapest on and include the whole file
+    (`Representation.is_full`). `verify` renders a choice, and is called once per choice. Times of candidates are
+    needed only if the tolerance limits them. If it limits bytes, those of `others`, the unchanged materials, count
+    as well.
     """
     alone: dict[str, dict[str, Difference]] = {key: {} for key in candidates}
 

@@ -15,7 +15,7 @@ from manifold.study.budget.search import Choice, Difference
 
 
 class Pictures:
-    """Renders of a scene with its materials exchanged, compared with the reference."""
+    """Renders of a scene with exchanged materials, which are compared with the reference."""
 
     def __init__(
         self, document: SceneDocument, files: Mapping[str, Path], survey: Survey, samples: int, seed: int
@@ -61,10 +61,10 @@ class Pictures:
 
 
 def without_noise(whole: float, halves: Sequence[float]) -> float:
-    """Return a mean difference between renders without noise.
+    """Return the mean difference between renders without the contribution of noise.
 
-    It follows from the difference with all samples, and from those with half of them each.
-
-    Squared, noise adds a share that is inverse to the samples: what halves show beyond the whole is the whole's share.
+    The inputs are the difference with all light paths, and the differences with each half of them. Noise adds a
+    term to the squared difference that is inversely proportional to the number of paths: the excess of the halves
+    over the whole equals the term in the whole.
     """
     return float(np.sqrt(max(2.0 * whole**2 - float(np.mean(np.square(halves))), 0.0)))

@@ -1,4 +1,4 @@
-"""The catalogue of failure modes, from its chapters; a table of results, and what to conclude from it."""
+"""The catalogue of failure modes, the table of their results, and conclusions from it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FALSE_ALARM = "false alarm"
 def table(made: Stability) -> list[list[str]]:
     """Return a row per mode, named in its first row only, and method.
 
-    It has the largest error without a message, its limit, and the outcomes.
+    A row has the largest error without a message, the limit of the mode, and the outcomes.
     """
     rows, previous = [], None
     for row in made.rows:
@@ -35,7 +35,7 @@ def table(made: Stability) -> list[list[str]]:
 
 
 def outcomes(row: Row) -> str:
-    """Return the outcomes in order of severity, each once (*fine, warned*), or the defect if there is one."""
+    """Return the outcomes by rising severity, each once (*fine, warned*), or the defect if there is one."""
     if row.is_wrong:
         return WRONG
     if row.is_false_alarm:
@@ -44,7 +44,7 @@ def outcomes(row: Row) -> str:
 
 
 def conclusion(made: Stability) -> str:
-    """Return a conclusion, with the kind of map to choose if several were tried in the same modes."""
+    """Return a conclusion in words; if several kinds of map were tried in the same modes, with the better one."""
     said = "Results without a message can be trusted in these modes: every error above its limit caused a message."
     if made.wrong:
         wrong = ", ".join(f"{row.method} ({row.mode})" for row in made.wrong)

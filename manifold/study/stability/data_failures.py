@@ -41,9 +41,9 @@ _PAIR = (named(ALPHAS[1], 1), named(ALPHAS[2], 1))
 
 
 def lost_cells(file: BsdfFile, share: float) -> Mask:
-    """Return a mask of cells of a few round patches per incidence, (P, T, H, W).
+    """Return a mask of cells in a few round patches per incidence, (P, T, H, W).
 
-    They cover a share of the measured cells.
+    The patches cover a given share of the measured cells.
     """
     rng = np.random.default_rng(5)
     measured = file.measured_mask
@@ -72,14 +72,14 @@ def _zeroed(file: BsdfFile, share: float) -> BsdfFile:
 
 
 def _masked(file: BsdfFile, share: float) -> BsdfFile:
-    """Mark lost cells and halve their values, like a fault that an instrument noted."""
+    """Mark lost cells as unmeasured and halve their values, like a fault that the instrument has flagged."""
     lost = lost_cells(file, share)
     valid = goniometer.pack_valid(file.measured_mask & ~lost, (3, 1))
     return _times(replace(file, version=(3, 1), valid=valid), lost, 0.5)
 
 
 def middle_of_family(bed: TestBed) -> list[BsdfFile]:
-    """Return the six members of the family whose roughness is not an extreme one."""
+    """Return the six members of the family with the two middle roughnesses."""
     return [
         bed.file(alpha, COLOURS[k], named(alpha, k)) for alpha in ALPHAS[1:3] for k in range(len(COLOURS))
     ]
@@ -99,7 +99,7 @@ def _degraded(bed: TestBed, degrade: Degrade, severity: float) -> Manifold:
 
 
 def _predicted(degrade: Degrade, t: float, bed: TestBed, severity: float) -> Measurement:
-    """Measure a prediction between two degraded materials, against that between the whole ones."""
+    """Measure a prediction between two degraded materials against the prediction between the whole ones."""
     model = _degraded(bed, degrade, severity)
     x = model.between(*_PAIR, t)
     clipped = ClippedBRDF(model.predict(x))
@@ -119,7 +119,7 @@ def _embedded(degrade: Degrade, bed: TestBed, severity: float) -> Measurement:
 
 
 def _fitted(degrade: Degrade, bed: TestBed, severity: float) -> Measurement:
-    """Measure the roughness of a Principled BSDF fitted to a degraded file, over that of the whole file, less 1."""
+    """Measure the relative error of the roughness that is fitted to a degraded file."""
     file = bed.file(MIDDLE)
     whole = bed.cached("fitted", lambda: fit_bsdf(file))
     found = fit_bsdf(degrade(file, severity))
@@ -178,7 +178,7 @@ def _sharp_file(bed: TestBed, alpha: float) -> Measurement:
 
 
 def _coarse(file: BsdfFile, nodes: float) -> BsdfFile:
-    """Measure every second member of the family on a grid of that many nodes per axis; return others unchanged."""
+    """Measure half of the family on a grid with that many nodes per axis; return the others unchanged."""
     alpha, colour = file.name.split("_")[1:]
     if (ALPHAS.index(float(alpha)) + int(colour)) % 2:
         return file
@@ -186,7 +186,7 @@ def _coarse(file: BsdfFile, nodes: float) -> BsdfFile:
 
 
 def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
-    """Return the file with values of `bits` fewer bits than single precision."""
+    """Return the file with its values rounded to `bits` fewer bits than single precision."""
     unit = np.uint32(1 << int(bits))
     stored = np.ascontiguousarray(file.spectra).view(np.uint32)
     return replace(file, spectra=((stored + unit // 2) & ~(unit - np.uint32(1))).view(np.float32))
@@ -197,7 +197,7 @@ Change = Callable[[Path, float], None]
 
 
 def _after_change(change: Change, bed: TestBed, severity: float) -> Measurement:
-    """Measure a prediction halfway between two materials after a change of the library, against that before."""
+    """Measure how a change of the library changes a prediction halfway between two materials."""
 
     def make() -> Path:
         model = bed.fit(middle_of_family(bed), "gplvm")
@@ -236,7 +236,7 @@ def _remove(folder: Path, count: float) -> None:
 
 
 def _materials(library: Library) -> list[str]:
-    """Return the names of the materials, those that predictions lie between first."""
+    """Return the names of the materials; the first two are those between which predictions lie."""
     return [*_PAIR, *(name for name in library.names if name not in _PAIR)]
 
 

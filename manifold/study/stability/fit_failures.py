@@ -57,7 +57,7 @@ _SENSORS_DEG = (
 
 
 def _pairs(grid: RusinkiewiczGrid) -> Pairs:
-    """Return direction pairs all over the hemisphere, dense around the mirror direction."""
+    """Return direction pairs over the whole hemisphere, denser around the mirror direction."""
     wi, wo, above = grid.directions()
     keep = above & (np.minimum(wi[:, 2], wo[:, 2]) > _STEEP)
     return wi[keep], wo[keep]
@@ -79,7 +79,7 @@ def _values(family: BsdfFamily, values: Mapping[str, Any], pairs: Pairs, n_bands
 
 
 def _samples(values: Mapping[str, Any], pairs: Pairs, noise: float = 0.0, floor: float = 0.0) -> FitSamples:
-    """Return samples of a Principled BSDF, with Gaussian noise: a share of the value, and a floor in 1/sr."""
+    """Return values of a Principled BSDF with Gaussian noise: a fraction of the value plus a floor in 1/sr."""
     f = _values(principled(values), values, pairs) / pairs[1][:, 2:]
     f = np.maximum(f + (noise * f + floor) * np.random.default_rng(3).standard_normal(f.shape), 0.0)
     return FitSamples.from_arrays(*pairs, f)
@@ -92,10 +92,7 @@ def _error(found: FitResult, values: Mapping[str, Any]) -> float:
 
 
 def _messages(found: FitResult, *kinds: str) -> tuple[str, ...]:
-    """Return a fit's notes of some kinds, and its undetermined values.
-
-    Failure to converge is noted as well.
-    """
+    """Return the notes of a fit that are of given kinds, its undetermined values, and whether it failed to converge."""
     notes = [note for note in found.notes if any(kind in note for kind in kinds)]
     notes += ["not converged"] * (not found.minima[0].converged)
     return (*notes, *(f"{s.name}: {s}" for s in found.statements if s.state != DETERMINED))
@@ -109,7 +106,7 @@ def _minima(method: str, bed: TestBed, n_free: float) -> Measurement:
 
 
 def _roughness(method: str, truth: Mapping[str, Any], bed: TestBed, n_pairs: float) -> Measurement:
-    """Measure the error of the roughness from the directions of an old instrument, or from many."""
+    """Measure the error of the roughness that is fitted to few or to many directions."""
     pairs = next(p for p in (_old_instrument(), _DENSE, _DENSER) if len(p[0]) == n_pairs)
     found = fit_bsdf(_samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05)
     error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
@@ -138,7 +135,7 @@ def _incidences(bed: TestBed, count: float) -> Measurement:
 
 
 def _fit_to(wi: Array, wo: Array) -> Measurement:
-    """Measure a fit to some direction pairs, judged at all."""
+    """Measure a fit to some direction pairs by its error at all pairs."""
     found = fit_bsdf(_samples(_TRUTH, (wi, wo)))
     return Measurement(_error(found, _TRUTH), _messages(found, "ambiguous", "not determined"))
 
@@ -161,12 +158,12 @@ def _mirror(alpha: float) -> BRDF:
 
 
 def brushed(ratio: float) -> BRDF:
-    """Return a metal of roughness 0.05 across, and `ratio` times as rough along."""
+    """Return a brushed metal of roughness 0.05 across the brushing and `ratio` times that along it."""
     return _metal(0.05 * ratio, 0.05)
 
 
 def _colour(method: str, bed: TestBed, width: float) -> Measurement:
-    """Measure the distance of a fitted colour from that of a narrow band of reflectance around 530 nm."""
+    """Measure the error of the colour that is fitted to a narrow band of reflectance around 530 nm."""
     nm = np.linspace(400.0, 700.0, 31)
     bands = Bands(tuple(nm))
     green = 0.02 + 0.9 * np.exp(-(((nm - 530.0) / width) ** 2))

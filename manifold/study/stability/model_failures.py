@@ -1,6 +1,6 @@
 """Failure modes of manifolds: settings, libraries, places and searches that give unreliable predictions.
 
-Most of them ask for a plastic that lies between the measured ones, and count its error in that of the nearest
+Most modes predict a plastic that lies between the measured ones, and divide its error by that of the nearest
 measured material.
 """
 
@@ -33,12 +33,12 @@ KINDS = ("gplvm", "blend")
 
 
 def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
-    """Return a measured plastic that is not in the family."""
+    """Return the left-out plastic, which is measured but not in the family."""
     return MeasuredBRDF(bed.file(alpha, COLOURS[1]))
 
 
 def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
-    """Return the error of a prediction of the held-out plastic over that of the nearest material of the family."""
+    """Return the error of the left-out plastic's prediction over that of the nearest material of the family."""
     truth = held_out(bed)
     nearest = bed.cached(
         "error of the nearest", lambda: min(bed.error(MeasuredBRDF(file), truth) for file in bed.family)
@@ -59,7 +59,7 @@ def _of_kinds(trial: Callable[[str, TestBed, float], Measurement]) -> dict[str, 
 
 
 def _fitted(files: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
-    """Return trials of the held-out plastic in models of each kind, fitted to files that depend on the severity."""
+    """Return trials of the left-out plastic in models of each kind, fitted to files that depend on severity."""
     return _of_kinds(partial(_fitted_to, files))
 
 
@@ -73,7 +73,7 @@ def _fitted_to(
 
 
 def _rescaled(kind: str, bed: TestBed, length_scale: float) -> Measurement:
-    """Measure the held-out plastic at its latent, under a length scale for which the latents were not fitted."""
+    """Measure the left-out plastic under a length scale other than that for which the latents were fitted."""
     truth, fitted = held_out(bed), bed.model(kind)
     known = fitted.embed(truth)
     kernel = replace(fitted.space.kernel, length_scale=length_scale)
@@ -83,7 +83,7 @@ def _rescaled(kind: str, bed: TestBed, length_scale: float) -> Measurement:
 
 
 def _with_prior(kind: str, bed: TestBed, length_scale: float) -> Measurement:
-    """Measure the held-out plastic under a length scale that the prior keeps the latents from following."""
+    """Measure the left-out plastic under a length scale to which the prior keeps the latents from adapting."""
     prior = {"prior": 1.0} if kind == "gplvm" else {}  # blends have none
     return _held_out_in(bed, bed.fit(bed.family, kind, length_scale=length_scale, **prior))
 
@@ -125,7 +125,7 @@ def _in_dimensions(kind: str, bed: TestBed, count: float) -> Measurement:
 
 
 def _sharper(kind: str, bed: TestBed, ratio: float) -> Measurement:
-    """Measure a lobe sharper than any of the library, by a factor of roughness."""
+    """Measure the prediction of a lobe that is sharper than all of the library, by a factor of roughness."""
     truth = held_out(bed, ALPHAS[0] / ratio)
     brdf, messages = bed.embed(bed.model(kind), truth)
     return Measurement(bed.ball_difference(brdf, truth), messages)
@@ -135,7 +135,7 @@ def _sharper(kind: str, bed: TestBed, ratio: float) -> Measurement:
 
 
 def _requested(bed: TestBed, reflectance: float) -> list[Measurement]:
-    """Measure a grey of a reflectance, requested of every structure."""
+    """Measure predictions at several materials' latents in a requested grey."""
     model = bed.model("blend")
     requested = np.full(model.bands.count, reflectance)
     found = []
@@ -167,14 +167,14 @@ def _from_outermost(
 
 
 def _brighter(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
-    """Yield predictions at materials' own structures, in brighter colours."""
+    """Yield predictions at the latents of materials, in colours brighter than theirs."""
     model = bed.model("blend")
     for x, colours in zip(model.X[::3], model.space.own_colours[::3], strict=True):
         yield predict(model, x, colours + distance * model.space.kernel.length_scale)
 
 
 def _outside(places: Places, bed: TestBed, distance: float) -> list[Measurement]:
-    """Measure differences between the balls of predictions and of the nearest plastic at any latent."""
+    """Measure the difference between the ball of each prediction and that of the nearest plastic."""
     return [
         Measurement(bed.ball_difference_to_plastics(brdf), messages)
         for brdf, messages in places(bed, distance)
@@ -199,7 +199,7 @@ def _on_the_walk(bed: TestBed, a: str, b: str, t: float) -> BRDF:
 
 
 def _on_the_way(walk: Callable[[TestBed, str, str, float], BRDF], bed: TestBed, ratio: float) -> Measurement:
-    """Measure the best of nine places on the way from one material to another, against the plastic halfway."""
+    """Measure the best of nine predictions between two materials against the plastic halfway."""
     a, b, middle = _across(ratio)
     truth = held_out(bed, middle)
     ends = [MeasuredBRDF(file) for file in bed.family if file.name in (a, b)]
@@ -237,14 +237,14 @@ def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
 
 
 def _from_start(optimizer: str, bed: TestBed, scale: float) -> Measurement:
-    """Measure a fit from principal components that are disturbed by a standard deviation."""
+    """Measure a fit that starts at principal components with random noise of a standard deviation."""
     S = _gram(bed)
     start = pca_start(centre_gram(S), 2) + scale * np.random.default_rng(0).normal(size=(len(S), 2))
     return _held_out_by(bed, _fit(bed, S, optimizer, start))
 
 
 def _again(optimizer: str, bed: TestBed, change: float) -> Measurement:
-    """Measure how far latents move if the library's order and values change a little."""
+    """Measure how far latents move after a small change of the library's order and values."""
     S, rng = _gram(bed), np.random.default_rng(0)
     first = bed.cached(("fit", optimizer), lambda: _fit(bed, S, optimizer).embedding_)
     order, scale = rng.permutation(len(S)), 1.0 + change * rng.normal(size=len(S))
@@ -258,7 +258,7 @@ def _again(optimizer: str, bed: TestBed, change: float) -> Measurement:
 
 
 def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
-    """Measure the held-out plastic from the weights of a kernel without observation noise."""
+    """Measure the left-out plastic with the weights of a kernel without observation noise."""
     model, truth = bed.model("gplvm"), held_out(bed)
     x = bed.cached("latent of the held-out plastic", lambda: model.embed(truth).latent)
     weights = GaussianProcess(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]

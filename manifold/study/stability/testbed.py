@@ -1,7 +1,8 @@
 """Test bed of the catalogue of failure modes: a family of materials with known ground truth, libraries and models.
 
 The family is a plastic (GGX boundary over a diffuse base) of any roughness and colour, in three bands, measured by the
-virtual goniometer. Between two measured members lies a third one, of which every error can be measured.
+virtual goniometer. Between two measured members lies a third one, whose true BRDF is known, so that every error can
+be measured.
 """
 
 from __future__ import annotations
@@ -54,12 +55,12 @@ def plastic(alpha: float, colour: Sequence[float] = GREY) -> Plastic:
 
 
 def named(alpha: float, colour: int) -> str:
-    """Name of a member of the family."""
+    """Return the name of a member of the family."""
     return f"plastic_{alpha:g}_{colour}"
 
 
 class TestBed:
-    """Libraries, models and tables, each made when first asked for; its files vanish at the end of a `with` block."""
+    """Libraries, models and tables of the family, made on first use; a `with` block removes its files."""
 
     __test__ = False  # pytest takes classes of such names for tests
 
@@ -74,7 +75,7 @@ class TestBed:
         self._folder.cleanup()
 
     def cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return the cached result of `make` for a key."""
+        """Return the result of `make`, which is called once per key."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
@@ -117,7 +118,7 @@ class TestBed:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Direction pairs that errors are measured at, other ones than materials are embedded by."""
+        """Direction pairs at which errors are measured; they differ from those by which materials are embedded."""
         return _GRID.pairs()
 
     def error(self, found: BRDF, truth: BRDF) -> float:
@@ -128,7 +129,7 @@ class TestBed:
     def ball_difference(self, found: BRDF, truth: BRDF, *, is_turned: bool = True) -> float:
         """Return the mean CIEDE2000 between two materials of the family's bands.
 
-        A turned light is one that no diagnostic uses.
+        A turned light is a light that no diagnostic uses.
         """
         ball = ball_colours.ball(turned_deg=180.0 * is_turned)
         return ball.difference(found.eval(ball.wi, ball.wo), truth.eval(ball.wi, ball.wo), BANDS)

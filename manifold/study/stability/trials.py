@@ -1,11 +1,10 @@
 """Trials of a catalogue of failure modes, and whether failures are detected.
 
-A mode makes its inputs by severity and runs every method that it concerns on them. A trial measures an error, and keeps
-the messages of the package: an error of `manifold.core.errors` is a refusal; a warning, a diagnostic or
-a note is a warning.
-An error above the mode's limit without any message is *silently wrong*; a warning or a refusal at the first severity,
-which is harmless, is a *false alarm*. Both are defects of the package. Methods that cannot run on this machine are left
-out.
+A mode makes inputs of rising severity, and runs on them every method that it concerns. A trial measures an error, and
+keeps the messages of the package: an error of `manifold.core.errors` is a refusal; a warning, a diagnostic or a note is
+a warning. An error above the mode's limit without any message is *silently wrong*; a warning or a refusal at the first
+severity, which is harmless, is a *false alarm*. Both are defects of the package. Methods that cannot run on this
+machine are left out.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silentl
 
 @dataclass(frozen=True)
 class Measurement:
-    """The measurement of one result of a trial.
+    """The error of one result of a trial, and the messages that came with it.
 
     Attributes:
-        error: what the mode's limit is of, at least 0; not finite where a method gave no usable number.
+        error: the quantity that the mode limits, at least 0; not finite if a method gave no usable number.
         messages: diagnostics and notes that came with the result.
     """
 
@@ -48,7 +47,7 @@ A ManifoldError is a refusal, but a RendererError says that the method cannot ru
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest error of a right result: the measured quantity, its limit, and the reason for it."""
+    """The largest error that counts as right: the measured quantity, its limit, and the reason for it."""
 
     quantity: str
     value: float
@@ -74,15 +73,15 @@ SAME_RESULT = Limit(
 
 @dataclass(frozen=True)
 class Mode:
-    """One way to fail.
+    """A failure mode: a way in which results become wrong.
 
     Attributes:
-        concerns: what is done to a method, in a few words.
-        severity, severities: what they are, with their unit; from harmless to severe.
-        limit: of the error.
-        methods: what is tried, by name.
-        advice: what a user should do, in one sentence.
-        known: methods that are silently wrong at some severity, and are known to be.
+        concerns: the cause of the failure, in a few words.
+        severity, severities: meaning and unit of the severities, and their values from harmless to severe.
+        limit: limit of the error.
+        methods: the methods that are tried, by name.
+        advice: advice for the user, in one sentence.
+        known: methods that are known to be silently wrong at some severity.
     """
 
     key: str
@@ -97,13 +96,13 @@ class Mode:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """One trial.
+    """The result of a method at one severity of a mode.
 
     Attributes:
-        error: the largest; None where the method gave no result.
-        undetected_error: the largest without a message; None where every result had one.
+        error: the largest error; None if the method gave no result.
+        undetected_error: the largest error without a message; None if every result had one.
         outcome: one of `OUTCOMES`.
-        message: the first one, else empty.
+        message: the first message; empty if there was none.
     """
 
     severity: float
@@ -115,7 +114,7 @@ class TrialResult:
 
 @dataclass(frozen=True)
 class Row:
-    """A method under a mode, both by their names, the mode's limit, and results by severity."""
+    """The results of a method under a mode by severity, with their names and the limit of the mode."""
 
     mode: str
     method: str
@@ -124,7 +123,7 @@ class Row:
 
     @property
     def undetected_error(self) -> float | None:
-        """The largest error without a message; None where every result had one."""
+        """The largest error without a message; None if every result had one."""
         errors = [one.undetected_error for one in self.results if one.undetected_error is not None]
         return max(errors, default=None)
 
@@ -135,13 +134,13 @@ class Row:
 
     @property
     def is_false_alarm(self) -> bool:
-        """Return whether the harmless end was warned of, or refused."""
+        """Return whether the first, harmless severity was warned of or refused."""
         return self.results[0].outcome in (WARNED, REFUSED)
 
 
 @dataclass(frozen=True)
 class Stability:
-    """Results of the catalogue.
+    """The results of all methods under all modes.
 
     Attributes:
         rows: mode by mode, method by method.
@@ -158,12 +157,12 @@ class Stability:
 
     @property
     def false_alarms(self) -> tuple[Row, ...]:
-        """Rows whose harmless end was warned of, or refused."""
+        """Rows whose first, harmless severity was warned of or refused."""
         return tuple(row for row in self.rows if row.is_false_alarm)
 
     @property
     def early_warnings(self) -> int:
-        """Number of trials that were warned of though their error was within the limit."""
+        """Number of trials with a warning although their error was within the limit."""
         trials = [(one, row.limit) for row in self.rows for one in row.results]
         return sum(
             one.outcome == WARNED and one.error is not None and one.error <= limit for one, limit in trials
@@ -198,7 +197,7 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
 
 
 def run_modes(modes: Sequence[Mode], workers: Executor | None = None) -> Stability:
-    """Run every method of every mode at every severity; workers make test beds of their own."""
+    """Run every method of every mode at every severity; each worker makes its own test bed."""
     tasks = [(mode, method) for mode in modes for method in mode.methods]
     found: dict[int, Row | str] = {}
     with TestBed() as bed:

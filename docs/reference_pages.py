@@ -78,17 +78,27 @@ def write_api(*_: object) -> None:
         "|---|---|",
     ]
     for package, page in pages.items():
-        module = importlib.import_module(package)
+        module = _module(package)
         names = [name.rpartition(".")[2] for name in page.examples if name != package]
         listed = ", ".join(f"`{name}`" for name in names) or _first_sentence(module)
         lines.append(f"| [`{package}`](api/{package}.md) | {listed} |")
-        write_if_changed(REFERENCE / "api" / f"{package}.md", "\n".join(_page_of(module, page)))
+        write_if_changed(REFERENCE / "api" / f"{package}.md", "\n".join(_page_of(package, module, page)))
     lines += ["", "```{toctree}", ":hidden:", *(f"api/{package}" for package in pages), "```", ""]
     write_if_changed(REFERENCE / "api.md", "\n".join(lines))
 
 
-def _page_of(module: ModuleType, page: Page) -> list[str]:
-    package = module.__name__
+def _module(name: str) -> ModuleType:
+    """Return a package, or a module that a package has under a name of its own."""
+    package, _, attribute = name.rpartition(".")
+    names = getattr(importlib.import_module(package), "__all__", ()) if package else ()
+    return (
+        getattr(importlib.import_module(package), attribute)
+        if attribute in names
+        else importlib.import_module(name)
+    )
+
+
+def _page_of(package: str, module: ModuleType, page: Page) -> list[str]:
     lines = [f"# {package}", "", inspect.getdoc(module) or "", ""]
     if page.setup:
         lines += ["The examples of this page begin with:", "", "```python", page.setup, "```", ""]

@@ -58,39 +58,39 @@ fit.values, fit.notes
 # manifold.render_ball
 picture = mf.render_ball(brdf, size=32, samples=4)  # linear sRGB, (32, 32, 3)
 
-# === manifold.core.directions
+# === manifold.directions
 
 import manifold as mf
 
-# manifold.core.directions
+# manifold.directions
 wi = mf.directions.from_spherical(0.5, 0.0)
 wo = mf.directions.from_spherical(0.7, 3.0)
 half = mf.directions.half_vector(wi, wo)
 theta_h, theta_d, phi_d, phi_h = mf.directions.to_rusinkiewicz(wi, wo)
 
-# === manifold.core.mapping
+# === manifold.mapping
 
 import numpy as np
 import manifold as mf
 
-# manifold.core.mapping
+# manifold.mapping
 mapping = mf.mapping.CubeRoot()
 mapping.inverse(mapping.forward(np.array([0.1, 2.0])))
 
-# === manifold.core.metrics
+# === manifold.metrics
 
 import numpy as np
 import manifold as mf
 
-# manifold.core.metrics
+# manifold.metrics
 f, f_star = np.array([0.1, 2.0]), np.array([0.11, 1.9])
 mf.metrics.cube_root_error(f, f_star)
 
-# === manifold.core.errors
+# === manifold.errors
 
 import manifold as mf
 
-# manifold.core.errors
+# manifold.errors
 try:
     mf.read_bsdf("missing.bsdf")
 except mf.errors.ManifoldError as error:
@@ -276,6 +276,12 @@ from manifold.model import rmse22
 
 rmse22(brdf, model.predict([-0.3, 1.2]), "default")
 
+# manifold.model.embed
+from pathlib import Path
+from manifold.model import embed
+
+embed(Path("corpus.zarr"), Path("others.h5"), mf.BlendSettings(), without=["syn_satin_gold"])
+
 # === manifold.estimate
 
 from pathlib import Path
@@ -338,16 +344,9 @@ suggest(atoms, 3, completion).angles_deg
 
 # === manifold.evaluate
 
-from pathlib import Path
 import manifold as mf
 
-library = mf.Library("corpus.zarr")
 model = mf.Manifold.load("corpus.h5")
-
-# manifold.model.embed
-from manifold.model import embed
-
-embed(Path("corpus.zarr"), Path("others.h5"), mf.Settings(), without=["syn_satin_gold"])
 
 # manifold.evaluate.make_report
 from manifold.evaluate import make_report
@@ -355,12 +354,6 @@ from manifold.evaluate import make_report
 report = make_report(model)
 report.methods[0].title, report.methods[0].median.ball
 report.to_pandas().groupby("method")["ball"].median()
-
-# manifold.study.make_chart
-from manifold.study import make_chart
-
-chart = make_chart([library.read(name) for name in library.names], only=["nearest", "linear"], fitted=1)
-[(row.title, row.median.ball) for row in chart.rows]
 
 # === manifold.fit
 
@@ -468,3 +461,15 @@ from manifold.surface import read_surface
 
 written = read_surface("sample_surface")
 written.name, written.textures.albedo.shape
+
+# === manifold.study
+
+import manifold as mf
+
+library = mf.Library("corpus.zarr")
+
+# manifold.study.make_chart
+from manifold.study import make_chart
+
+chart = make_chart([library.read(name) for name in library.names], only=["nearest", "linear"], fitted=1)
+[(row.title, row.median.ball) for row in chart.rows]

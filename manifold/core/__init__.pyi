@@ -1,8 +1,0 @@
-from . import directions, errors, mapping, metrics
-
-__all__ = [
-    "directions",
-    "errors",
-    "mapping",
-    "metrics",
-]

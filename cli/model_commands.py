@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
     from manifold.model.diagnostics import DiagnosedPrediction
     from manifold.model.location import Reconstruction
+    from manifold.model.manifold import Manifold
 
 AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
@@ -208,7 +209,6 @@ def embed(
         )  # fmt: skip
     settings = fitted.settings
     is_blend = settings.kind == "blend"  # a blend has no Gaussian process
-    start = "coordinates" if is_blend else "components"
     if candidates:
         results.text(
             "Held-out errors, median / 90th percentile. The choice has the least 'error', a mean;\n"
@@ -234,9 +234,7 @@ def embed(
             "latent dimensions": settings.latent_dim,
             "mapping": settings.mapping,
             **({} if is_blend else {"kernel": settings.kernel}),
-            "objective": f"{fitted.statistics['objective']:.6g}, from "
-            f"{fitted.statistics['objective_start']:.6g} at the principal {start}",
-            **({} if is_blend else {"condition of K": f"{fitted.gp.condition:.3g}"}),
+            **({} if is_blend else _of_process(fitted)),
             **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )
@@ -250,6 +248,15 @@ def embed(
             "latents": {n: x.tolist() for n, x in zip(fitted.names, fitted.X, strict=True)},
         },
     )
+
+
+def _of_process(fitted: Manifold) -> dict[str, str]:
+    """Return rows on the fit of a GPLVM."""
+    end, start = (fitted.statistics[name] for name in ("objective", "objective_start"))
+    return {
+        "objective": f"{end:.6g}, from {start:.6g} at the principal components",
+        "condition of K": f"{fitted.gp.condition:.3g}",
+    }
 
 
 def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]:

@@ -428,6 +428,10 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
             raise
         missing = str(error)
     kernel = f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}"
+    objective = {}
+    if s.kind != "blend":
+        end, start = (stored.statistics[name] for name in ("objective", "objective_start"))
+        objective["objective"] = f"{end:.6g} (start {start:.6g})"
     rows: dict[str, object] = {
         "materials": space.materials_in_words,
         "library": f"{missing}; predictions, renders and reports need it" if found is None else found.path,
@@ -437,7 +441,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "mapping": s.mapping,
         **({} if s.kind == "blend" else {"kernel": kernel}),  # blends have no Gaussian process
         "optimizer": s.optimizer,
-        "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
+        **objective,
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
     columns = ["material", *(f"x{k + 1}" for k in range(s.latent_dim))]

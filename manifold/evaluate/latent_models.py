@@ -68,7 +68,7 @@ def _fit_blend(s: Settings) -> Fit:
             ("blend", s.sample_bands), lambda: BlendTables.of(data.materials, bands)
         )
         tables, rows = every.subset(training), every.samples.rows(training)
-        space, _ = tables.fit(min(s.latent_dim, len(training) - 1), s.covariance())
+        space = tables.fit(min(s.latent_dim, len(training) - 1), s.covariance())
         roots, pairs = tables.samples.roots, appearance_pairs(all_isotropic(data.materials))
         search = PlaceSearch(space, roots, appearance_weight(roots))
 

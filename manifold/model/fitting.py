@@ -174,11 +174,11 @@ def _fit_blends(materials: MaterialCache, s: Settings) -> Fitted:
     if count < len(materials.names):
         read = map(_warn_if_bright, materials.stream())
         appearance, samples = evaluate(read, bands, materials.is_isotropic)
-        space, layout = fit_landmarks(appearance, samples, count, s.latent_dim, s.covariance())
+        space = fit_landmarks(appearance, samples, count, s.latent_dim, s.covariance())
     else:
         brdfs = [_warn_if_bright(material) for material in materials.filled()]
-        space, layout = BlendTables.of(brdfs, bands).fit(s.latent_dim, s.covariance())
-    return space, {"objective_start": layout.objective_start, "objective": layout.objective}, samples
+        space = BlendTables.of(brdfs, bands).fit(s.latent_dim, s.covariance())
+    return space, {}, samples
 
 
 _FITS = {"blend": _fit_blends, "gplvm": _fit_materials}

@@ -235,6 +235,7 @@ def embed(
             "mapping": settings.mapping,
             **({} if is_blend else {"kernel": settings.kernel}),
             **({} if is_blend else _of_process(fitted)),
+            **_of_errors(fitted),
             **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )
@@ -257,6 +258,23 @@ def _of_process(fitted: Manifold) -> dict[str, str]:
         "objective": f"{end:.6g}, from {start:.6g} at the principal components",
         "condition of K": f"{fitted.gp.condition:.3g}",
     }
+
+
+def _of_errors(fitted: Manifold) -> dict[str, str]:
+    """Return rows on left-out materials, and on places between materials."""
+    import numpy as np
+
+    from manifold.judged_lights import BALL
+
+    rows = {}
+    if fitted.left_out is not None:
+        ball = fitted.left_out.errors.ball
+        rows["left-out error"] = f"{np.median(ball):.1f}, 90th percentile {np.quantile(ball, 0.9):.1f} {BALL}"
+    if fitted.coherence is not None:
+        rows["detour"], rows["neighbours kept"] = fitted.coherence.words
+        if fitted.coherence.warning:
+            rows["diagnostics"] = fitted.coherence.warning
+    return rows
 
 
 def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]:

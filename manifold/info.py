@@ -23,8 +23,9 @@ from manifold.formats.workbook_pictures import picture_directions, picture_geome
 from manifold.io_rgl import read_bsdf
 from manifold.judged_lights import BALL
 from manifold.metrics import Errors
+from manifold.model.coherence import Coherence
 from manifold.model.expected_error import NOT_CALIBRATED
-from manifold.model.model_file import read_model
+from manifold.model.model_file import OLD_LAYOUT, read_model
 from manifold.names import percent
 from manifold.recognition import Kind, kind_of
 from manifold.records import Array, Bands, BsdfFile, plain
@@ -444,6 +445,11 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         **objective,
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
+    coherence = Coherence.from_statistics(stored.statistics)
+    if coherence is not None:
+        rows["detour"], rows["neighbours kept"] = coherence.words
+    elif stored.has_old_layout:
+        rows["layout"] = OLD_LAYOUT
     columns = ["material", *(f"x{k + 1}" for k in range(s.latent_dim))]
     table: list[tuple[object, ...]] = [
         (name, *space.printed(row)) for name, row in zip(stored.names, space.X, strict=True)

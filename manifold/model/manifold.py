@@ -24,14 +24,21 @@ from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
-from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
+from manifold.model.coherence import Coherence, Pair
+from manifold.model.expected_error import (
+    LEAST_MATERIALS,
+    LeftOut,
+    bands_of_errors,
+    coherence_of,
+    leave_out,
+)
 from manifold.model.fitting import Gram, fit_space
 from manifold.model.landmarks import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_space import Embedded, LatentSpace, fixed_colours
 from manifold.model.map import map_svg
 from manifold.model.material_space import MaterialSpace
-from manifold.model.materials import MaterialCache, names_among
-from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
+from manifold.model.materials import MaterialCache, MaterialTable, names_among
+from manifold.model.model_file import OLD_LAYOUT, SPACES, ModelRecord, open_library, read_model, restore, write_model
 from manifold.model.places import (
     Place,
     PlaceLike,
@@ -71,7 +78,7 @@ class Manifold:
     Attributes:
         names: material names in the order of the latents, N of them.
         left_out: places and errors of left-out materials; None for a model that is not calibrated.
-        statistics: objective at start and end of the fit.
+        statistics: objective at start and end of the fit of a GPLVM, and the measures of `coherence`.
         notes: diagnostics that apply to all predictions, from `load`.
     """
 
@@ -144,7 +151,8 @@ class Manifold:
         with one_blas_thread:
             space, statistics, samples = fit_space(materials, settings, latents)
             if calibrate and len(chosen) >= LEAST_MATERIALS:
-                left_out = leave_out(space, materials, settings, samples)
+                left_out, coherence = leave_out(space, materials, settings, samples)
+                statistics |= {} if coherence is None else coherence.statistics
         return cls(materials, space, settings, statistics, left_out)
 
     # -- the map -------------------------------------------------------------------------------------------
@@ -163,6 +171,18 @@ class Manifold:
     def pictured(self) -> Indices:
         """The materials that a picture shows with ball and name: all, or 80 of the landmarks, which cover the map."""
         return self.landmarks if self.space.landmarks is None else self.landmarks[:_PICTURED]
+
+    @property
+    def coherence(self) -> Coherence | None:
+        """How far the map keeps together what looks alike; None if it is not calibrated, or of version 0.4."""
+        return Coherence.from_statistics(self.statistics)
+
+    @cached_property
+    def neighbour_pairs(self) -> list[Pair]:
+        """Each material with the one that looks most like it; of a map that lays out all of them."""
+        bands = bands_of_errors(self.space, self.bands.count)
+        table = MaterialTable(self.materials.with_negative_values(), bands)
+        return coherence_of(self.space, table, self.mapping)[1]
 
     @property
     def gp(self) -> GaussianProcess:
@@ -543,12 +563,14 @@ class Manifold:
             library, stored.names, is_nonnegative=space.is_nonnegative, fills_cells=not settings.as_published
         )
         model = cls(materials, space, settings, stored.statistics, left_out)
+        if stored.has_old_layout:
+            model.notes = (f"{path.name}: {OLD_LAYOUT}",)
         if library.content_hash != stored.library_hash:
             change = (
                 f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
                 f"expected {stored.library_hash[:12]}); predictions use the present files: embed again"
             )
-            model.notes = (change,)
+            model.notes += (change,)
             warnings.warn(change, LibraryChangedWarning, stacklevel=2)
         return model
 

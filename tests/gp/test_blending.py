@@ -202,7 +202,7 @@ def model(tmp_path_factory):
 
 def test_no_place_has_negative_values_or_more_albedo_than_the_materials(model, rng):
     wi = from_spherical(np.deg2rad([10.0, 45.0, 70.0]), np.zeros(3))
-    most = max(material.albedo(wi).max() for material in model.materials.filled())
+    most = max(model.predict(name).albedo(wi).max() for name in model.names)
     pairs = ball_colours.ball(6)
     for _ in range(8):
         x = rng.dirichlet(np.ones(len(model.names))) @ model.X

@@ -83,7 +83,7 @@ def embed(
         typer.Option(
             "--latent-dim",
             "-q",
-            help="Dimensions of the manifold; auto chooses by held-out error (minutes).",
+            help="Dimensions of the manifold; auto chooses by held-out error and detour (minutes).",
             metavar="Q|auto",
         ),
     ] = "2",
@@ -211,14 +211,15 @@ def embed(
     is_blend = settings.kind == "blend"  # a blend has no Gaussian process
     if candidates:
         results.text(
-            "Held-out errors, median / 90th percentile. The choice has the least 'error', a mean;\n"
-            f"more dimensions must lower it by {percent(PAYS)}:\n"
+            "Held-out errors, median / 90th percentile. The choice has the lowest 'error', a mean; more\n"
+            f"dimensions must lower 'error' times 'detour', a mean, by {percent(PAYS)}:\n"
         )
         results.table(
-            ("mapping", "dimensions", "error", "linear", "cube root", BALL_COLUMN, "seconds", "chosen"),
+            ("mapping", "dimensions", "error", "detour", "linear", "cube root", BALL_COLUMN, "seconds", "chosen"),
             [
                 (
-                    c.mapping, c.latent_dim, f"{c.error:.3f}", f"{median.linear:.3f} / {p90.linear:.3f}",
+                    c.mapping, c.latent_dim, f"{c.error:.3f}", f"{c.detour:.2f}",
+                    f"{median.linear:.3f} / {p90.linear:.3f}",
                     f"{median.cube_root:.3f} / {p90.cube_root:.3f}", f"{median.ball:.1f} / {p90.ball:.1f}",
                     f"{c.seconds:.1f}", "*" * c.is_chosen,
                 )

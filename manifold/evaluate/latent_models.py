@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +24,8 @@ from manifold.records import Array, Indices
 from manifold.registries import MAPPINGS
 
 SAMPLE_BANDS = Settings().sample_bands
+AFTER_PUBLISHED = Settings("gplvm", 2, "identity", mu=1e-4, optimizer="dls")
+"""The settings of `fit_after_published`."""
 _TOLERANCE = 1e-5  # tolerance of fits that are made once per left-out material
 
 
@@ -45,8 +48,7 @@ def fit_after_published(data: Data, training: Indices) -> Encode:
 
     They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
     """
-    settings = Settings("gplvm", 2, "identity", mu=1e-4, optimizer="dls")
-    return _process(settings, data, training).encode
+    return _process(AFTER_PUBLISHED, data, training).encode
 
 
 def _process(s: Settings, data: Data, training: Indices, tolerance: float = _TOLERANCE) -> LatentProcess:
@@ -61,12 +63,27 @@ def _process(s: Settings, data: Data, training: Indices, tolerance: float = _TOL
     )
 
 
+def fit_map(s: Settings, data: Data) -> tuple[Array, Callable[[Array], Combination]]:
+    """Return the places (N, Q) of all materials on a map, and its prediction at a place (Q,)."""
+    if s.kind == "blend":
+        space = _tables(s, data).fit(s.latent_dim, s.covariance())
+        return space.X, lambda x: space.combination(x, None, CubeRoot())
+    process = _process(s, data, np.arange(data.n_materials))
+    return process.gp.X, process.at
+
+
+def _tables(s: Settings, data: Data) -> BlendTables:
+    """Return the distances and samples of all materials, cached."""
+    bands = data.available_bands(s.sample_bands)
+    tables: BlendTables = data.cached(
+        ("blend", s.sample_bands), lambda: BlendTables.of(data.materials, bands)
+    )
+    return tables
+
+
 def _fit_blend(s: Settings) -> Fit:
     def fit(data: Data, training: Indices) -> Encode:
-        bands = data.available_bands(s.sample_bands)
-        every: BlendTables = data.cached(
-            ("blend", s.sample_bands), lambda: BlendTables.of(data.materials, bands)
-        )
+        bands, every = data.available_bands(s.sample_bands), _tables(s, data)
         tables, rows = every.subset(training), every.samples.rows(training)
         space = tables.fit(min(s.latent_dim, len(training) - 1), s.covariance())
         roots, pairs = tables.samples.roots, appearance_pairs(all_isotropic(data.materials))

@@ -168,7 +168,12 @@ def evaluate(
 
     `bands` (B_s,) become samples.
     """
-    white, grid, looks, lights = srgb_to_xyz(np.ones(3)), encoding_pairs(is_isotropic), _lights(), panel.judged()
+    white, grid, looks, lights = (
+        srgb_to_xyz(np.ones(3)),
+        encoding_pairs(is_isotropic),
+        _lights(),
+        panel.judged(),
+    )
     studio = len(ball_colours.ball())
     spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
     on_ball: list[Halves] = []

@@ -345,9 +345,7 @@ def coherence_of(
     space: LatentSpace, table: MaterialTable, mapping: ValueMapping
 ) -> tuple[Coherence | None, list[Pair]]:
     """Return the coherence of a map of the materials of a table, in blended colours, and its pairs."""
-    return measure_coherence(
-        space.X, table.balls, lambda x: table.ball(space.combination(x, None, mapping))
-    )
+    return measure_coherence(space.X, table.balls, lambda x: table.ball(space.combination(x, None, mapping)))
 
 
 def _landmark_balls(

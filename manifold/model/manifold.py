@@ -21,10 +21,10 @@ from manifold.library.store import Library
 from manifold.mapping import Identity, ValueMapping
 from manifold.metrics import Errors
 from manifold.model.blend_space import BlendSpace
+from manifold.model.coherence import Coherence, Pair
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, ReflectanceColours
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
-from manifold.model.coherence import Coherence, Pair
 from manifold.model.expected_error import (
     LEAST_MATERIALS,
     LeftOut,
@@ -38,7 +38,15 @@ from manifold.model.latent_space import Embedded, LatentSpace, fixed_colours
 from manifold.model.map import map_svg
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache, MaterialTable, names_among
-from manifold.model.model_file import OLD_LAYOUT, SPACES, ModelRecord, open_library, read_model, restore, write_model
+from manifold.model.model_file import (
+    OLD_LAYOUT,
+    SPACES,
+    ModelRecord,
+    open_library,
+    read_model,
+    restore,
+    write_model,
+)
 from manifold.model.places import (
     Place,
     PlaceLike,

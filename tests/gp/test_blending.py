@@ -20,7 +20,7 @@ from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError
 from manifold.library.store import Library
-from manifold.model.blend_fitting import AppearanceDistances, evaluate
+from manifold.model.blend_fitting import evaluate
 from manifold.model.blending import (
     LayoutObjective,
     affinities,
@@ -33,7 +33,6 @@ from manifold.model.blending import (
 from manifold.model.colour_paths import WHITE, fit_paths
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.records import Bands
 
 
 @given(st.integers(1, 8), st.integers(1, 3), st.integers(0, 10_000), st.floats(1e-3, 1e3))
@@ -82,7 +81,9 @@ def test_affinities_have_one_perplexity_and_leave_out_what_is_infinitely_far(rng
     assert np.all(p[:, :5] == 0.0)
     np.testing.assert_allclose(p.sum(axis=1), 1.0, rtol=1e-12)  # rounding
     some = p[:, 5:]
-    np.testing.assert_allclose(np.exp(-np.sum(some * np.log(np.maximum(some, 1e-300)), axis=1)), 10.0, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.exp(-np.sum(some * np.log(np.maximum(some, 1e-300)), axis=1)), 10.0, rtol=1e-6
+    )
 
 
 def test_neighbours_of_a_plane_stay_neighbours(rng):

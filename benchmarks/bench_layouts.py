@@ -1,8 +1,8 @@
-"""Coherence and left-out errors of maps of whole libraries: blends, the published GPLVM, principal components.
+"""Coherence and left-out errors of maps of a library: blends, the published GPLVM, principal components.
 
-    python benchmarks/bench_layouts.py LIBRARY ... [--json FILE]
+    python benchmarks/bench_layouts.py LIBRARY [--json FILE]
 
-A row per library and number of dimensions, two and three: detours halfway between each material and the one that looks
+A row per number of dimensions, two and three: detours halfway between each material and the one that looks
 most like it (median, 90th percentile, share above 1.5), the five most similar materials among the five nearest, errors
 of left-out materials with the places of the others kept, the hull's share that the data support, and processor seconds.
 """
@@ -65,24 +65,22 @@ def measure(library: Library, latent_dim: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print and keep a row per library and number of dimensions."""
+    """Print and keep a row per number of dimensions."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("libraries", type=Path, nargs="+")
+    parser.add_argument("library", type=Path)
     parser.add_argument("--dimensions", type=int, nargs="+", default=[2, 3])
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    rows = json.loads(given.json.read_text()) if given.json and given.json.exists() else {}
-    for path in given.libraries:
-        for latent_dim in given.dimensions:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                row = measure(Library.open(path), latent_dim)
-            rows[f"{path.stem}_{latent_dim}"] = row
-            print(f"{path.stem}, {latent_dim} dimensions: {row}", flush=True)
-            if given.json:
-                given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    rows = {}
+    for latent_dim in given.dimensions:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            row = rows[f"dimensions_{latent_dim}"] = measure(Library.open(given.library), latent_dim)
+        print(f"{latent_dim} dimensions: {row}", flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

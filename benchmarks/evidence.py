@@ -79,6 +79,10 @@ RESULTS = {
     "fair": Result("bench_fair.py FILES --every 2", (*_GPLVM, *_BLEND, *_LIGHTS)),
     "fair_corpus": Result("bench_fair.py CORPUS --every 10", (*_GPLVM, *_BLEND, *_LIGHTS)),
     "between": Result("bench_between.py FILES", (*_GPLVM, *_BLEND, *_LIGHTS, "analytic")),
+    "layouts": Result(
+        "bench_layouts.py LIBRARY",
+        (*_GPLVM, *_BLEND, *_LIGHTS, "model/coherence.py", "model/expected_error.py", "evaluate/coherences.py"),
+    ),
     "spectral": Result(
         "bench_spectral.py LIBRARY SPECTRAL", (*_COMPLETE, *_LIGHTS, "../benchmarks/completion_baselines.py")
     ),

@@ -50,7 +50,7 @@ def landmark_layout(
     Source: van der Maaten & Hinton 2008, section 6, for landmarks among many samples.
     """
     N = len(to_landmarks)
-    X = affinities(to_landmarks) @ anchors
+    X: Array = affinities(to_landmarks) @ anchors
     X[landmarks] = anchors
     X += START_NOISE * X.std() * np.random.default_rng(0).normal(size=X.shape)
     repelling = evenly_spaced(N, _REPELLING)

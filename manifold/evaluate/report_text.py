@@ -299,7 +299,7 @@ def _expected_errors(report: Report) -> list[str]:
 
 
 def _coherence(report: Report) -> list[str]:
-    """Return what lies between similar materials on the maps, as lines."""
+    """Return the coherence of the maps as lines."""
     rows = [
         (title, f"{c.detour:.2f}", f"{c.detour_p90:.2f}", percent(c.detour_far), percent(c.neighbours_kept))
         for title, c in report.coherence.items()

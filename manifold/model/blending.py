@@ -2,7 +2,7 @@
 
 A Gaussian process interpolates with weights of alternating sign, which cause dark holes in highlights. The values of a
 blend lie between those of the surrounding materials, and change as smoothly as its weights. It needs a layout in which
-neighbours look alike, and what looks alike are neighbours.
+neighbours look alike, and materials that look alike are neighbours.
 """
 
 from __future__ import annotations

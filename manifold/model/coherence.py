@@ -1,4 +1,4 @@
-"""The coherence of a map: how far places between two materials hold what lies between them."""
+"""The coherence of a map: whether predictions between two similar materials lie between them in appearance."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Coherence:
-    """How far a map keeps together what looks alike.
+    """How far a map keeps similar materials together.
 
     Attributes:
         detour, detour_p90: median and 90th percentile of `Pair.detour` over materials; 1 lies between.
@@ -85,7 +85,7 @@ class Coherence:
 
     @property
     def warning(self) -> str | None:
-        """What a user should know before predicting between the materials; None if they are kept together."""
+        """A diagnostic if the map loses most neighbours, else None."""
         if self.neighbours_kept >= LOST:
             return None
         return (

@@ -182,7 +182,7 @@ class Manifold:
 
     @property
     def coherence(self) -> Coherence | None:
-        """How far the map keeps together what looks alike; None if it is not calibrated, or of version 0.4."""
+        """How far the map keeps similar materials together; None if it is not calibrated, or of version 0.4."""
         return Coherence.from_statistics(self.statistics)
 
     @cached_property

@@ -131,7 +131,7 @@ def of_blend(kind: str) -> Callable[[Data, Indices], Encode]:
 
         def make() -> tuple[object, object]:
             tables = every.subset(training)
-            return tables, tables.fit(2, BlendSettings().covariance())[0]
+            return tables, tables.fit(2, BlendSettings().covariance())
 
         tables, space = data.cached(("map", tuple(training.tolist())), make)
         if kind != "colours":

@@ -113,6 +113,7 @@ RESULTS = {
     "fair": Result("bench_fair.py FILES --every 2"),
     "fair_corpus": Result("bench_fair.py CORPUS --every 10"),
     "between": Result("bench_between.py FILES"),
+    "layouts": Result("bench_layouts.py LIBRARY"),
     "spectral": Result("bench_spectral.py LIBRARY SPECTRAL"),
     "counts": Result("bench_counts.py LIBRARY"),
     "sequence": Result("bench_sequence.py LIBRARY"),

@@ -31,15 +31,16 @@ from .outputs import or_default, written
 if TYPE_CHECKING:
     from manifold.estimate.sources import MaterialSource
     from manifold.model.diagnostics import DiagnosedPrediction
+    from manifold.model.embedding import Embedding
     from manifold.model.location import Reconstruction
-    from manifold.model.settings import Settings
+    from manifold.model.settings import GplvmSettings, Settings
 
 AUTO = "auto"
 _LEAST_TURN_DEG = 5.0  # smallest angle between orientations that is reported
 _SHOWN_WEIGHT = 0.005  # smallest weight that is printed, with two decimals
 
 
-Kind = Literal["blend", "gplvm", "material"]
+Kind = Literal["blend", "gplvm"]
 MaterialsArgument = Annotated[
     list[str],
     typer.Argument(
@@ -85,7 +86,7 @@ def embed(
         typer.Option(
             "--latent-dim",
             "-q",
-            help="Dimensions of the manifold; auto chooses by held-out error (minutes).",
+            help="Dimensions of the manifold; auto chooses by held-out error and detour (minutes).",
             metavar="Q|auto",
         ),
     ] = "2",
@@ -197,21 +198,17 @@ def embed(
             choose=partial(choose, **chooses) if any(chooses.values()) else None, workers=executor,
         )  # fmt: skip
     settings = fitted.settings
-    process: dict[str, object] = {}  # a blend has none
-    start = "coordinates"
-    if isinstance(settings, GplvmSettings):
-        process = {"kernel": settings.kernel, "condition of K": f"{fitted.space.gp.condition:.3g}"}
-        start = "components"
     if candidates:
         results.text(
-            "Held-out errors, median / 90th percentile. The choice has the least 'error', a mean;\n"
-            f"more dimensions must lower it by {percent(PAYS)}:\n"
+            "Held-out errors, median / 90th percentile. The choice has the lowest 'error', a mean; more\n"
+            f"dimensions must lower 'error' times 'detour', a mean, by {percent(PAYS)}:\n"
         )
         results.table(
-            ("mapping", "dimensions", "error", "linear", "cube root", BALL_COLUMN, "seconds", "chosen"),
+            ("mapping", "dimensions", "error", "detour", "linear", "cube root", BALL_COLUMN, "seconds", "chosen"),
             [
                 (
-                    c.mapping, c.latent_dim, f"{c.error:.3f}", f"{median.linear:.3f} / {p90.linear:.3f}",
+                    c.mapping, c.latent_dim, f"{c.error:.3f}", f"{c.detour:.2f}",
+                    f"{median.linear:.3f} / {p90.linear:.3f}",
                     f"{median.cube_root:.3f} / {p90.cube_root:.3f}", f"{median.ball:.1f} / {p90.ball:.1f}",
                     f"{c.seconds:.1f}", "*" * c.is_chosen,
                 )
@@ -226,9 +223,8 @@ def embed(
             "kind": settings.kind + ", as published" * as_published,
             "latent dimensions": settings.latent_dim,
             "mapping": settings.mapping,
-            **process,
-            "objective": f"{fitted.statistics['objective']:.6g}, from "
-            f"{fitted.statistics['objective_start']:.6g} at the principal {start}",
+            **(_of_process(fitted, settings) if isinstance(settings, GplvmSettings) else {}),
+            **_of_errors(fitted),
             **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )
@@ -269,6 +265,33 @@ def _published_settings(latent_dim: str, chosen: dict[str, Any]) -> Settings:
             "found --as-published and another setting of the fit, expected none: it fixes them all"
         )
     return settings
+
+
+def _of_process(fitted: Embedding, settings: GplvmSettings) -> dict[str, str]:
+    """Return rows on the fit of a GPLVM."""
+    end, start = (fitted.statistics[name] for name in ("objective", "objective_start"))
+    return {
+        "kernel": settings.kernel,
+        "objective": f"{end:.6g}, from {start:.6g} at the principal components",
+        "condition of K": f"{fitted.space.gp.condition:.3g}",
+    }
+
+
+def _of_errors(fitted: Embedding) -> dict[str, str]:
+    """Return rows on left-out materials, and on places between materials."""
+    import numpy as np
+
+    from manifold.core.judged_lights import BALL
+
+    rows = {}
+    if fitted.left_out is not None:
+        ball = fitted.left_out.errors.ball
+        rows["left-out error"] = f"{np.median(ball):.1f}, 90th percentile {np.quantile(ball, 0.9):.1f} {BALL}"
+    if fitted.coherence is not None:
+        rows["detour"], rows["neighbours kept"] = fitted.coherence.words
+        if fitted.coherence.warning:
+            rows["diagnostics"] = fitted.coherence.warning
+    return rows
 
 
 def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]:

@@ -84,8 +84,6 @@ void add_shift(Table5<const float> spectra, Table4<const bool> measured, Matrix<
     });
 }
 
-constexpr double TINY = 2.2250738585072014e-308; // the smallest normal double
-
 // The larger of two values; NaN where one is.
 INLINE double maximum(double a, double b) { return a >= b || a != a ? a : b; }
 
@@ -107,86 +105,6 @@ void valley_depths(Matrix<const double> f, double dark, Vector<double> depth) {
     require(depth.size() == f.shape(0) && D >= 1, "expected profiles (K, D) and room for (K,) depths");
     std::vector<double> left(D);
     for (size_t k = 0; k < depth.size(); ++k) depth.data()[k] = deepest(f.data() + k * D, D, dark, left.data());
-}
-
-// Squared depths of valleys of blends beyond what is allowed (K,), and where there are any, gradients by their cube roots
-// (K, I, D, B) and by what is allowed (K,): `manifold.brdf.plausibility.squared_valleys`. Blend by blend, which stays in
-// cache. Smooth maxima are means weighted with the 32nd power of values.
-void squared_valleys(Table4<const double> roots, Vector<const double> allowed, double dark, Vector<double> value,
-                     Table4<double> by_roots, Vector<double> by_allowed) {
-    const ptrdiff_t I = ptrdiff_t(roots.shape(1)), D = ptrdiff_t(roots.shape(2)), B = ptrdiff_t(roots.shape(3));
-    const size_t K = roots.shape(0);
-    require(allowed.size() == K && value.size() == K && by_allowed.size() == K && by_roots.shape(0) == K &&
-                by_roots.shape(1) == roots.shape(1) && by_roots.shape(2) == roots.shape(2) &&
-                by_roots.shape(3) == roots.shape(3) && I >= 1 && D >= 1 && B >= 1,
-            "expected cube roots (K, I, D, B), depths (K,), and room for values and gradients");
-    constexpr double sharpness = 32.0;
-    std::vector<double> work(size_t(I) * D + 9 * D);
-    double *f = work.data(), *less = f + I * D, *power = less + D, *by_f = power + D, *left = by_f + D;
-    double *sums[2] = {left + D, left + 2 * D}, *means[2] = {left + 3 * D, left + 4 * D}; // of the left, of the right
-    std::vector<double> slope_of_side(2 * D);
-    double *slopes[2] = {slope_of_side.data(), slope_of_side.data() + D};
-    fastest([&]() INLINE_LAMBDA {
-        for (size_t k = 0; k < K; ++k) {
-            const double *root = roots.data() + ptrdiff_t(k) * I * D * B, limit = allowed.data()[k];
-            double depth = 0.0;
-            for (ptrdiff_t i = 0; i < I; ++i) {
-                for (ptrdiff_t d = 0; d < D; ++d) {
-                    double total = 0.0;
-                    for (ptrdiff_t b = 0; b < B; ++b) {
-                        const double r = root[(i * D + d) * B + b];
-                        total += r * r * r;
-                    }
-                    f[i * D + d] = total / B;
-                }
-                depth = maximum(depth, deepest(f + i * D, D, dark, left));
-            }
-            if (depth <= limit) continue; // weighted means are no larger than maxima
-            for (ptrdiff_t i = 0; i < I; ++i) {
-                const double *row = f + i * D;
-                const double top = std::max(*std::max_element(row, row + D), dark);
-                for (ptrdiff_t d = 0; d < D; ++d) {
-                    const double ratio = row[d] / top, cube = ratio * ratio * ratio, fourth = cube * ratio;
-                    const double eighth = fourth * fourth, twenty_eighth = eighth * eighth * eighth * fourth;
-                    less[d] = twenty_eighth * cube;
-                    power[d] = less[d] * ratio;
-                }
-                for (int side = 0; side < 2; ++side) {
-                    double total = TINY, weighted = TINY;
-                    for (ptrdiff_t step = 0; step < D; ++step) {
-                        const ptrdiff_t d = side == 0 ? step : D - 1 - step;
-                        total += power[d];
-                        weighted += power[d] * row[d];
-                        sums[side][d] = total, means[side][d] = weighted / total;
-                    }
-                }
-                for (ptrdiff_t d = 0; d < D; ++d) {
-                    const int lower = means[0][d] <= means[1][d] ? 0 : 1;
-                    const double height = std::max(means[lower][d], dark);
-                    const double excess = std::max(1.0 - row[d] / height - limit, 0.0);
-                    value.data()[k] += excess * excess;
-                    by_allowed.data()[k] -= 2.0 * excess;
-                    by_f[d] = -2.0 * excess / height;
-                    slopes[lower][d] = 2.0 * excess * row[d] / (height * height) / sums[lower][d];
-                    slopes[1 - lower][d] = 0.0;
-                }
-                for (int side = 0; side < 2; ++side) {
-                    double total = 0.0, weighted = 0.0;
-                    for (ptrdiff_t step = 0; step < D; ++step) {
-                        const ptrdiff_t d = side == 0 ? D - 1 - step : step;
-                        total += slopes[side][d];
-                        weighted += slopes[side][d] * means[side][d];
-                        by_f[d] += (sharpness + 1) * power[d] * total - sharpness * less[d] / top * weighted;
-                    }
-                }
-                for (ptrdiff_t d = 0; d < D; ++d)
-                    for (ptrdiff_t b = 0; b < B; ++b) {
-                        const double r = root[(i * D + d) * B + b];
-                        by_roots.data()[((ptrdiff_t(k) * I + i) * D + d) * B + b] = 3.0 / B * by_f[d] * r * r;
-                    }
-            }
-        }
-    });
 }
 
 // Cubes of sums of multiples of basis spectra (K, B), into values (S, H, W, B). Coefficients are multiples as differences
@@ -332,8 +250,6 @@ void bind_surfaces(nb::module_ &m) {
     m.def("project_facets", &project_facets, "w"_a, "m"_a, "area"_a, "out"_a.noconvert(), Unlocked());
     m.def("add_shift", &add_shift, "spectra"_a, "measured"_a, "ahead"_a, "behind"_a, "out"_a.noconvert(), Unlocked());
     m.def("valley_depths", &valley_depths, "f"_a, "dark"_a, "depth"_a.noconvert(), Unlocked());
-    m.def("squared_valleys", &squared_valleys, "roots"_a, "allowed"_a, "dark"_a, "value"_a.noconvert(),
-          "by_roots"_a.noconvert(), "by_allowed"_a.noconvert(), Unlocked());
     m.def("dequantise", &dequantise, "coefficients"_a, "basis"_a, "least"_a, "values"_a.noconvert(), Unlocked());
     m.def("integrate_caps", &integrate_caps, "stretched"_a, "alpha_x"_a, "alpha_y"_a, "heights"_a, "weights"_a,
           "cos_phi"_a, "sin_phi"_a, "out"_a.noconvert(), Unlocked());

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from manifold.brdf.interface import BRDF
 from manifold.brdf.measured import MeasuredBRDF
@@ -18,20 +17,17 @@ from manifold.core.directions import (
     require_directions,
     rotate_z,
 )
-from manifold.core.records import Array, BsdfFile, Indices
+from manifold.core.records import Array, BsdfFile
 
-LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
 ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
-"""Not those of layouts: predictions are assessed at incidences for which nothing was optimised."""
-LAYOUT_AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
-"""Azimuths of incidence for anisotropic materials, most of which look the same after half a turn."""
+"""Incidences at which the profiles of predictions are assessed."""
 REACH_DEG = 20.0
 """Largest angle of profiles from the mirror direction."""
 _DARK = 1e-9  # 1/sr
 
 
 def profile_pairs(
-    incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG, azimuths_deg: Sequence[float] = (0.0,)
+    incidences_deg: Sequence[float] = ASSESSED_INCIDENCES_DEG, azimuths_deg: Sequence[float] = (0.0,)
 ) -> tuple[Array, Array]:
     """Return directions wi (I, 1, 3) and wo (I, D, 3) in the plane of incidence, around the mirror direction.
 
@@ -56,50 +52,6 @@ def valley_depth(f: Array) -> Array:
     depth = np.empty(f.shape[:-1])
     loops.valley_depths(f.reshape(-1, f.shape[-1]), _DARK, depth.reshape(-1))
     return depth[()]
-
-
-def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
-    """Return the squared depths (K,) of valleys of blends u (K, N) beyond a limit, and the gradient (K, N).
-
-    The limit of a blend is the weighted mean of the depths (N,) that are allowed for its materials.
-
-    Profiles are cube roots of the materials at `profile_pairs()` or some of them, shape (N, I, D, B). Smooth in u, so
-    that what minimises it does not depend on rounding: depths are summed over directions, where `valley_depth` takes
-    the deepest, and the maxima on their sides are means weighted with the 32nd power of values.
-    """
-    flat = profiles.reshape(len(profiles), -1)
-    roots = (u @ flat).reshape(len(u), *profiles.shape[1:])
-    value, k, by_roots, by_allowed = _squared(roots, u @ limits)
-    gradient = np.zeros_like(u)
-    gradient[k] = by_roots @ flat.T + by_allowed[:, None] * limits
-    return value, gradient
-
-
-def squared_valleys_of_some(
-    u: Array, materials: Indices, profiles: Array, limits: Array
-) -> tuple[Array, Array]:
-    """Return `squared_valleys` of blends u (K, n) of some of the materials, (K, n) indices, and the gradient (K, n)."""
-    flat = profiles.reshape(len(profiles), -1)
-    starts = np.arange(0, u.size + 1, u.shape[1])
-    blends = scipy.sparse.csr_array((u.ravel(), materials.ravel(), starts), (len(u), len(flat)))
-    roots = (blends @ flat).reshape(len(u), *profiles.shape[1:])
-    value, k, by_roots, by_allowed = _squared(roots, np.sum(u * limits[materials], axis=1))
-    gradient = np.zeros_like(u)
-    for row, slope, by_limit in zip(k, by_roots, by_allowed, strict=True):
-        some = materials[row]
-        gradient[row] = flat[some] @ slope + by_limit * limits[some]
-    return value, gradient
-
-
-def _squared(roots: Array, allowed: Array) -> tuple[Array, Indices, Array, Array]:
-    """Return `squared_valleys` (K,), the blends that have any (k,), and the gradients by roots and limits.
-
-    Blends have cube roots (K, I, D, B) and allowed depths (K,); the gradients are (k, I D B) and (k,).
-    """
-    value, by_allowed, by_roots = np.zeros(len(roots)), np.zeros(len(roots)), np.empty_like(roots)
-    loops.squared_valleys(roots, allowed, _DARK, value, by_roots, by_allowed)
-    k = np.flatnonzero(value)
-    return value, k, by_roots[k].reshape(len(k), by_roots[0].size), by_allowed[k]
 
 
 Evaluate = Callable[[Array, Array], Array]
@@ -196,7 +148,7 @@ def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
     Neither a rise towards grazing beside a weak highlight nor retro-reflection is a valley.
     """
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
-    wi, wo = np.broadcast_arrays(*profile_pairs(ASSESSED_INCIDENCES_DEG, azimuths))
+    wi, wo = np.broadcast_arrays(*profile_pairs(azimuths_deg=azimuths))
     f = evaluate(wi.reshape(-1, 3), wo.reshape(-1, 3)).mean(axis=2)
     profiles = np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])
     both_sides = np.sqrt(profiles * profiles[..., ::-1])

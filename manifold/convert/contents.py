@@ -26,8 +26,9 @@ from manifold.formats.readings import Readings
 from manifold.formats.recognition import Kind, kind_of
 from manifold.formats.workbook_pictures import picture_directions, picture_geometry, picture_values
 from manifold.io_rgl import read_bsdf
+from manifold.model.coherence import Coherence
 from manifold.model.expected_error import NOT_CALIBRATED
-from manifold.model.model_file import read_model
+from manifold.model.model_file import OLD_LAYOUT, read_model
 
 if TYPE_CHECKING:
     from manifold.brdf.consistency import Consistency
@@ -415,14 +416,15 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
     return Inspection(f"{path}: library", rows, document, [(columns, table)], problems)
 
 
-def _process_rows(s: Settings) -> dict[str, object]:
+def _process_rows(s: Settings, statistics: Mapping[str, float]) -> dict[str, object]:
     """Return the rows of a Gaussian process, which blends have not."""
     from manifold.model.settings import GplvmSettings
 
     if not isinstance(s, GplvmSettings):
         return {}
     kernel = f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}"
-    return {"kernel": kernel, "optimizer": s.optimizer}
+    end, start = statistics["objective"], statistics["objective_start"]
+    return {"kernel": kernel, "optimizer": s.optimizer, "objective": f"{end:.6g} (start {start:.6g})"}
 
 
 def _inspect_model(path: Path, library: Path | None) -> Inspection:
@@ -445,10 +447,14 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "kind": _KINDS[s.kind],
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
-        **_process_rows(s),
-        "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
+        **_process_rows(s, stored.statistics),
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
+    coherence = Coherence.from_statistics(stored.statistics)
+    if coherence is not None:
+        rows["detour"], rows["neighbours kept"] = coherence.words
+    elif stored.has_old_layout:
+        rows["layout"] = OLD_LAYOUT
     columns = ["material", *(f"x{k + 1}" for k in range(s.latent_dim))]
     table: list[tuple[object, ...]] = [
         (name, *space.printed(row)) for name, row in zip(stored.names, space.X, strict=True)

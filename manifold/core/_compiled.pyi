@@ -96,11 +96,6 @@ def add_shift(spectra: Any, measured: Any, ahead: Any, behind: Any, out: Any) ->
 def valley_depths(f: Array, dark: float, depth: Array) -> None:
     """Write `valley_depth` of profiles (K, D), into depth (K,); values below `dark` count as dark."""
 
-def squared_valleys(
-    roots: Array, allowed: Array, dark: float, value: Array, by_roots: Array, by_allowed: Array
-) -> None:
-    """Add squared valleys of blends (K, I, D, B) to value (K,), and write their gradients."""
-
 def dequantise(coefficients: Any, basis: Any, least: float, values: Any) -> None:
     """Write cubes of sums of multiples of basis spectra into values (S, H, W, B)."""
 

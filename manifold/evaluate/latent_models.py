@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +24,8 @@ from manifold.model.settings import BlendSettings, GplvmSettings, Settings
 from manifold.registries import MAPPINGS
 
 _TOLERANCE = 1e-5  # tolerance of fits that are made once per left-out material
+AFTER_PUBLISHED = GplvmSettings(mapping="identity")
+"""The settings of `fit_after_published`."""
 
 
 def fit_settings(s: Settings, tolerance: float = _TOLERANCE) -> Fit:
@@ -43,7 +46,7 @@ def fit_after_published(data: Data, training: Indices) -> Encode:
 
     They give no rule for the latent of a new material; cube roots, by which all models are searched, look best.
     """
-    return _process(GplvmSettings(mapping="identity"), data, training).encode
+    return _process(AFTER_PUBLISHED, data, training).encode
 
 
 def _process(s: GplvmSettings, data: Data, training: Indices, tolerance: float = _TOLERANCE) -> LatentProcess:
@@ -58,14 +61,30 @@ def _process(s: GplvmSettings, data: Data, training: Indices, tolerance: float =
     )
 
 
+def fit_map(s: Settings, data: Data) -> tuple[Array, Callable[[Array], Combination]]:
+    """Return the places (N, Q) of all materials on a map, and its prediction at a place (Q,)."""
+    if isinstance(s, BlendSettings):
+        space = _tables(s, data).fit(s.latent_dim, s.covariance())
+        return space.X, lambda x: space.combination(x, None, CubeRoot())
+    assert isinstance(s, GplvmSettings)
+    process = _process(s, data, np.arange(data.n_materials))
+    return process.gp.X, process.at
+
+
+def _tables(s: BlendSettings, data: Data) -> BlendTables:
+    """Return the distances and samples of all materials, cached."""
+    bands = data.available_bands(s.sample_bands)
+    tables: BlendTables = data.cached(
+        ("blend", s.sample_bands), lambda: BlendTables.of(data.materials, bands)
+    )
+    return tables
+
+
 def _fit_blend(s: BlendSettings) -> Fit:
     def fit(data: Data, training: Indices) -> Encode:
-        bands = data.available_bands(s.sample_bands)
-        every: BlendTables = data.cached(
-            ("blend", s.sample_bands), lambda: BlendTables.of(data.materials, bands)
-        )
+        bands, every = data.available_bands(s.sample_bands), _tables(s, data)
         tables, rows = every.subset(training), every.samples.rows(training)
-        space, _ = tables.fit(min(s.latent_dim, len(training) - 1), s.covariance())
+        space = tables.fit(min(s.latent_dim, len(training) - 1), s.covariance())
         roots, pairs = tables.samples.roots, appearance_pairs(all_isotropic(data.materials))
         search = PlaceSearch(space, roots, appearance_weight(roots))
 

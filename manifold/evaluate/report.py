@@ -22,6 +22,7 @@ from manifold.core.metrics import Errors
 from manifold.core.names import counted
 from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import Array, Indices, evenly_spaced, plain
+from manifold.evaluate.coherences import coherences
 from manifold.evaluate.cross_validation import (
     Encoded,
     Method,
@@ -39,12 +40,13 @@ from manifold.evaluate.errors import (
     standardised_error,
 )
 from manifold.evaluate.method_data import MAX_BANDS, Data, band_shares, block_pairs
-from manifold.evaluate.methods import baseline_methods, gplvm_methods, standard_methods
+from manifold.evaluate.methods import PUBLISHED, baseline_methods, gplvm_methods, standard_methods
 from manifold.evaluate.model_methods import model_methods, replaced_keys
 from manifold.evaluate.seen_fits import seen_principled
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.library.store import Library
 from manifold.model import gram
+from manifold.model.coherence import Coherence
 from manifold.model.combination import Values
 from manifold.model.expected_error import Reliability
 from manifold.model.manifold import Manifold
@@ -107,6 +109,7 @@ class Report:
         condition: kappa(K).
         methods: reconstruction first, then what was held out.
         expected_errors: how well the model knows its errors, `ball` and `cube_root`; None where it is not calibrated.
+        coherence: of the model and of other maps of its materials, by title.
         left_out: titles of the methods that would have taken long.
         seconds: of the stages of the report, wall-clock.
     """
@@ -123,6 +126,7 @@ class Report:
     condition: float
     methods: tuple[MethodResult, ...]
     expected_errors: dict[str, Reliability] | None
+    coherence: dict[str, Coherence]
     left_out: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -217,18 +221,20 @@ def make_report(
     reuse = grid_name == "default" and not all_bands
     blocks = data.blocks() if reuse else _measured_blocks(materials, bands, grid)
 
-    def evaluate_all() -> tuple[MethodResult, ...]:
+    def evaluate_all() -> tuple[tuple[MethodResult, ...], dict[str, Coherence]]:
         predictions = [each.combinations for each in encoded]
         errors = measure_errors(predictions, bands, blocks)
         physical = plausibility_results(materials, data.bands, predictions)
         colours = colour_errors(materials, predictions)
         table = MaterialTable(materials, data.bands)
-        return tuple(
+        results = tuple(
             _result(model, data, *each, table, bands, grid.n_pairs)
             for each in zip(chosen, encoded, errors, physical, colours, strict=True)
         )
+        is_published_shown = PUBLISHED in {method.key for method in chosen}
+        return results, coherences(model, data, table, is_published_shown=is_published_shown)
 
-    results, evaluate = wall_clock(evaluate_all)
+    (results, coherence), evaluate = wall_clock(evaluate_all)
     return Report(
         names=model.names,
         latents=tuple(tuple(float(v) for v in row) for row in model.X),
@@ -242,6 +248,7 @@ def make_report(
         condition=model.gp.condition,
         methods=results,
         expected_errors=None if model.left_out is None else model.left_out.reliability(),
+        coherence=coherence,
         left_out=tuple(m.title for m in [*own, *others] if m not in chosen),
         seconds={"load": load, "tabulate": tabulate, "encode": encode, "evaluate": evaluate},
     )

@@ -11,6 +11,7 @@ from manifold.core.judged_lights import BALL, JUDGED, LIGHTS
 from manifold.core.names import counted, percent
 from manifold.core.text_tables import table_lines
 from manifold.evaluate.report import MethodResult, Report
+from manifold.model.coherence import FAR, NEIGHBOURS_COMPARED
 from manifold.model.expected_error import LEVEL, NOT_CALIBRATED
 
 _WIDTH = 80
@@ -196,6 +197,7 @@ def format_report(report: Report) -> str:
         *_section(methods, _COSTS, _COST_NOTE),
         *(_section(calibrated, _CALIBRATION, _CALIBRATION_NOTE) if calibrated else []),
         *_expected_errors(report),
+        *_coherence(report),
         *_materials(report),
         *_closing(report),
     ]
@@ -296,6 +298,22 @@ def _expected_errors(report: Report) -> list[str]:
         f"{percent(most)}."
     )
     return _table(columns, rows, (*_EXPECTED_NOTE, bound))
+
+
+def _coherence(report: Report) -> list[str]:
+    """Return the coherence of the maps as lines."""
+    rows = [
+        (title, f"{c.detour:.2f}", f"{c.detour_p90:.2f}", percent(c.detour_far), percent(c.neighbours_kept))
+        for title, c in report.coherence.items()
+    ]
+    columns = ("between materials", "detour", "p90", f"above {FAR}", "neighbours kept")
+    note = (
+        "detour: of the prediction halfway between a material and the one that looks most like it, the CIEDE2000 from "
+        f"both over that between both; 1 lies between them. Balls are compared in the {LIGHTS}, in blended colours.",
+        f"neighbours kept: share of the {NEIGHBOURS_COMPARED} most similar materials that are among the "
+        f"{NEIGHBOURS_COMPARED} nearest on the map.",
+    )
+    return _table(columns, rows, note) if rows else []
 
 
 def _materials(report: Report) -> list[str]:

@@ -17,9 +17,10 @@ from manifold.core.errors import UsageError
 from manifold.core.names import counted
 from manifold.core.pairs import RusinkiewiczGrid
 from manifold.core.records import evenly_spaced
+from manifold.evaluate.coherences import measure_map
 from manifold.evaluate.cross_validation import cross_validate, leave_out, wall_clock
 from manifold.evaluate.errors import MethodErrors, measure_errors
-from manifold.evaluate.latent_models import fit_settings
+from manifold.evaluate.latent_models import fit_map, fit_settings
 from manifold.evaluate.method_data import Data
 from manifold.model.materials import MaterialTable
 from manifold.model.settings import SAMPLE_BANDS, BlendSettings, GplvmSettings, Settings
@@ -28,7 +29,7 @@ from manifold.registries import MAPPINGS
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
 MAX_BANDS = 12  # evenly spaced, besides those that are samples
 MAX_DIMENSIONS = 6
-PAYS = 0.05  # an added dimension has to take this share off the error
+PAYS = 0.05  # an added dimension has to take this share off error times detour
 LEAVE_ONE_OUT_UP_TO = 20  # materials; more are dealt into FOLDS
 FOLDS = 5
 _TOLERANCE = 1e-4  # tolerance of fits: finer ones move no error by more than it varies between folds
@@ -40,7 +41,8 @@ class Candidate(MethodErrors):
 
     Attributes: those of `MethodErrors`, and
         mapping, latent_dim: the setting.
-        error: geometric mean over materials of the linear error, which the choice is made by.
+        error: geometric mean over materials of the linear error, by which mappings are chosen.
+        detour: geometric mean over materials of the detours of a map of all, see `model.coherence`; 1 without any.
         seconds: of fitting and encoding all folds.
         is_chosen: whether it won.
     """
@@ -48,8 +50,14 @@ class Candidate(MethodErrors):
     mapping: str
     latent_dim: int
     error: float
+    detour: float
     seconds: float
     is_chosen: bool = False
+
+    @property
+    def score(self) -> float:
+        """Error times detour, by which the number of dimensions is chosen."""
+        return self.error * self.detour
 
 
 def choose(
@@ -88,7 +96,7 @@ def choose(
         best = attempt(best.mapping, 1)
         for count in range(2, most + 1):
             more = attempt(best.mapping, count)
-            if more.error < (1.0 - PAYS) * best.error:
+            if more.score < (1.0 - PAYS) * best.score:
                 best = more
             elif count > best.latent_dim + 1:
                 break  # two in a row that did not pay
@@ -117,13 +125,16 @@ class _Trials:
 
     def run(self, name: str, latent_dim: int) -> Candidate:
         """Return the held-out errors of one setting."""
-        fit = fit_settings(_candidate(self._settings, name, latent_dim), tolerance=_TOLERANCE)
+        settings = _candidate(self._settings, name, latent_dim)
+        fit = fit_settings(settings, tolerance=_TOLERANCE)
         encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))
         found = encoded.combinations
         (errors,) = measure_errors([found], self._data.bands, [self._data])
         of_each = self._table.looks(found) | errors.of_values()
         mean = float(np.exp(np.mean(np.log(np.maximum(of_each.linear, 1e-12)))))
+        _, pairs = measure_map(*fit_map(settings, self._data), self._table)
+        detour = float(np.exp(np.mean([np.log(pair.detour) for pair in pairs]))) if pairs else 1.0
         return Candidate(
             key=f"{name}_{latent_dim}", title=f"{name}, {latent_dim} dimensions", errors=of_each, mapping=name,
-            latent_dim=latent_dim, error=mean, seconds=seconds,
+            latent_dim=latent_dim, error=mean, detour=detour, seconds=seconds,
         )  # fmt: skip

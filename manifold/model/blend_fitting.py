@@ -10,13 +10,6 @@ from numpy.typing import NDArray
 
 from manifold.brdf.interface import all_isotropic
 from manifold.brdf.measured import MeasuredBRDF, values_at
-from manifold.brdf.plausibility import (
-    LAYOUT_AZIMUTHS_DEG,
-    profile_pairs,
-    squared_valleys,
-    squared_valleys_of_some,
-    valley_depth,
-)
 from manifold.colour import ball_colours, panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
@@ -25,26 +18,26 @@ from manifold.core.records import Array, Indices, evenly_spaced
 from manifold.gp.encoding import encoding_pairs
 from manifold.gp.kernels import Kernel
 from manifold.model.blend_space import BlendSpace
-from manifold.model.blending import Layout, blend_layout
+from manifold.model.blending import blend_layout, scaled
 from manifold.model.colour_paths import ColourPaths, fit_paths, sample_rows
 from manifold.model.decoding import OF_BALL, appearance_weight, integrating_sphere, roots_at
-from manifold.model.landmarks import SIGNATURE, Comparison, farthest_samples, landmark_layout, signatures
+from manifold.model.landmarks import SIGNATURE, farthest_samples, landmark_layout, signatures
 
 _BANDS = 12  # bands in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
-_UNIT = 20.0  # CIEDE2000 of the ball per unit of distance, before the layout is scaled
-# Depth allowed in all blends: few measured materials have a deeper valley; where one has, blends with it may.
-_MEASURED_VALLEY = 0.08
-_VALLEY_APART = 300.0  # CIEDE2000 between two materials per depth of the valley in their blend, added
-_VALLEY_COST = 10.0  # weight of valleys in blends of two, against stress
-_SQUARED_VALLEY_COST = 6000.0  # weight of squared depths in blends of several, against stress
-_PROFILE_BANDS, _PROFILE_STRIDE = 4, 2  # bands and stride of directions, of profiles of blends of several
+_BALL = 0.85  # share of the balls in the distance of two materials; the rest is that of the logarithms
+_PIXELS = 4  # of the balls in the lights of fits, every so many are compared
+_SUN_PIXELS = 16  # across the balls under suns
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
-_SHARES = (0.2, 0.5, 0.8)  # shares of the first material, in the blends of two that are evaluated
 
 
 Floats = NDArray[np.float32]  # single precision: there are thousands of materials
 Halves = NDArray[np.float16]  # cube roots to 0.05 %, which no colour difference shows
+
+
+def _lights() -> panel.Panel:
+    """Return the balls by which materials are compared, in the lights of fits."""
+    return panel.fitted(sun_pixels=_SUN_PIXELS).every(_PIXELS)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,61 +45,50 @@ class Appearance:
     """The values by which N materials are compared.
 
     Attributes:
-        lab: CIELAB of the pixels of their balls, shape (N, K, 3).
+        lab: CIELAB of the pixels of their balls in the lights of fits, shape (N, K, 3).
         logs: logarithms of their values, weighted, shape (N, D).
-        profiles: cube roots in the plane of incidence near the mirror direction, shape (N, I, D', B).
-        allowed: depth of minima of these profiles that blends with a material may have, shape (N,).
     """
 
     lab: Array
     logs: Floats
-    profiles: Array
-    allowed: Array
 
     def __len__(self) -> int:
         return len(self.lab)
 
     def subset(self, materials: Indices) -> Appearance:
         """Return the values of some of the materials."""
-        return Appearance(*(values[materials] for values in vars(self).values()))
+        return Appearance(self.lab[materials], self.logs[materials])
 
     @property
-    def coarse_profiles(self) -> Array:
-        """Profiles in every other direction and few bands, for blends of several, shape (N, I, D'', B')."""
-        some = evenly_spaced(self.profiles.shape[3], _PROFILE_BANDS)
-        return np.ascontiguousarray(self.profiles[:, :, ::_PROFILE_STRIDE][..., some])
+    def lightness(self) -> Array:
+        """Mean CIELAB lightness of the balls, shape (N,)."""
+        return np.asarray(self.lab[..., 0] @ _lights().pixel_weights / self.lab.shape[1])
 
     def compare(self, i: int, others: Indices) -> Array:
-        """Return the differences of material i from others (n,), shape (3, n).
+        """Return the differences of material i from others (n,), shape (2, n).
 
-        Mean CIEDE2000 between their balls, the distance of their logarithms, and the depth, beyond what is allowed, of
-        the deepest valley in blends of the two.
+        They are the mean CIEDE2000 between their balls, and the distance of their logarithms.
         """
-        ball = delta_e_2000_lab(self.lab[others], self.lab[i]).mean(axis=1)
+        ball = delta_e_2000_lab(self.lab[others], self.lab[i]) @ _lights().pixel_weights / self.lab.shape[1]
         apart = self.logs[others].astype(np.float64) - self.logs[i]
-        valley = np.zeros(len(others))
-        for t in _SHARES:
-            f = (((1.0 - t) * self.profiles[i] + t * self.profiles[others]) ** 3).mean(axis=3)  # [n, I, D']
-            excess = valley_depth(f).max(axis=1) - (1.0 - t) * self.allowed[i] - t * self.allowed[others]
-            valley = np.maximum(valley, excess)
-        return np.stack([ball, np.sqrt(np.einsum("nd,nd->n", apart, apart)), valley])
+        return np.stack([ball, np.sqrt(np.einsum("nd,nd->n", apart, apart))])
 
     def distances(self) -> AppearanceDistances:
         """Return the differences of all pairs."""
         N = len(self)
-        found = np.zeros((3, N, N))
+        found = np.zeros((2, N, N))
         for i in range(1, N):
             found[:, i, :i] = self.compare(i, np.arange(i))
-        ball, shape, valley = found + found.transpose(0, 2, 1)
+        ball, shape = found + found.transpose(0, 2, 1)
         upper = np.triu_indices(N, 1)
         median = np.median(shape[upper])
         scale = float(np.median(ball[upper]) / median) if median > 0.0 else 1.0
-        return AppearanceDistances(ball, scale * shape, valley, self.allowed, self.coarse_profiles, scale)
+        return AppearanceDistances(ball, scale * shape, self.lightness, scale)
 
 
-def _targets(ball: Array, shape: Array, valley: Array) -> tuple[Array, Array]:
-    """Return target and least distances on a map."""
-    return np.hypot(0.5 * (ball + shape), _VALLEY_APART * valley) / _UNIT, ball / _UNIT
+def _mixed(ball: Array, shape: Array) -> Array:
+    """Return the distances of a layout."""
+    return _BALL * ball + (1.0 - _BALL) * shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,36 +98,23 @@ class AppearanceDistances:
     Attributes:
         ball: mean CIEDE2000 between their balls, shape (N, N).
         shape: distance of their logarithms, scaled to the median of `ball`, shape (N, N).
-        valley: depth of in-plane minima near the mirror direction in blends of two, beyond `allowed`, shape (N, N).
-        allowed: depth of such minima that blends with a material may have, shape (N,).
-        profiles: cube roots in the plane of incidence near the mirror direction, shape (N, I, D, B).
+        lightness: of their balls, shape (N,).
         scale: of `shape`: what distances of logarithms were multiplied by.
     """
 
     ball: Array
     shape: Array
-    valley: Array
-    allowed: Array
-    profiles: Array
+    lightness: Array
     scale: float
 
     def subset(self, materials: Indices) -> AppearanceDistances:
         """Return the distances between some of the materials."""
         rows = np.ix_(materials, materials)
-        return AppearanceDistances(
-            self.ball[rows], self.shape[rows], self.valley[rows], self.allowed[materials],
-            self.profiles[materials], self.scale,
-        )  # fmt: skip
+        return AppearanceDistances(self.ball[rows], self.shape[rows], self.lightness[materials], self.scale)
 
-    def layout(self, latent_dim: int) -> Layout:
-        """Return the places of the materials in Q dimensions, in units of the kernel's length scale."""
-
-        def cost(u: Array) -> tuple[Array, Array]:
-            squared, slope = squared_valleys(u, self.profiles, self.allowed)
-            return _SQUARED_VALLEY_COST * squared, _SQUARED_VALLEY_COST * slope
-
-        distance, separation = _targets(self.ball, self.shape, self.valley)
-        return blend_layout(distance, separation, _VALLEY_COST * self.valley, latent_dim, cost)
+    def layout(self, latent_dim: int) -> Array:
+        """Return the places of the materials in Q dimensions, (N, Q), in units of the kernel's length scale."""
+        return scaled(blend_layout(_mixed(self.ball, self.shape), latent_dim), self.lightness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,39 +168,39 @@ def evaluate(
 
     `bands` (B_s,) become samples.
     """
-    ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), encoding_pairs(is_isotropic)
-    lights = panel.judged()
-    wi_wo = profile_pairs() if is_isotropic else profile_pairs(azimuths_deg=LAYOUT_AZIMUTHS_DEG)
+    white, grid, looks, lights = (
+        srgb_to_xyz(np.ones(3)),
+        encoding_pairs(is_isotropic),
+        _lights(),
+        panel.judged(),
+    )
+    studio = len(ball_colours.ball())
     spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
     on_ball: list[Halves] = []
     amplitude = np.sqrt(grid.cosines)[:, None]
-    looks: list[tuple[Array, Floats, Array]] = []
+    appearances: list[tuple[Array, Floats]] = []
     roots, inside = list[Floats](), [list[Floats]() for _ in spheres]
     reflectances = []
     for material in materials:
         brdf = material.select_bands(evenly_spaced(material.bands.count, _BANDS).tolist())
-        xyz = ball.xyz(np.maximum(values_at(brdf, ball), 0.0), brdf.bands)
+        xyz = looks.xyz(np.maximum(values_at(brdf, looks), 0.0), brdf.bands)
         f = np.maximum(values_at(brdf, grid), 0.0)
-        profile = np.cbrt(np.maximum(brdf.eval(*wi_wo), 0.0))  # [I, D', B]
-        looks.append(
-            (to_lab(xyz, white), (np.log(f + _FLOOR) * amplitude).ravel().astype(np.float32), profile)
-        )
+        appearances.append((to_lab(xyz, white), (np.log(f + _FLOOR) * amplitude).ravel().astype(np.float32)))
         sample = material.select_bands(bands.tolist())
         in_grid, lit = (roots_at([sample], pairs).astype(np.float32) for pairs in (grid, lights))
-        roots.append(np.hstack([in_grid, lit[:, : len(ball)][:, OF_BALL]]))  # those of the studio come first
+        roots.append(np.hstack([in_grid, lit[:, :studio][:, OF_BALL]]))  # those of the studio come first
         on_ball.append(lit.astype(np.float16))
         for kept, sphere in zip(inside, spheres, strict=True):
             kept.append(roots_at([sample], sphere).astype(np.float32))
         reflectances.append(spheres[0].of(values_at(material, spheres[0]))[0])
-    lab, logs, profiles = (np.stack(each) for each in zip(*looks, strict=True))
-    allowed = np.maximum(valley_depth((profiles**3).mean(axis=3)).max(axis=1), _MEASURED_VALLEY)
+    lab, logs = (np.stack(each) for each in zip(*appearances, strict=True))
     in_sphere, *albedo = [
         (np.concatenate(values), sphere.light) for values, sphere in zip(inside, spheres, strict=True)
     ]
     samples = BlendSamples(
         bands, np.concatenate(roots), np.concatenate(on_ball), in_sphere, albedo, np.stack(reflectances),
     )  # fmt: skip
-    return Appearance(lab, logs, profiles, allowed), samples
+    return Appearance(lab, logs), samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,51 +221,42 @@ class BlendTables:
         """Return the tables of some of the materials, (n,) indices."""
         return BlendTables(self.distances.subset(materials), self.samples.subset(materials))
 
-    def fit(self, latent_dim: int, kernel: Kernel) -> tuple[BlendSpace, Layout]:
-        """Return the map of the materials, and its layout."""
-        layout, s = self.distances.layout(latent_dim), self.samples
-        return BlendSpace(layout.X, s.paths(), s.bands, s.reflectances, kernel), layout
+    def fit(self, latent_dim: int, kernel: Kernel) -> BlendSpace:
+        """Return the map of the materials."""
+        s = self.samples
+        return BlendSpace(self.distances.layout(latent_dim), s.paths(), s.bands, s.reflectances, kernel)
 
 
 def fit_landmarks(
     appearance: Appearance, samples: BlendSamples, count: int, latent_dim: int, kernel: Kernel,
-) -> tuple[BlendSpace, Layout]:  # fmt: skip
-    """Return the map of N materials by `count` landmarks, and its layout, at a cost linear in N."""
+) -> BlendSpace:  # fmt: skip
+    """Return the map of N materials by `count` landmarks, at a cost linear in N."""
     N, everything = len(appearance), np.arange(len(appearance))
     compared = {}
     scale = appearance.subset(evenly_spaced(N, count)).distances().scale
 
     def distances_to(landmark: int) -> Array:
-        ball, shape, valley = appearance.compare(landmark, everything)
-        compared[landmark] = _targets(ball, scale * shape, valley)
+        ball, shape = appearance.compare(landmark, everything)
+        compared[landmark] = _mixed(ball, scale * shape)
         progress.report(len(compared), count, "landmarks")
-        return compared[landmark][0]
+        return compared[landmark]
 
     landmarks = farthest_samples(count, distances_to)
-    distance, separation = (
-        np.stack(each, axis=1) for each in zip(*(compared[k] for k in landmarks), strict=True)
-    )
-    of_landmarks = appearance.subset(landmarks).distances().layout(latent_dim)
-    profiles = appearance.coarse_profiles
+    distance = np.stack([compared[k] for k in landmarks], axis=1)
+    anchors = blend_layout(distance[landmarks], latent_dim)
 
-    def compare(others: Indices) -> Comparison:
+    def compare(others: Indices) -> Array:
         rows = []
         for i, row in progress.each(enumerate(others), "neighbours"):
-            ball, shape, valley = appearance.compare(i, row)
-            rows.append(_targets(ball, scale * shape, valley))
-        return Comparison(others, *(np.stack(each) for each in zip(*rows, strict=True)))
+            ball, shape = appearance.compare(i, row)
+            rows.append(_mixed(ball, scale * shape))
+        return np.stack(rows)
 
-    def cost(u: Array, materials: Indices) -> tuple[Array, Array]:
-        squared, slope = squared_valleys_of_some(u, materials, profiles, appearance.allowed)
-        return _SQUARED_VALLEY_COST * squared, _SQUARED_VALLEY_COST * slope
-
-    to_landmarks = Comparison(np.broadcast_to(landmarks, distance.shape), distance, separation)
-    layout = landmark_layout(landmarks, of_landmarks, to_landmarks, compare, cost)
+    X = scaled(landmark_layout(landmarks, anchors, distance, compare), appearance.lightness)
     s = samples
-    space = BlendSpace(
-        layout.X, s.paths(landmarks), s.bands, s.reflectances, kernel, landmarks, _signatures(s, landmarks)
+    return BlendSpace(
+        X, s.paths(landmarks), s.bands, s.reflectances, kernel, landmarks, _signatures(s, landmarks)
     )
-    return space, layout
 
 
 def _signatures(samples: BlendSamples, landmarks: Indices) -> Array:

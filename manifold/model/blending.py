@@ -2,13 +2,10 @@
 
 A Gaussian process interpolates with weights of alternating sign, which cause dark holes in highlights. The values of a
 blend lie between those of the surrounding materials, and change as smoothly as its weights. It needs a layout in which
-neighbours have a similar appearance, and their blends look like materials.
+neighbours look alike, and materials that look alike are neighbours.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -28,40 +25,29 @@ All of them together change a ball by less than a tenth of a visible difference,
 (tests/model/test_model.py).
 """
 
-_FLATTENING = 10.0 ** np.arange(
-    -2.0, 2.0, 0.25
-)  # rising weights of the extent along a dimension beyond the map's
-_PLACES, _PLACES_OF_EACH = 1500, 75  # number of blends evaluated: at most, and per sample
-_MOST_BLENDED = 4  # samples of a convex combination
-RISING = 10.0 ** np.linspace(-2.0, 0.0, 8)  # weights of the cost, each at new places inside the hull
-DAMPING = 20.0  # damping of the steps with these weights
-_STRENGTH = 3.0  # weight of implausible blends against stress
-_SEPARATION = 10.0  # weight of the least distances against stress
+PERPLEXITY = 10.0
+"""Effective number of neighbours that a layout keeps beside each sample; a third of fewer than 31 samples."""
+
+_LEAST_PERPLEXITY = 3.0  # with fewer, groups of few samples drift apart without end
+START_NOISE = 1e-3
+"""Noise of the start of a layout, in standard deviations: copies get different places."""
+
+_FREEDOM = 3.0
+"""Degrees of freedom of the t distribution.
+
+With 1 (t-SNE) 73 % of the hull of 143 neural fits of measured materials is within reach of one of them, with 3 it is
+93 %, at the same detours.
+"""
+_EXAGGERATIONS = (
+    4.0,
+    2.0,
+    1.0,
+)  # of the attraction, one after the other: the first arrange, the last is the objective
+_LEAST_AFFINITY = 1e-9
+_BISECTIONS = 60
 _RADIUS = 0.9  # radius of the kernel, in sides of a sample's share of the convex hull
 _NEAREST = 2.5  # length scales between neighbours, at most, in the median: in many dimensions the hull is all but flat
-_TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-7, "maxcor": 20}  # options of L-BFGS
-_LEAST_SHARE_OF_UNIT = 1e-2  # share of the typical distance: smaller target distances count as this
-
-Cost = Callable[[Array], tuple[Array, Array]]
-"""A function from weights u (K, N) of blends to their cost (K,) and its gradient by u (K, N)."""
-Term = Callable[[Array], tuple[float, Array]]
-"""A function from places X (N, Q) to a term of the objective and its gradient (N, Q)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """Places of N samples.
-
-    Attributes:
-        X: shape (N, Q).
-        unit: length scale in the unit of the target distances.
-        objective_start: at the principal coordinates.
-    """
-
-    X: Array
-    unit: float
-    objective_start: float
-    objective: float
+_TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-9, "maxcor": 20}  # options of L-BFGS
 
 
 def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
@@ -118,149 +104,112 @@ def _gaps(X: Array) -> Array:
     return np.sqrt(squared.min(axis=1))
 
 
-def blend_layout(
-    distance: Array, separation: Array, implausible: Array, n_components: int, cost: Cost | None = None
-) -> Layout:
-    """Return places of N samples, in length scales of `blend_weights`, centred.
+def blend_layout(distance: Array, n_components: int) -> Array:
+    """Return places (N, Q) of N samples whose distances are (N, N), for `scaled`.
 
-    Target distances, positive off the diagonal, least distances in the same unit, and costs of blends of two, at least
-    0, are (N, N); `cost` is that of blends of any number. Minimises the relative stress `sum (d_ij - distance_ij)^2 /
-    distance_ij`, plus the squares by which distances fall short of `separation`, plus the mean of `u^T implausible u`
-    over blends u inside the convex hull, plus that of `cost(u)`, at places drawn uniformly from the present hull. There
-    are many minima. One is followed from principal coordinates in Q + 1 dimensions, where there are few: the last
-    dimension is flattened little by little, then the terms of blends are added, the cost with rising weight in damped
-    steps. Each has one minimum nearby, where it ends whatever rounding did on the way: small differences of the
-    distances make small differences of the map. The unit is then chosen so that a kernel of length scale 1 spans about
-    the side of a sample's share of the hull, and reaches neighbours; the axes are principal axes, each with its longer
-    tail positive.
-    Source: Kruskal 1964 for the stress, Torgerson 1952 for the start, Rockafellar 1976 for the damped steps.
+    Minimises the divergence `sum p_ij log(p_ij / q_ij)` of the similarities q of places from the affinities p of
+    samples: q_ij ~ (1 + d_ij^2 / 3)^-2. The search starts at principal coordinates, with exaggerated attraction, and
+    ends at a minimum: rounding does not change the map.
+    Source: van der Maaten & Hinton 2008 (t-SNE), van der Maaten 2009 for the degrees of freedom, Torgerson 1952 for
+    the start.
     """
     N = len(distance)
     if not np.any(distance > 0.0):
         raise ShapeError(f"all {N} samples are identical, expected at least two different ones")
-    pairs = np.triu_indices(N, 1)
-    objective, rng = LayoutObjective(pairs, distance[pairs], separation[pairs]), np.random.default_rng(0)
-    start = fix_gauge(_principal_coordinates(distance, n_components + 1))
-    X, few = objective.unfold(start, rng), _convex_combinations(N, rng)
-    blends = _blends(few, kernel_radius(X), implausible)
-    X = objective.minimise(X, blends)
-    for weight in RISING if cost is not None else ():
-        shares = np.vstack([inside_hull(X, _places(N), rng), few[::2]])
-        blends = _blends(shares, kernel_radius(X), implausible, cost, weight)
-        X = objective.minimise(X, blends, DAMPING)
-    return objective.result(start[:, :n_components], X, blends)
+    others = np.array([np.delete(np.arange(N), i) for i in range(N)])
+    apart = np.take_along_axis(distance, others, axis=1)
+    objective = LayoutObjective(others, affinities(apart), np.arange(N), np.ones(N))
+    X = fix_gauge(_principal_coordinates(distance, n_components))
+    X = X / max(float(X[:, 0].std()), np.finfo(float).tiny)
+    X += START_NOISE * np.random.default_rng(0).normal(size=X.shape)
+    for exaggeration in _EXAGGERATIONS:
+        X = objective.minimise(X, exaggeration)
+    return X
+
+
+def affinities(distance: Array) -> Array:
+    """Return the shares (N, n) of the attraction of N samples by others at distances (N, n), which sum to 1 in a row.
+
+    They fall as the square of the distance in Gaussians, whose widths give each row the same perplexity: where samples
+    are dense they are narrow, and near copies do not outweigh the other neighbours.
+    """
+    N, n = distance.shape
+    entropy = np.log(min(PERPLEXITY, max((N - 1) / 3.0, _LEAST_PERPLEXITY), n))
+    is_known = np.isfinite(distance)
+    squared = np.where(is_known, distance, 0.0) ** 2 - np.min(distance, axis=1, keepdims=True) ** 2
+    squared = np.where(is_known, squared, 0.0)
+    squared /= np.maximum(np.mean(squared, axis=1, keepdims=True), np.finfo(float).tiny)
+    low, high = np.full((2, N, 1), [[[-20.0]], [[60.0]]])  # of the logarithm of the precision
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        log = -np.exp(middle) * squared
+        p = np.exp(log) * is_known
+        total = p.sum(axis=1, keepdims=True)
+        is_wide = np.log(total) - np.sum(p * log, axis=1, keepdims=True) / total > entropy
+        low, high = np.where(is_wide, middle, low), np.where(is_wide, high, middle)
+    return np.asarray(p / total)
 
 
 class LayoutObjective:
-    """An objective of stress and separation of pairs of samples, by target and least distances (R,), and its gradient.
+    """The divergence of a layout of N samples from affinities, less their entropy, and its gradient.
 
-    It may have other terms; a pair may stand for several, (R,).
+    Samples are attracted by others (N, n), by affinities (N, n), and repelled by some of all, (M,), which stand for a
+    number of samples each, (M,).
     """
 
-    def __init__(
-        self,
-        pairs: tuple[Indices, Indices],
-        distance: Array,
-        separation: Array,
-        stands_for: Array | None = None,
-    ) -> None:
-        self._pairs, self._least = pairs, separation
-        self._unit = float(np.median(distance[distance > 0.0]))  # copies of a sample are left out
-        self._wanted = np.maximum(distance, _LEAST_SHARE_OF_UNIT * self._unit)
-        count = np.ones(len(distance)) if stands_for is None else stands_for
-        weight = count / self._wanted
-        self._stress, self._hinge = weight / weight.sum(), _SEPARATION * count / count.sum()
+    def __init__(self, others: Indices, affinity: Array, repelling: Indices, stand_for: Array) -> None:
+        used = affinity > _LEAST_AFFINITY
+        i = np.broadcast_to(np.arange(len(others))[:, None], others.shape)
+        self._i, self._j, self._p = i[used], others[used], affinity[used] / len(others)
+        self._repelling, self._stand_for = repelling, stand_for
 
-    def value(self, X: Array, more: Term) -> tuple[float, Array]:
-        """Return the objective at places X (N, Q) plus another term, and its gradient."""
-        (value, gradient), (added, slope) = self._apart(X), more(X)
-        return value + added, gradient + slope
+    def value(self, X: Array, exaggeration: float = 1.0) -> tuple[float, Array]:
+        """Return the objective at places X (N, Q), and its gradient."""
+        power = 0.5 * (_FREEDOM + 1.0)
+        D = X[self._i] - X[self._j]
+        near = 1.0 + np.sum(D * D, axis=1) / _FREEDOM
+        value = exaggeration * power * float(self._p @ np.log(near))
+        pull = (exaggeration * 2.0 * power / _FREEDOM * self._p / near)[:, None] * D
+        gradient = add_rows(self._i, pull, len(X)) - add_rows(self._j, pull, len(X))
+        at = X[self._repelling]
+        wide = 1.0 + squared_distances(X, at) / _FREEDOM  # [N, M]
+        similar = self._stand_for * wide**-power
+        total = float(similar.sum() - self._stand_for.sum())  # without those of samples with themselves
+        push = (2.0 * power / _FREEDOM / total) * similar / wide
+        gradient -= push.sum(axis=1)[:, None] * X - push @ at
+        gradient[self._repelling] -= push.sum(axis=0)[:, None] * at - push.T @ X
+        return value + float(np.log(total)), gradient
 
-    def minimise(
-        self, start: Array, more: Term, damping: float = 0.0, limits: dict[str, float] = _TIGHT
-    ) -> Array:
-        """Return places (N, Q) at the nearest minimum, with a damping of the mean squared distance from the start."""
-        held = damping / len(start)
+    def minimise(self, start: Array, exaggeration: float = 1.0, limits: dict[str, float] = _TIGHT) -> Array:
+        """Return places (N, Q) at a minimum near the start."""
 
         def flat(z: Array) -> tuple[float, Array]:
-            X = z.reshape(start.shape)
-            value, gradient = self.value(X, more)
-            moved = X - start
-            return value + held * float(np.sum(moved * moved)), (gradient + 2.0 * held * moved).ravel()
+            value, gradient = self.value(z.reshape(start.shape), exaggeration)
+            return value, gradient.ravel()
 
         found = scipy.optimize.minimize(flat, start.ravel(), jac=True, method="L-BFGS-B", options=limits)
         return np.asarray(found.x).reshape(start.shape)
 
-    def unfold(self, start: Array, rng: np.random.Generator) -> Array:
-        """Return places (N, Q) near a minimum, from a start in one more dimension.
 
-        The start, (N, Q + 1), is flattened slowly.
-        """
-        X: Array = start + 1e-3 * self._unit * rng.normal(size=start.shape)
-        for weight in _FLATTENING / self._unit**2:
+def scaled(X: Array, lightness: Array) -> Array:
+    """Return places X (N, Q) centred, in length scales of `blend_weights`, turned so that they can be read.
 
-            def thickness(X: Array, weight: float = weight) -> tuple[float, Array]:
-                last = np.zeros_like(X)
-                last[:, -1] = X[:, -1]
-                return weight * float(np.mean(X[:, -1] ** 2)), 2.0 * weight / len(X) * last
-
-            X = self.minimise(X, thickness)
-        return X[:, :-1]
-
-    def _apart(self, X: Array) -> tuple[float, Array]:
-        i, j = self._pairs
-        D = X[i] - X[j]
-        d = np.sqrt(np.sum(D * D, axis=1) + 1e-12)
-        off, near = d - self._wanted, np.maximum(self._least - d, 0.0)
-        value = np.sum(self._stress * off**2 + self._hinge * near**2)
-        pull = (2.0 * (self._stress * off - self._hinge * near) / d)[:, None] * D
-        return float(value), add_rows(i, pull, len(X)) - add_rows(j, pull, len(X))
-
-    def result(self, start: Array, X: Array, more: Term) -> Layout:
-        """Return the layout of places X (N, Q) that were found from a start (N, Q)."""
-        first, value = (self.value(places, more)[0] for places in (start, X))
-        axes, unit = np.linalg.svd(X - X.mean(axis=0), full_matrices=False)[2], kernel_radius(X)
-        return Layout(fix_gauge(X @ axes.T) / unit, unit, first, value)
+    The last axis is the direction in which the lightness (N,) increases most; the others are principal axes across it,
+    each with its longer tail positive. A kernel of length scale 1 spans about the side of a sample's share of the hull,
+    and reaches neighbours.
+    """
+    X = X - X.mean(axis=0)
+    upwards = np.linalg.lstsq(X, lightness - lightness.mean())[0]
+    norm = float(np.linalg.norm(upwards))
+    up = upwards / norm if norm > 0.0 else np.eye(X.shape[1])[-1]
+    across = X - np.outer(X @ up, up)
+    axes = np.linalg.svd(across, full_matrices=False)[2][: X.shape[1] - 1]
+    return np.column_stack([fix_gauge(X @ axes.T), X @ up]) / kernel_radius(X)
 
 
 def add_rows(index: Indices, rows: Array, count: int) -> Array:
     """Sum rows (R, Q) by their index (R,), shape (count, Q)."""
     return np.stack([np.bincount(index, column, count) for column in rows.T], axis=1)
-
-
-def _blends(
-    shares: Array, radius: float, implausible: Array, cost: Cost | None = None, weight: float = 0.0
-) -> Term:
-    """Return the mean over places `shares @ X`, shares (K, N), of u^T implausible u, plus the weighted cost."""
-
-    def term(X: Array) -> tuple[float, Array]:
-        places, at = (np.ascontiguousarray(points.T) for points in (shares @ X, X))
-        D = places[:, :, None] - at[:, None]  # [Q, K, N]: numpy is slow along a short last axis
-        u, squared = soft_weights(D, radius)
-        Vu = _STRENGTH * u @ implausible
-        value, slope = np.sum(u * Vu, axis=1), 2.0 * Vu
-        if cost is not None:
-            more, steeper = cost(u)
-            value, slope = value + weight * more, slope + weight * steeper
-        d_D = pulled_back(D, u, squared, slope / len(shares), radius)
-        return float(value.mean()), shares.T @ d_D.sum(axis=2).T - d_D.sum(axis=1).T
-
-    return term
-
-
-def soft_weights(D: Array, radius: float) -> tuple[Array, Array]:
-    """Return weights u (K, N) of blends from differences D (Q, K, N), smooth at the samples as well; and |D|^2."""
-    squared = np.sum(D * D, axis=0) + 1e-6 * radius**2
-    log = -0.5 * squared / radius**2 - np.log(squared)
-    u = np.exp(log - log.max(axis=1, keepdims=True))
-    u /= u.sum(axis=1, keepdims=True)
-    return u, squared
-
-
-def pulled_back(D: Array, u: Array, squared: Array, slope: Array, radius: float) -> Array:
-    """Return the gradient by D (Q, K, N) of a function of `soft_weights(D, radius)`, from its gradient by u (K, N)."""
-    d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True))
-    return np.asarray(-d_log * (1.0 / radius**2 + 2.0 / squared) * D)
 
 
 def _principal_coordinates(distance: Array, n_components: int) -> Array:
@@ -272,15 +221,6 @@ def _principal_coordinates(distance: Array, n_components: int) -> Array:
     Q = min(N, n_components)
     X[:, :Q] = vectors[:, ::-1][:, :Q] * np.sqrt(np.maximum(values[::-1][:Q], 0.0))
     return X
-
-
-def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
-    """Return shares (K, N) of random places inside the hull, of at most four samples each."""
-    shares = np.zeros((_places(N), N))
-    for row in shares:
-        count = int(rng.integers(2, min(_MOST_BLENDED, N) + 1))
-        row[rng.choice(N, count, replace=False)] = rng.dirichlet(np.ones(count))
-    return shares
 
 
 def inside_hull(X: Array, count: int, rng: np.random.Generator) -> Array:
@@ -299,10 +239,6 @@ def inside_hull(X: Array, count: int, rng: np.random.Generator) -> Array:
     shares = np.zeros((count, N))
     np.put_along_axis(shares, around, rng.dirichlet(np.ones(Q + 1), count), axis=1)
     return shares
-
-
-def _places(N: int) -> int:
-    return min(_PLACES, _PLACES_OF_EACH * N)
 
 
 def kernel_radius(X: Array) -> float:

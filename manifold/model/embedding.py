@@ -21,11 +21,20 @@ from manifold.core.records import Array, evenly_spaced
 from manifold.core.threads import one_blas_thread
 from manifold.library.store import Library
 from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
+from manifold.model.coherence import Coherence
 from manifold.model.expected_error import LEAST_MATERIALS, LeftOut, leave_out
 from manifold.model.gplvm_space import fit_gplvm
 from manifold.model.latent_space import LatentSpace, Statistics
 from manifold.model.materials import MaterialCache, names_among, names_without
-from manifold.model.model_file import SPACES, ModelRecord, open_library, read_model, restore, write_model
+from manifold.model.model_file import (
+    OLD_LAYOUT,
+    SPACES,
+    ModelRecord,
+    open_library,
+    read_model,
+    restore,
+    write_model,
+)
 from manifold.model.settings import MOST_LAID_OUT, BlendSettings, GplvmSettings, Settings
 
 _DEFAULTS = BlendSettings()
@@ -50,7 +59,7 @@ class Embedding:
         names: their names in the order of the latents, N of them.
         space: the latent space.
         settings: of the fit, `BlendSettings` or `GplvmSettings`.
-        statistics: objective at start and end of the fit.
+        statistics: objective at start and end of the fit of a GPLVM, and the measures of `coherence`.
         left_out: places and errors of left-out materials; None for a model that is not calibrated.
         notes: diagnostics that apply to all predictions, from `load`.
     """
@@ -124,13 +133,19 @@ class Embedding:
                     )
                 space, statistics, samples = _fit_blends(materials, settings)
             if calibrate and len(chosen) >= LEAST_MATERIALS:
-                left_out = leave_out(space, materials, settings, samples)
+                left_out, coherence = leave_out(space, materials, settings, samples)
+                statistics |= {} if coherence is None else coherence.statistics
         return cls(materials, space, settings, statistics, left_out)
 
     @property
     def X(self) -> Array:
         """Latents of the materials, read-only, shape (N, Q)."""
         return self.space.X
+
+    @property
+    def coherence(self) -> Coherence | None:
+        """How well the map keeps similar materials together; None if it is not calibrated, or of version 0.4."""
+        return Coherence.from_statistics(self.statistics)
 
     @property
     def library(self) -> Library:
@@ -173,12 +188,14 @@ class Embedding:
             library, stored.names, is_nonnegative=space.is_nonnegative, fills_cells=settings.fills_cells
         )
         model = cls(materials, space, settings, stored.statistics, left_out)
+        if stored.has_old_layout:
+            model.notes = (f"{path.name}: {OLD_LAYOUT}",)
         if library.content_hash != stored.library_hash:
             change = (
                 f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
                 f"expected {stored.library_hash[:12]}); predictions use the present files: embed again"
             )
-            model.notes = (change,)
+            model.notes += (change,)
             warnings.warn(change, LibraryChangedWarning, stacklevel=2)
         return model
 
@@ -269,14 +286,14 @@ def _warn_if_bright(material: MeasuredBRDF) -> MeasuredBRDF:
 def _fit_blends(
     materials: MaterialCache, s: BlendSettings
 ) -> tuple[LatentSpace, Statistics, BlendSamples | None]:
-    """Return a map of blends, its statistics, and of a map by landmarks the samples that it was fitted to."""
+    """Return a map of blends, no statistics, and of a map by landmarks the samples that it was fitted to."""
     bands, samples = evenly_spaced(materials.library.bands.count, s.sample_bands), None
     count = s.landmarks_of(len(materials.names))
     if count < len(materials.names):
         read = map(_warn_if_bright, materials.stream())
         appearance, samples = evaluate(read, bands, materials.is_isotropic)
-        space, layout = fit_landmarks(appearance, samples, count, s.latent_dim, s.covariance())
+        space = fit_landmarks(appearance, samples, count, s.latent_dim, s.covariance())
     else:
         brdfs = [_warn_if_bright(material) for material in materials.filled()]
-        space, layout = BlendTables.of(brdfs, bands).fit(s.latent_dim, s.covariance())
-    return space, {"objective_start": layout.objective_start, "objective": layout.objective}, samples
+        space = BlendTables.of(brdfs, bands).fit(s.latent_dim, s.covariance())
+    return space, {}, samples

@@ -11,19 +11,21 @@ import numpy as np
 from manifold.brdf.measured import values_at
 from manifold.colour import panel
 from manifold.core import progress
-from manifold.core.mapping import CubeRoot
+from manifold.core.mapping import CubeRoot, ValueMapping
 from manifold.core.metrics import Errors
 from manifold.core.records import AnyArray, Array, Indices, Mask, evenly_spaced
 from manifold.gp.encoding import encoding_pairs
 from manifold.model.blend_fitting import BlendSamples
 from manifold.model.blend_space import BlendSpace
 from manifold.model.blending import blend_weights, nearest_distance, widest_gap
+from manifold.model.coherence import Coherence, Pair, measure_coherence
 from manifold.model.combination import Combination
 from manifold.model.decoding import appearance_pairs, roots_at
 from manifold.model.landmarks import LandmarkSearch, combined, farthest_samples
 from manifold.model.latent_space import LatentSpace, LeftOutSearch, require_shapes
 from manifold.model.materials import MaterialCache, MaterialTable
 from manifold.model.settings import Settings
+from manifold.registries import MAPPINGS
 
 LEAST_MATERIALS = 4
 """With fewer, left-out errors predict nothing."""
@@ -299,8 +301,10 @@ def leave_out(
     materials: MaterialCache,
     settings: Settings,
     samples: BlendSamples | None = None,
-) -> LeftOut:
+) -> tuple[LeftOut, Coherence | None]:
     """Leave out materials of a space once, locate them from their data, and measure the errors of their predictions.
+
+    Also return the coherence of the map.
 
     Predictions have the materials' own colours, and, if colours can be chosen, those blended from the
     surrounding materials.
@@ -308,15 +312,16 @@ def leave_out(
     The places of the other materials are kept. Every material is left out, or, on a map by landmarks, 200; `samples`
     are those that such a map was fitted to.
     """
-    n_bands = materials.library.bands.count
-    bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
+    bands = bands_of_errors(space, materials.library.bands.count)
     chosen = np.arange(len(space.X))
     if isinstance(space, BlendSpace) and samples is not None:
         chosen = np.sort(farthest_samples(_SAMPLE, lambda i: np.linalg.norm(space.X - space.X[i], axis=1)))
         find, measure = _landmark_left_out(space, materials, bands, samples)
+        coherence, _ = measure_coherence(space.X, *_landmark_balls(space, materials, bands, samples))
     else:
         table = MaterialTable(materials.with_negative_values(), bands)
         find, measure = space.left_out_search(table, materials, settings), table.errors
+        coherence, _ = coherence_of(space, table, MAPPINGS[settings.mapping])
     places, residual = np.empty((len(chosen), space.X.shape[1])), np.empty(len(chosen))
     errors: list[Errors[float]] = []
     blended: list[Errors[float]] = []
@@ -325,9 +330,36 @@ def leave_out(
         errors.append(measure(i, combination))
         if isinstance(space, BlendSpace):
             blended.append(measure(i, _blended(space, i, places[k], bands, samples)))
-    return LeftOut(
+    left_out = LeftOut(
         space, places, _of_several(errors), _of_several(blended) if blended else None, residual, chosen
     )
+    return left_out, coherence
+
+
+def bands_of_errors(space: LatentSpace, n_bands: int) -> Indices:
+    """Return the bands in which errors are measured: some, evenly spaced, and those of the samples."""
+    return np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
+
+
+def coherence_of(
+    space: LatentSpace, table: MaterialTable, mapping: ValueMapping
+) -> tuple[Coherence | None, list[Pair]]:
+    """Return the coherence of a map of the materials of a table, in blended colours, and its pairs."""
+    return measure_coherence(space.X, table.balls, lambda x: table.ball(space.combination(x, None, mapping)))
+
+
+def _landmark_balls(
+    space: BlendSpace, materials: MaterialCache, bands: Indices, samples: BlendSamples
+) -> tuple[list[Array], Callable[[Array], Array]]:
+    """Return CIE XYZ of the balls of all materials, and a function that returns those of a place, from samples."""
+    lights, axis = panel.judged(), materials.library.bands.select(bands.tolist())
+
+    def ball(u: Array) -> Array:
+        weights = space.paths.weights(u, space.own_colours[:, bands])
+        return lights.xyz(combined(weights, samples.on_ball).T ** 3.0, axis)
+
+    materials_of = np.eye(len(space.X))
+    return [ball(u) for u in materials_of], lambda x: ball(space.material_weights(x[None], None)[0])
 
 
 def _of_several(errors: list[Errors[float]]) -> Errors[Array]:

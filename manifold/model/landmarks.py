@@ -3,53 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from manifold.core.metrics import relative_error
 from manifold.core.pairs import Pairs
-from manifold.core.records import Array, Indices
+from manifold.core.records import Array, Indices, evenly_spaced
 from manifold.gp.encoding import encoding_pairs
 from manifold.model.blend_space import BlendSpace, PlaceSearch, Rows
-from manifold.model.blending import (
-    DAMPING,
-    RISING,
-    Layout,
-    LayoutObjective,
-    Term,
-    add_rows,
-    inside_hull,
-    kernel_radius,
-    pulled_back,
-    soft_weights,
-)
+from manifold.model.blending import START_NOISE, LayoutObjective, affinities
 from manifold.model.colour_paths import sample_rows
 from manifold.model.decoding import appearance_weight, roots_at
 from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
 
-_TRIED_PLACES, _STARTS = 150, 3  # places tried for a sample among the landmarks, and searches from them
-_STEPS = 60  # steps of each search
-_AT_ONCE = 64  # samples whose places are tried together
-_COMPARED = 12  # neighbours that a sample is compared with
-_COMPARE_AGAIN = 4  # steps after which neighbours are found again
-_BLENDED = 64  # nearest samples that make a blend
-_LEAST_PLACES = 1500  # number of blends evaluated, if there are fewer samples
-_LIMITS = {"maxiter": 40, "maxfun": 60, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
-
-LocalCost = Callable[[Array, Indices], tuple[Array, Array]]
-"""A function from weights u (K, n) of blends of samples (K, n) to their cost (K,) and its gradient by u (K, n)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Samples beside others (N, n), by target and least distances (N, n)."""
-
-    others: Indices
-    distance: Array
-    separation: Array
+_COMPARED = 30  # nearest samples on the map that a sample is compared with
+_REPELLING = 1000  # number of samples that repel, at most
+_SEARCHES = 4  # searches for these neighbours, each on the map that the one before made
+_LIMITS = {"maxiter": 60, "maxfun": 90, "ftol": 1e-9, "gtol": 1e-7, "maxcor": 10}  # options of L-BFGS
 
 
 def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indices:
@@ -67,103 +39,31 @@ def farthest_samples(count: int, distances_to: Callable[[int], Array]) -> Indice
 
 
 def landmark_layout(
-    landmarks: Indices,
-    map_of_landmarks: Layout,
-    to_landmarks: Comparison,
-    compare: Callable[[Indices], Comparison],
-    cost: LocalCost,
-) -> Layout:
-    """Return places of N samples, in length scales of `blend_weights`, centred; an approximation of `blend_layout`.
+    landmarks: Indices, anchors: Array, to_landmarks: Array, compare: Callable[[Indices], Array]
+) -> Array:
+    """Return places (N, Q) of N samples, for `scaled`; an approximation of `blend_layout`, at a cost linear in N.
 
-    Every sample is located by its distances from the landmarks (M,), whose layout is given. Then all are refined: the
-    stress over pairs with landmarks, which stand for all pairs, and with neighbours; least distances of the same pairs;
-    and the cost of blends of the nearest samples, with rising weight in damped steps.
-    Source: de Silva & Tenenbaum 2004 (landmark scaling); Kruskal 1964 for the stress.
+    The landmarks (M,) have the places `anchors` (M, Q); every other sample starts at their mean, weighted with its
+    affinities by its distances from them, (N, M). Then all are refined: attracted by landmarks and by nearby samples,
+    whose distances (N, n) `compare` returns for their indices, and repelled by at most 1000 samples, which stand for
+    all.
+    Source: van der Maaten & Hinton 2008, section 6, for landmarks among many samples.
     """
-    rng = np.random.default_rng(0)
-    anchors = map_of_landmarks.X * map_of_landmarks.unit
-    X = _located(anchors, to_landmarks.distance, rng)
+    N = len(to_landmarks)
+    X: Array = affinities(to_landmarks) @ anchors
     X[landmarks] = anchors
-    start, N = X, len(X)
-    for step, weight in enumerate(RISING):
-        tree = scipy.spatial.KDTree(X)
-        if step % _COMPARE_AGAIN == 0:
-            near = compare(tree.query(X, min(_COMPARED + 1, N))[1][:, 1:])
-            objective = _objective(landmarks, to_landmarks, near)
-        shares = inside_hull(X[landmarks], max(_LEAST_PLACES, N), rng)
-        nearest = tree.query(shares @ X[landmarks], min(_BLENDED, N))[1]
-        blends = _local_blends(shares, landmarks, nearest, kernel_radius(X), cost, weight)
-        X = objective.minimise(X, blends, DAMPING, _LIMITS)
-    return objective.result(start, X, blends)
-
-
-def _objective(landmarks: Indices, to_landmarks: Comparison, near: Comparison) -> LayoutObjective:
-    N, M = to_landmarks.distance.shape
-    rows, parts = np.arange(N)[:, None], []
-    # Pairs with landmarks stand for all N (N - 1) / 2, those of neighbours for themselves.
-    for compared, stands_for in ((to_landmarks, 0.5 * (N - 1) / M), (near, 0.5)):
-        i, j = np.broadcast_arrays(rows, compared.others)
-        is_pair = i != j
-        parts.append(
-            [i[is_pair], j[is_pair], compared.distance[is_pair], compared.separation[is_pair],
-             np.full(np.count_nonzero(is_pair), stands_for)]
-        )  # fmt: skip
-    i, j, distance, separation, counts = (np.concatenate(both) for both in zip(*parts, strict=True))
-    return LayoutObjective((i, j), distance, separation, counts)
-
-
-def _located(anchors: Array, distance: Array, rng: np.random.Generator) -> Array:
-    """Return places (N, Q) whose distances from anchors (M, Q) are relatively nearest to (N, M), the best of several.
-
-    Source: de Leeuw 1977 (majorisation).
-    """
-    (N, M), Q = distance.shape, anchors.shape[1]
-    count = min(Q + 1, M)
-    chosen = [rng.choice(M, count, replace=False) for _ in range(_TRIED_PLACES)]
-    tried = np.vstack([anchors, [rng.dirichlet(np.ones(count)) @ anchors[k] for k in chosen]])  # [T, Q]
-    apart = np.linalg.norm(tried[:, None] - anchors[None], axis=2)  # [T, M]
-    wanted = np.maximum(distance, 1e-2 * np.median(distance[distance > 0.0]))
-    places = np.empty((N, Q))
-    for first in range(0, N, _AT_ONCE):
-        D = wanted[first : first + _AT_ONCE]  # [n, M]
-        stress = np.sum((apart[None] - D[:, None]) ** 2 / D[:, None], axis=2)  # [n, T]
-        starts = np.argsort(stress, axis=1, kind="stable")[:, :_STARTS]
-        x = tried[starts]  # [n, S, Q]
-        weight = 1.0 / D
-        for _ in range(_STEPS):
-            away = x[:, :, None] - anchors  # [n, S, M, Q]
-            ratio = D[:, None] / np.sqrt(np.sum(away**2, axis=3) + 1e-12)
-            x = (
-                np.einsum("nm,nsmq->nsq", weight, anchors + ratio[..., None] * away)
-                / weight.sum(axis=1)[:, None, None]
-            )
-        off = np.linalg.norm(x[:, :, None] - anchors, axis=3) - D[:, None]
-        best = np.sum(off**2 * weight[:, None], axis=2).argmin(axis=1)
-        places[first : first + _AT_ONCE] = x[np.arange(len(D)), best]
-    return places
-
-
-def _local_blends(
-    shares: Array, landmarks: Indices, nearest: Indices, radius: float, cost: LocalCost, weight: float
-) -> Term:
-    """Return the mean cost, times a weight, of blends of the nearest samples (K, n).
-
-    Blends lie at the places `shares @ X[landmarks]`.
-    """
-
-    def term(X: Array) -> tuple[float, Array]:
-        D = np.ascontiguousarray(
-            ((shares @ X[landmarks])[:, None] - X[nearest]).transpose(2, 0, 1)
-        )  # [Q, K, n]
-        u, squared = soft_weights(D, radius)
-        value, slope = cost(u, nearest)
-        d_D = pulled_back(D, u, squared, weight * slope / len(shares), radius)
-        of_nearest = np.ascontiguousarray(d_D.reshape(len(d_D), -1).T)
-        gradient = -add_rows(nearest.ravel(), of_nearest, len(X))
-        gradient[landmarks] += shares.T @ d_D.sum(axis=2).T
-        return weight * float(value.mean()), gradient
-
-    return term
+    X += START_NOISE * X.std() * np.random.default_rng(0).normal(size=X.shape)
+    repelling = evenly_spaced(N, _REPELLING)
+    stand_for = np.full(len(repelling), N / len(repelling))
+    of_landmarks = np.broadcast_to(landmarks, to_landmarks.shape)
+    from_landmarks = np.where(of_landmarks == np.arange(N)[:, None], np.inf, to_landmarks)
+    for _ in range(_SEARCHES):
+        near = scipy.spatial.KDTree(X).query(X, min(_COMPARED + 1, N))[1][:, 1:]
+        distance = np.where(np.isin(near, landmarks), np.inf, compare(near))
+        others = np.hstack([of_landmarks, near])
+        affinity = affinities(np.hstack([from_landmarks, distance]))
+        X = LayoutObjective(others, affinity, repelling, stand_for).minimise(X, limits=_LIMITS)
+    return X
 
 
 SIGNATURE = 32

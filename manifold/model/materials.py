@@ -223,8 +223,14 @@ class MaterialTable:
         return Values.at(self.materials, self.lights)
 
     @cached_property
-    def _xyz(self) -> list[Array]:
+    def balls(self) -> list[Array]:
+        """CIE XYZ (K, 3) of the materials' balls in the judged lights."""
         return [self.lights.xyz(f, self.materials[0].bands) for f in self.on_ball.f]
+
+    def ball(self, combination: Combination) -> Array:
+        """Return CIE XYZ (K, 3) of the ball of a prediction in the judged lights."""
+        (f,) = evaluate([combination.in_bands(self.bands)], self.on_ball)
+        return self.lights.xyz(f, self.materials[0].bands)
 
     @cached_property
     def _in_grid(self) -> Values:
@@ -232,7 +238,7 @@ class MaterialTable:
 
     def look(self, i: int, f: Array) -> Errors[float]:
         """Return the differences between the balls of material i and of values f (P, B) in 1/sr."""
-        return self.lights.compare(self._xyz[i], self.lights.xyz(f, self.materials[0].bands))
+        return self.lights.compare(self.balls[i], self.lights.xyz(f, self.materials[0].bands))
 
     def looks(self, combinations: Sequence[Combination]) -> Errors[Array]:
         """Return the differences between the balls of all materials and of a prediction of each."""

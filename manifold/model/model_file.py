@@ -34,6 +34,9 @@ from manifold.model.settings import KINDS, Settings
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 4
+LAYOUT = "neighbourhoods"
+"""How maps of blends are laid out. Files of version 0.4 name no layout."""
+OLD_LAYOUT = "its map was laid out by version 0.4: embed again, and similar materials lie closer together"
 _ADDED_SETTINGS = {"as_published": False}  # of earlier files of this version, which lack them
 _OLD_KINDS = {"material": "gplvm"}  # names of earlier versions
 
@@ -52,6 +55,7 @@ class ModelRecord:
         library_hash: of its content when the model was fitted.
         settings, statistics: plain values by name.
         arrays: of the latent space, by name.
+        layout: of a map of blends; None of version 0.4.
     """
 
     library: Path
@@ -60,6 +64,12 @@ class ModelRecord:
     settings: dict[str, Any]
     statistics: dict[str, float]
     arrays: dict[str, Array]
+    layout: str | None = LAYOUT
+
+    @property
+    def has_old_layout(self) -> bool:
+        """Whether it is a map of blends of version 0.4."""
+        return self.layout is None and self.settings["kind"] == "blend"
 
     @property
     def n_bands(self) -> int | None:
@@ -77,6 +87,7 @@ def write_model(path: Path, record: ModelRecord) -> None:
         "names": record.names,
         "settings": record.settings,
         "statistics": record.statistics,
+        "layout": record.layout,
     }
     memory = io.BytesIO()  # since HDF5 ends the process where a disk is full
     try:
@@ -149,6 +160,7 @@ def _record_of(content: bytes, path: Path) -> ModelRecord:
         settings=dict(values["settings"]),
         statistics={name: _finite(float(value), name) for name, value in values["statistics"].items()},
         arrays=arrays,
+        layout=values.get("layout"),
     )
 
 

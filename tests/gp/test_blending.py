@@ -1,4 +1,4 @@
-"""Claims about maps whose places are blends: weights, layouts, colour paths, valleys, and the manifold made of them."""
+"""Claims about maps whose places are blends: weights, layouts, colour paths, and the manifold made of them."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from scipy.spatial.distance import cdist
 
 from manifold.brdf.interface import all_isotropic
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.plausibility import profile_pairs, squared_valleys, valley_depth
+from manifold.brdf.plausibility import profile_pairs, valley_depth
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour import ball_colours
 from manifold.core.directions import from_spherical
 from manifold.core.errors import ShapeError
-from manifold.core.records import Bands
 from manifold.library.store import Library
-from manifold.model.blend_fitting import AppearanceDistances, evaluate
+from manifold.model.blend_fitting import evaluate
 from manifold.model.blending import (
     LayoutObjective,
-    _blends,
+    affinities,
     blend_layout,
     blend_weights,
     inside_hull,
+    scaled,
     widest_gap,
 )
 from manifold.model.colour_paths import WHITE, fit_paths
@@ -54,47 +54,64 @@ def test_blend_weights_come_flat_to_a_unit_vector(rng):
 
 
 def test_gradient_of_the_layout_agrees_with_central_differences(rng):
-    truth = rng.normal(size=(6, 2))
-    distance = np.linalg.norm(truth[:, None] - truth[None], axis=2)
-    implausible = np.abs(rng.normal(size=(6, 6)))
-    implausible = implausible + implausible.T
-    pairs = np.triu_indices(6, 1)
-    objective = LayoutObjective(pairs, distance[pairs], 1.2 * distance[pairs])
-    cost = lambda u: (np.sum(u**3, axis=1), 3.0 * u**2)  # noqa: E731
-    blends = _blends(rng.dirichlet(np.ones(6), size=20), 0.7, implausible, cost, 2.0)
-    X = truth + 0.3 * rng.normal(size=truth.shape)
-    numeric = reference.central_differences(lambda x: objective.value(x, blends)[0], X)
-    np.testing.assert_allclose(objective.value(X, blends)[1], numeric, rtol=1e-5, atol=1e-7)  # h = 1e-5
+    others = np.array([np.delete(np.arange(6), i)[:4] for i in range(6)])
+    affinity = rng.dirichlet(np.ones(4), size=6)
+    objective = LayoutObjective(others, affinity, np.array([0, 2, 5]), np.array([1.0, 3.0, 2.0]))
+    X = rng.normal(size=(6, 2))
+    numeric = reference.central_differences(lambda x: objective.value(x, 1.5)[0], X)
+    np.testing.assert_allclose(objective.value(X, 1.5)[1], numeric, rtol=1e-5, atol=1e-7)  # h = 1e-5
 
 
-def test_a_layout_gives_distances_back_that_a_plane_can_have(rng):
-    truth = rng.normal(size=(12, 2))
-    distance = np.linalg.norm(truth[:, None] - truth[None], axis=2)
-    layout = blend_layout(distance, np.zeros_like(distance), np.zeros_like(distance), 2)
-    found = np.linalg.norm(layout.X[:, None] - layout.X[None], axis=2)
-    upper = np.triu_indices(12, 1)
-    ratio = found[upper] / distance[upper]
-    np.testing.assert_allclose(ratio, np.median(ratio), rtol=1e-3)  # ends of L-BFGS-B
-    assert layout.objective <= layout.objective_start + 1e-9
+def test_the_objective_is_the_divergence_of_similarities_from_affinities(rng):
+    X, N = rng.normal(size=(7, 2)), 7
+    others = np.array([np.delete(np.arange(N), i) for i in range(N)])
+    p = affinities(rng.uniform(0.5, 2.0, size=(N, N - 1)))
+    apart = cdist(X, X)
+    similarity = (1.0 + apart**2 / 3.0) ** -2 * (1.0 - np.eye(N))
+    q = np.take_along_axis(similarity / similarity.sum(), others, axis=1)
+    expected = -np.sum(p / N * np.log(q))
+    found = LayoutObjective(others, p, np.arange(N), np.ones(N)).value(X)[0]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)  # affinities below 1e-9 are left out
+
+
+def test_affinities_have_one_perplexity_and_leave_out_what_is_infinitely_far(rng):
+    distance = rng.uniform(0.1, 1.0, size=(60, 59)) * rng.uniform(0.01, 100.0, size=(60, 1))
+    distance[:, :5] = np.inf
+    p = affinities(distance)
+    assert np.all(p[:, :5] == 0.0)
+    np.testing.assert_allclose(p.sum(axis=1), 1.0, rtol=1e-12)  # rounding
+    some = p[:, 5:]
+    np.testing.assert_allclose(
+        np.exp(-np.sum(some * np.log(np.maximum(some, 1e-300)), axis=1)), 10.0, rtol=1e-6
+    )
+
+
+def test_neighbours_of_a_plane_stay_neighbours(rng):
+    truth = rng.uniform(-1.0, 1.0, size=(80, 2))
+    X = blend_layout(cdist(truth, truth), 2)
+    before, after = (cdist(places, places) + np.diag(np.full(80, np.inf)) for places in (truth, X))
+    near = [np.argsort(apart, axis=1)[:, :5] for apart in (before, after)]
+    kept = np.mean([len(set(a) & set(b)) / 5 for a, b in zip(*(n.tolist() for n in near), strict=True)])
+    assert kept > 0.8
 
 
 @pytest.mark.parametrize(("n", "q"), [(6, 4), (6, 5), (8, 6), (12, 8)])
 def test_neighbours_are_within_reach_of_the_kernel_in_many_dimensions_too(rng, n, q):
     """Their hull is all but flat, whose volume says nothing of distances: they lay 10 to 300 length scales apart."""
     X = rng.normal(size=(n, q)) * 0.3 ** np.arange(q)
-    distance = cdist(X, X)
-    found = blend_layout(distance, 0.5 * distance, np.zeros((n, n)), q).X
+    found = scaled(blend_layout(cdist(X, X), q), X[:, 0])
     apart = cdist(found, found) + np.diag(np.full(n, np.inf))
     assert 0.5 < np.median(apart.min(axis=1)) <= 2.5 + 1e-9
 
 
-def test_a_layout_keeps_apart_what_does_not_blend():
-    distance = np.ones((4, 4)) - np.eye(4)
-    implausible = np.zeros((4, 4))
-    implausible[0, 1] = implausible[1, 0] = 5.0
-    X = blend_layout(distance, np.zeros((4, 4)), implausible, 2).X
-    d = np.linalg.norm(X[:, None] - X[None], axis=2)
-    assert d[0, 1] > 1.2 * np.median(d[np.triu_indices(4, 1)])
+def test_the_last_axis_is_the_direction_of_lightness(rng):
+    X = rng.normal(size=(30, 3))
+    found = scaled(X, X @ [3.0, -1.0, 2.0])
+    upwards = np.linalg.lstsq(found - found.mean(axis=0), X @ [3.0, -1.0, 2.0])[0]
+    np.testing.assert_allclose(upwards[:2] / upwards[2], 0.0, atol=1e-9)  # rounding
+    assert upwards[2] > 0.0
+    ratio = cdist(found, found) / np.maximum(cdist(X, X), 1e-12)
+    np.testing.assert_allclose(ratio[np.triu_indices(30, 1)], ratio[0, 1], rtol=1e-9)  # turned, and scaled
 
 
 def test_places_inside_the_hull_are_drawn_evenly(rng):
@@ -109,36 +126,33 @@ def test_places_inside_the_hull_are_drawn_evenly(rng):
     assert len(inside_hull(X * [1.0, 0.0], 10, rng)) == 0
 
 
-def distances(materials) -> AppearanceDistances:
-    """Between a few materials."""
-    bands = np.arange(materials[0].bands.count)
-    return evaluate(materials, bands, all_isotropic(materials))[0].distances()
-
-
 def test_rounding_of_the_inputs_does_not_change_a_map(rng):
     """Layouts have many minima, and compiled functions differ in their last bits from machine to machine."""
-    known = distances([MeasuredBRDF(measured(name)) for name in NAMES])
+    materials = [MeasuredBRDF(measured(name)) for name in NAMES]
+    known = evaluate(materials, np.arange(3), all_isotropic(materials))[0].distances()
     noise = 1.0 + 1e-12 * rng.normal(size=known.ball.shape)
-    disturbed = replace(
-        known,
-        ball=known.ball * noise * noise.T,
-        profiles=known.profiles * (1.0 + 1e-12 * rng.normal(size=known.profiles.shape)),
-    )
-    X = known.layout(2).X
-    np.testing.assert_allclose(
-        disturbed.layout(2).X, X, atol=1e-3
-    )  # length scales: steps end where slopes are 1e-7
+    disturbed = replace(known, ball=known.ball * noise * noise.T)
+    # in length scales: steps end where slopes are 1e-9
+    np.testing.assert_allclose(disturbed.layout(2), known.layout(2), atol=1e-3)
 
 
 def test_copies_of_one_sample_are_laid_out_beside_others_and_refused_alone():
     copies = np.zeros((4, 4))
     with pytest.raises(ShapeError, match="all 4 samples are identical"):
-        blend_layout(copies, copies, copies, 1)
+        blend_layout(copies, 1)
     apart = np.pad(copies, (0, 1), constant_values=3.0)
     apart[4, 4] = 0.0
-    X = blend_layout(apart, apart, 0.0 * apart, 1).X
+    X = blend_layout(apart, 1)
     assert np.all(np.isfinite(X))
+    assert len(np.unique(X)) == 5
     assert abs(X[4] - X[:4].mean()) > 3.0 * np.ptp(X[:4])
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_few_samples_have_different_places(n):
+    X = blend_layout(np.ones((n, n)) - np.eye(n), 1)
+    assert np.all(np.isfinite(X))
+    assert len(np.unique(X)) == n
 
 
 def test_valleys_are_as_deep_as_they_are_made():
@@ -148,73 +162,6 @@ def test_valleys_are_as_deep_as_they_are_made():
     mirrored = wi * np.array([-1.0, -1.0, 1.0])
     angles = np.rad2deg(np.arccos(np.clip(np.sum(wo * mirrored, axis=2), -1.0, 1.0)))
     assert angles.max() <= 20.0 + 1e-6
-
-
-class Grooved:
-    """A lobe of a width, with a groove in its middle, in one band."""
-
-    bands, is_isotropic = Bands.from_array(np.array([550.0])), True
-
-    def __init__(self, width_rad: float, depth: float) -> None:
-        self.width, self.depth = width_rad, depth
-
-    def eval(self, wi, wo):
-        half = wi + wo
-        angle = np.arccos(np.clip(half[..., 2] / np.linalg.norm(half, axis=-1), -1.0, 1.0))
-        groove = 1.0 - self.depth * np.exp(-0.5 * (angle / 0.03) ** 2)
-        return (0.05 + np.exp(-0.5 * (angle / self.width) ** 2) * groove)[..., None]
-
-    def select_bands(self, bands):
-        return self
-
-
-def test_a_materials_own_groove_does_not_move_it_onto_another():
-    """Blends with it have a groove wherever it lies: only what they have beyond it speaks against a layout."""
-    widths = np.linspace(0.2, 0.35, 5)
-    smooth, grooved = ([Grooved(width, depth) for width in widths] for depth in (0.0, 0.6))
-    looks = distances([*smooth[:2], grooved[2], *smooth[3:]])
-    assert looks.allowed[2] > 0.4
-    assert looks.valley.max() < 0.02  # half of a groove is hardly less deep than the mean of one and none
-    places = looks.layout(1).X[:, 0]
-    assert np.all(np.diff(places) > 0.0) or np.all(np.diff(places) < 0.0)
-
-
-class GroovedAcross(Grooved):
-    """Its groove is seen by light along y only."""
-
-    is_isotropic = False
-
-    def eval(self, wi, wo):
-        along_y = wi[..., 1] ** 2 / np.maximum(wi[..., 0] ** 2 + wi[..., 1] ** 2, 1e-12)
-        grooved, smooth = super().eval(wi, wo), Grooved(self.width, 0.0).eval(wi, wo)
-        return smooth + along_y[..., None] * (grooved - smooth)
-
-
-def test_valleys_of_anisotropic_materials_are_seen_at_all_azimuths():
-    looks = distances([GroovedAcross(0.2, 0.6), Grooved(0.25, 0.0), Grooved(0.3, 0.0)])
-    assert looks.allowed[0] > 0.4
-    assert looks.allowed[1:].max() < 0.1
-
-
-def test_a_blend_of_a_highlight_and_a_rise_to_grazing_has_a_valley():
-    highlight, rise = np.array([1.0, 2.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, 1.0, 1.5, 2.0])
-    roots = np.cbrt(np.stack([highlight, rise]))[:, None, :, None]
-    limits = np.full(2, 0.05)
-    alone = squared_valleys(np.eye(2), roots, limits)[0]
-    blend = squared_valleys(np.array([[0.5, 0.5]]), roots, limits)[0]
-    np.testing.assert_allclose(alone, 0.0, atol=1e-12)  # rounding
-    excess = valley_depth(roots.mean(axis=0)[0, :, 0] ** 3) - 0.05
-    assert excess > 0.2
-    assert excess**2 * 0.9 < blend[0] < 3.0 * excess**2  # three directions are lower than both sides
-
-
-def test_gradient_of_valleys_of_blends_agrees_with_central_differences(rng):
-    profiles, u = rng.uniform(0.5, 1.5, size=(5, 2, 9, 3)), rng.dirichlet(0.5 * np.ones(5), size=6)
-    limits = rng.uniform(0.01, 0.1, size=5)
-    squared, gradient = squared_valleys(u, profiles, limits)
-    assert np.count_nonzero(squared) >= 3
-    found = reference.central_differences(lambda x: squared_valleys(x, profiles, limits)[0].sum(), u)
-    np.testing.assert_allclose(gradient, found, rtol=1e-5, atol=1e-7)  # h = 1e-5
 
 
 def paths_of(rng, n_materials=3, n_bands=2):
@@ -256,7 +203,7 @@ def model(tmp_path_factory):
 
 def test_no_place_has_negative_values_or_more_albedo_than_the_materials(model, rng):
     wi = from_spherical(np.deg2rad([10.0, 45.0, 70.0]), np.zeros(3))
-    most = max(material.albedo(wi).max() for material in model.materials.filled())
+    most = max(model.predict(name).albedo(wi).max() for name in model.names)
     pairs = ball_colours.ball(6)
     for _ in range(8):
         x = rng.dirichlet(np.ones(len(model.names))) @ model.X

@@ -224,6 +224,17 @@ def test_what_is_not_finite_is_not_written(model, tmp_path):
             _rewritten(path, **changes)
 
 
+def test_a_map_of_version_0_4_is_read_with_a_note(model, tmp_path):
+    path = tmp_path / "old.h5"
+    model.save(path)
+    assert Manifold.load(path).notes == ()
+    _rewritten(path, layout=None)
+    note = (
+        "old.h5: its map was laid out by version 0.4: embed again, and similar materials lie closer together"
+    )
+    assert Manifold.load(path).notes == ((note,) if model.settings.kind == "blend" else ())
+
+
 def test_other_programs_read_the_arrays_of_a_model(model, tmp_path):
     path = tmp_path / "open.h5"
     model.save(path)

@@ -1,0 +1,87 @@
+"""Coherence and left-out errors of maps of a library: blends, the published GPLVM, principal components.
+
+    python benchmarks/bench_layouts.py LIBRARY [--json FILE]
+
+A row per number of dimensions, two and three: detours halfway between each material and the one that looks
+most like it (median, 90th percentile, share above 1.5), the five most similar materials among the five nearest, errors
+of left-out materials with the places of the others kept, the hull's share that the data support, and processor seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold.evaluate.coherences import coherences
+from manifold.evaluate.report import tabulate_materials
+from manifold.library.store import Library
+from manifold.model.blending import inside_hull
+from manifold.model.manifold import Manifold
+from manifold.model.materials import MaterialTable
+from manifold.model.settings import BlendSettings
+
+PLACES = 1000  # drawn from the hull
+KEYS = {"this": "map", "GPLVM": "published"}
+
+
+def measure(library: Library, latent_dim: int) -> dict[str, Any]:
+    """Fit a map of blends, and return its measures, and in two dimensions those of the other methods."""
+    start = time.process_time()
+    model = Manifold.fit(library, BlendSettings(latent_dim=latent_dim))
+    seconds = time.process_time() - start
+    left_out = model.left_out
+    assert left_out is not None
+    assert left_out.blended is not None
+    inside = inside_hull(model.X, PLACES, np.random.default_rng(0)) @ model.X
+    row: dict[str, Any] = {
+        name: [float(np.median(errors)), float(np.quantile(errors, 0.9))]
+        for name, errors in (
+            ("ball", left_out.errors.ball), ("blended_ball", left_out.blended.ball),
+            ("cube_root", left_out.errors.cube_root),
+        )
+    }  # fmt: skip
+    reliability = left_out.reliability()["ball"]
+    row |= {
+        "supported_percent": round(100.0 * float(np.mean(~model.is_extrapolation(inside)))),
+        "rank_correlation": reliability.rank_correlation,
+        "below_twice_percent": round(100.0 * reliability.below_twice),
+        "embed_seconds": round(seconds, 1),
+    }
+    materials = model.materials.with_negative_values()
+    data = tabulate_materials(model, materials)
+    maps = coherences(model, data, MaterialTable(materials, data.bands), is_published_shown=latent_dim == 2)
+    for title, c in maps.items():
+        row[KEYS.get(title.split()[0], "pca")] = {
+            "detour": [c.detour, c.detour_p90], "far_percent": round(100.0 * c.detour_far),
+            "kept_percent": round(100.0 * c.neighbours_kept),
+        }  # fmt: skip
+    return row
+
+
+def main() -> None:
+    """Print and keep a row per number of dimensions."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("library", type=Path)
+    parser.add_argument("--dimensions", type=int, nargs="+", default=[2, 3])
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    rows = {}
+    for latent_dim in given.dimensions:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            row = rows[f"dimensions_{latent_dim}"] = measure(Library.open(given.library), latent_dim)
+        print(f"{latent_dim} dimensions: {row}", flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""The coherence of a map: whether predictions between two similar materials lie between them in appearance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from manifold.colour import panel
+from manifold.colour.conversion import srgb_to_xyz
+from manifold.colour.difference import delta_e_2000_lab, to_lab
+from manifold.core import progress
+from manifold.core.names import percent
+from manifold.core.records import Array, Indices, evenly_spaced
+
+NEIGHBOURS_COMPARED = 5
+"""Number of most similar materials that are looked for on the map."""
+
+LEAST_APART = 1.0
+"""CIEDE2000 below which two materials look alike, and nothing lies between them."""
+
+FAR = 1.5
+"""Detour above which a place does not lie between its two materials."""
+
+LOST = 0.25
+"""Share of kept neighbours below which a map is not to be trusted between its materials."""
+
+_MEASURED = 200  # materials from which detours are measured, at most
+_PIXELS = 8  # every so many serve to find the most similar materials
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A material and the one that looks most like it, by their indices.
+
+    Attributes:
+        difference: CIEDE2000 between their balls, mean over the judged lights.
+        detour: of the prediction halfway between their places: its differences from both, over theirs.
+    """
+
+    first: int
+    second: int
+    difference: float
+    detour: float
+
+
+@dataclass(frozen=True)
+class Coherence:
+    """How far a map keeps similar materials together.
+
+    Attributes:
+        detour, detour_p90: median and 90th percentile of `Pair.detour` over materials; 1 lies between.
+        detour_far: share of the materials with a detour above 1.5.
+        neighbours_kept: share of the five most similar materials that are among the five nearest on the map.
+    """
+
+    detour: float
+    detour_p90: float
+    detour_far: float
+    neighbours_kept: float
+
+    @classmethod
+    def from_statistics(cls, statistics: dict[str, float]) -> Coherence | None:
+        """Restore the measures from the statistics of a fit; None if it has none."""
+        try:
+            return cls(*(statistics[name] for name in cls.__dataclass_fields__))
+        except KeyError:
+            return None
+
+    @property
+    def statistics(self) -> dict[str, float]:
+        """The measures by name, as a fit keeps them."""
+        return asdict(self)
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """Detour and kept neighbours, as lines for a terminal."""
+        return (
+            f"{self.detour:.2f}, 90th percentile {self.detour_p90:.2f} (1: the prediction halfway to the most similar "
+            f"material lies between the two), above {FAR} for {percent(self.detour_far)} of the materials",
+            f"{percent(self.neighbours_kept)} of the {NEIGHBOURS_COMPARED} most similar materials are among the "
+            f"{NEIGHBOURS_COMPARED} nearest",
+        )
+
+    @property
+    def warning(self) -> str | None:
+        """A diagnostic if the map loses most neighbours, else None."""
+        if self.neighbours_kept >= LOST:
+            return None
+        return (
+            f"the map keeps {percent(self.neighbours_kept)} of the most similar materials together, expected at least "
+            f"{percent(LOST)}: predict in a given colour, or embed in more dimensions"
+        )
+
+
+def measure_coherence(
+    X: Array, balls: Sequence[Array], predict: Callable[[Array], Array]
+) -> tuple[Coherence | None, list[Pair]]:
+    """Return the coherence of a map of N materials at X (N, Q), and its pairs of similar materials.
+
+    `balls` are CIE XYZ (K, 3) of the materials in the judged lights; `predict` returns those of a place (Q,). The
+    coherence is None if all materials look alike.
+    """
+    lights, white = panel.judged(), srgb_to_xyz(np.ones(3))
+    some, chosen = lights.every(_PIXELS)
+    lab = np.stack([to_lab(xyz[chosen], white).astype(np.float32) for xyz in balls])
+    pairs, kept = list[Pair](), list[float]()
+    count = min(NEIGHBOURS_COMPARED, len(X) - 1)
+    for i in progress.each(evenly_spaced(len(X), _MEASURED).tolist(), "places between materials"):
+        apart = delta_e_2000_lab(lab, lab[i]) @ some.pixel_weights / len(chosen)
+        similar = _others(np.argsort(apart, kind="stable"), i)[:count]
+        near = _others(np.argsort(np.sum((X - X[i]) ** 2, axis=1), kind="stable"), i)[:count]
+        kept.append(len(np.intersect1d(similar, near)) / count)
+        j = int(similar[0])
+        difference = lights.compare(balls[i], balls[j]).ball
+        if difference >= LEAST_APART:
+            between = predict(0.5 * (X[i] + X[j]))
+            way = sum(lights.compare(balls[k], between).ball for k in (i, j))
+            pairs.append(Pair(i, j, difference, way / difference))
+    if not pairs:
+        return None, []
+    detours = np.array([pair.detour for pair in pairs])
+    found = Coherence(
+        float(np.median(detours)), float(np.quantile(detours, 0.9)), float(np.mean(detours > FAR)),
+        float(np.mean(kept)),
+    )  # fmt: skip
+    return found, pairs
+
+
+def _others(materials: Indices, i: int) -> Indices:
+    return materials[materials != i]
+
+
+def typical_pair(pairs: Sequence[Pair]) -> Pair:
+    """Return the pair to show: of those that are each other's most similar material, the one of median difference."""
+    both = {(pair.first, pair.second) for pair in pairs}
+    mutual = [p for p in pairs if p.first < p.second and (p.second, p.first) in both]
+    ordered = sorted(mutual or pairs, key=lambda pair: (pair.difference, pair.first))
+    return ordered[len(ordered) // 2]

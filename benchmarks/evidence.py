@@ -120,7 +120,7 @@ RESULTS = {
     "stability": Result("manifold stability", ("evaluate/stability", *_GPLVM, *_BLEND)),
     "goniometer": Result("bench_goniometer.py", ("brdf/goniometer.py",)),
     "render": Result("bench_render.py", ("render", "model/prediction.py")),
-    "evaluation": Result("bench_evaluation.py", ("brdf/measured.py",)),
+    "evaluation": Result("bench_evaluation.py", ("brdf/measured.py", "brdf/sums.py", "model/prediction.py")),
     "fluorescent": Result("fluorescent_light.py", ("colour/illuminants.py",)),
     "scale": Result("bench_scale.py --sizes 50,150,500,1500,5000", ("model/landmarks.py", "model/blend_fitting.py")),
     "cluster": Result("bench_cluster.py", ("cluster.py", "work.py", "batch.py")),

@@ -44,7 +44,7 @@ def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[A
     their values: passes of NumPy would take as long as the values of an RGB file.
     """
     vectors, others = np.asarray(vectors), np.asarray(others)
-    dtype = np.float32 if vectors.dtype == others.dtype == np.float32 else np.float64
+    dtype: DTypeLike = np.float32 if vectors.dtype == others.dtype == np.float32 else np.float64
     if vectors.ndim == 0 or vectors.shape[-1] != 3:
         raise ShapeError(f"wi has shape {vectors.shape}, expected (..., 3)")
     if others.ndim == 0 or others.shape[-1] != width:
@@ -55,7 +55,7 @@ def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[A
         raise ShapeError(
             f"wi has shape {vectors.shape} and {name} {others.shape}; they do not broadcast"
         ) from error
-    flat = [
+    flat: list[Array] = [
         np.ascontiguousarray(w if w.ndim == 1 else np.broadcast_to(w, (*shape, w.shape[-1])), dtype)
         for w in (vectors, others)
     ]

@@ -199,7 +199,8 @@ class MeasuredBRDF(NotebookPicture):
             flat_u,
         ):
             require_directions(wi, "wi")
-        return self._turn(wo, -1.0).reshape(*shape, 3), pdf.reshape(shape)
+        wo = self._turn(wo, -1.0).astype(pdf.dtype, copy=False)
+        return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
         """Return the directional albedo, shape (..., B).

@@ -207,7 +207,7 @@ def test_evaluation_agrees_with_plain_numpy(corpus_file, rng, name):
 
 @pytest.mark.parametrize("name", ["syn_iridescent_green", "syn_chrome_plain", "syn_weave_sari"])
 def test_directions_in_single_precision_give_such_values(corpus_file, rng, name):
-    brdf = MeasuredBRDF(read_bsdf(corpus_file(name, True)))
+    brdf = MeasuredBRDF(read_bsdf(corpus_file(name, True))).turned(0.3)
     wi, wo = (random_directions(rng, 3000).astype(np.float32) for _ in range(2))
     u = rng.random((3000, 2), np.float32)
     single = brdf.eval(wi, wo), brdf.eval_cos(wi, wo), brdf.pdf(wi, wo), *brdf.sample(wi, u)
@@ -216,7 +216,8 @@ def test_directions_in_single_precision_give_such_values(corpus_file, rng, name)
     for found, expected in zip(single, double, strict=True):
         assert found.dtype == np.float32
         assert expected.dtype == np.float64
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+        # Directions are turned back after they were rounded.
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("name", ["syn_satin_gold", "syn_weave_sari"])

@@ -1,10 +1,13 @@
-"""Values per second of `MeasuredBRDF.eval_cos` and of Mitsuba's `measured` plugin, on the same pairs and bands.
+"""Time of Mitsuba's `measured` plugin over that of `MeasuredBRDF`, on the same pairs and bands.
 
-Mitsuba evaluates four wavelengths at a time: 49 calls cover 195 bands. It keeps memory from call to call; `manifold`
-is timed with new memory, as `eval_cos` returns it, and with `out=` in double and in single precision; and a weighted
-sum of several files as predictions evaluate it, in which the values of every file count. The pairs are random ones, of
-which each reads another place of the file, then neighbours in the grid of Hikichi & Iwasaki. All run warm, alternately,
-and the medians of the rounds count. Prints a table of ratios; --json FILE keeps them.
+    python benchmarks/bench_evaluation.py [--rgb FILE] [--spectral FILE] [--pairs N] [--rounds N] [--json FILE]
+
+An RGB and a spectral file are evaluated at random pairs and at neighbours in the grid of Hikichi & Iwasaki, and
+sampled: default calls first, which take doubles and return new memory, then single precision and memory that is used
+again; and a weighted sum of eight files as predictions evaluate it, whose ratio is per file. Mitsuba evaluates four
+wavelengths at a time, so 49 calls cover 195 bands, and keeps its memory. All run warm, alternately, on all cores. The
+medians of the rounds count, of processor time and of wall time: 1 is equal, less is slower. Without files, a synthetic
+material is measured.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +35,21 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.registries import MAPPINGS
 from manifold.render import backend
 
-TARGET = 15.0
 SUMMED = 8  # files of a weighted sum
+MATERIAL = "syn_satin_gold"
+PAIRS = {"rgb": 200_000, "spectral": 20_000}
+
+Work = Callable[[], object]
 
 
 def main() -> None:
     """Measure, print, and leave with 1 if there is nothing to compare with."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--material", default="syn_satin_gold")
-    parser.add_argument("--pairs", type=int, default=100_000)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rgb", type=Path, metavar="FILE")
+    parser.add_argument("--spectral", type=Path, metavar="FILE")
+    parser.add_argument("--pairs", type=int, help="by default 200,000 of RGB, 20,000 of spectra")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -47,27 +57,36 @@ def main() -> None:
     if chosen.library is None:
         print(f"{chosen.advice or 'scalar was asked for'}; there is nothing to compare with", file=sys.stderr)
         sys.exit(1)
-    library = chosen.library
-    material = next(m for m in corpus.isotropic_materials() if m.name == arguments.material)
+    result: dict[str, Any] = {
+        "llvm": chosen.library.name,
+        "cores": os.cpu_count(),
+        "rounds": arguments.rounds,
+    }
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{material.name}_spec.bsdf"
-        write_bsdf(path, corpus.measure(material))
-        results = {
-            kind: compare(path, *of, arguments.rounds) for kind, of in pairs_of(arguments.pairs).items()
-        }
-    result = {
-        "material": material.name, "llvm": library.name, "cores": os.cpu_count(), "target": TARGET, "pairs": results,
-    }  # fmt: skip
-    print(f"{material.name}, {arguments.pairs:,} pairs x 195 bands, {os.cpu_count()} cores, {library.name}")
-    for kind, methods in results.items():
-        print(f"{kind} pairs")
-        for name, of in methods.items():
-            spread = f"{of['ratio_min']:.1f} to {of['ratio_max']:.1f}"
-            speed = of["values_per_second"] / 1e6
-            print(f"  {name:<24} {speed:8.1f} million values/s, {of['ratio']:5.1f} times ({spread})")
-    print(f"  target {TARGET:g} times Mitsuba")
+        for kind, count in PAIRS.items():
+            path = getattr(arguments, kind) or synthetic(kind, Path(folder))
+            result[kind] = compare(path, kind, arguments.pairs or count, arguments.rounds)
+            show(kind, result[kind])
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def synthetic(kind: str, folder: Path) -> Path:
+    """Write a synthetic material."""
+    material = next(m for m in corpus.isotropic_materials() if m.name == MATERIAL)
+    path = folder / f"{MATERIAL}_{'rgb' if kind == 'rgb' else 'spec'}.bsdf"
+    write_bsdf(path, corpus.measure(material, rgb=kind == "rgb"))
+    return path
+
+
+def show(kind: str, result: dict[str, Any]) -> None:
+    """Print a table of one file."""
+    print(
+        f"{kind}: {result['file']}, {result['pairs']:,} pairs, {result['bands']} bands, {os.cpu_count()} cores"
+    )
+    print(f"  {'':<40} ns per pair (processor)   ratio: processor   wall")
+    for name, of in result["methods"].items():
+        print(f"  {name:<40} {of['cpu_ns']:12.1f} {of['cpu_ratio']:26.2f} {of['wall_ratio']:11.2f}")
 
 
 def pairs_of(count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -77,66 +96,124 @@ def pairs_of(count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         from_spherical(np.arccos(rng.random(count)), rng.uniform(-np.pi, np.pi, count)) for _ in range(2)
     )
     grid = RusinkiewiczGrid.named("hikichi").pairs()
+    count = min(count, len(grid))
     first = (len(grid) - count) // 3
     run = grid[first : first + count]
     return {"random": (wi, wo), "neighbouring": (run.wi, run.wo)}
 
 
-def compare(path: Path, wi: np.ndarray, wo: np.ndarray, rounds: int) -> dict[str, Any]:
-    """Alternate them on the same pairs."""
-    import drjit as dr
+class Plugin:
+    """Mitsuba's `measured` of a file, with directions in its memory."""
 
-    mi, pairs = backend.mitsuba("spectral"), len(wi)
-    file = read_bsdf(path)
-    brdf = MeasuredBRDF(file)
-    plugin = mi.load_dict({"type": "measured", "filename": str(path)})
-    context = mi.BSDFContext()
-    outgoing = mi.Vector3f(*wo.T.astype(np.float32))
-    interaction = mi.SurfaceInteraction3f()
-    interaction.wi = mi.Vector3f(*wi.T.astype(np.float32))
-    bands = np.append(file.wavelengths_nm, file.wavelengths_nm[-1]).reshape(-1, 4)  # 196: the last one twice
-    dr.eval(outgoing, interaction.wi)
+    def __init__(self, path: Path, kind: str, wi: np.ndarray, wo: np.ndarray, u: np.ndarray) -> None:
+        """Load the file, and copy directions (K, 3) and uniforms (K, 2)."""
+        import drjit as dr
 
-    def mitsuba() -> np.ndarray:
+        self._dr, self._mi = dr, (mi := backend.mitsuba("rgb" if kind == "rgb" else "spectral"))
+        self._plugin, self._context = (
+            mi.load_dict({"type": "measured", "filename": str(path)}),
+            mi.BSDFContext(),
+        )
+        self._wo, self._u, self._one = (
+            mi.Vector3f(*wo.T.astype(np.float32)),
+            mi.Point2f(*u.T.astype(np.float32)),
+            dr.full(mi.Float, 0.5, len(u)),
+        )
+        self._at = mi.SurfaceInteraction3f()
+        self._at.wi = mi.Vector3f(*wi.T.astype(np.float32))
+        self._fours: list[Any] = [None]
+        if kind != "rgb":
+            wavelengths = read_bsdf(path).wavelengths_nm
+            padded = np.append(wavelengths, np.repeat(wavelengths[-1], -len(wavelengths) % 4)).reshape(-1, 4)
+            self._fours = [[float(w) for w in four] for four in padded]
+        self._select(self._fours[0])
+        dr.eval(self._wo, self._u, self._one, self._at.wi)
+
+    def _select(self, four: list[float] | None) -> None:
+        if four is not None:
+            self._at.wavelengths = self._mi.Spectrum(*(self._dr.opaque(self._mi.Float, w) for w in four))
+
+    def eval(self) -> list[Any]:
+        """Evaluate all bands."""
         values = []
-        for four in bands:
-            interaction.wavelengths = mi.Spectrum(*(dr.opaque(mi.Float, float(w)) for w in four))
-            value = plugin.eval(context, interaction, outgoing)
-            dr.eval(value)
-            values.append(value)
-        dr.sync_thread()
+        for four in self._fours:
+            self._select(four)
+            values.append(self._plugin.eval(self._context, self._at, self._wo))
+            self._dr.eval(values[-1])
+        self._dr.sync_thread()
         return values
 
-    double, single = (np.zeros((pairs, 195), dtype) for dtype in (np.float64, np.float32))
+    def pdf(self) -> Any:
+        """Evaluate densities."""
+        density = self._plugin.pdf(self._context, self._at, self._wo)
+        self._dr.eval(density)
+        self._dr.sync_thread()
+        return density
+
+    def sample(self) -> Any:
+        """Sample directions and their densities, without values."""
+        sample, _ = self._plugin.sample(self._context, self._at, self._one, self._u)
+        self._dr.eval(sample.wo, sample.pdf)
+        self._dr.sync_thread()
+        return sample
+
+
+def compare(path: Path, kind: str, count: int, rounds: int) -> dict[str, Any]:
+    """Alternate all methods on one file."""
+    file = read_bsdf(path)
+    brdf, bands = MeasuredBRDF(file), file.bands.count
     several = [MeasuredBRDF(file) for _ in range(SUMMED)]  # each with tables of its own
-    summed = PredictedBRDF(several, Combination(MAPPINGS["identity"], np.full(SUMMED, 1.0 / SUMMED)))
-    works = {
-        "mitsuba": mitsuba,
-        "new memory": lambda: brdf.eval_cos(wi, wo),
-        "out= in double precision": lambda: brdf.eval_cos(wi, wo, out=double),
-        "out= in single precision": lambda: brdf.eval_cos(wi, wo, out=single),
-        (of_several := f"a sum of {SUMMED} files"): lambda: summed.eval(wi, wo, out=single),
+    weights = np.full(SUMMED, 1.0 / SUMMED)
+    sums = {
+        name: PredictedBRDF(several, Combination(MAPPINGS[name], weights))
+        for name in ("identity", "cube-root")
     }
-    counts = {of_several: SUMMED}
-    times: dict[str, list[float]] = {name: [] for name in works}
-    for round_ in range(rounds + 1):
-        for name, work in works.items():
-            start = time.perf_counter()
-            values = work()
-            if round_ > 0:  # the first round compiles
-                times[name].append(time.perf_counter() - start)
-            del values
-    methods = {}
-    for name, seconds in times.items():
-        count = counts.get(name, 1)
-        ratios = count * np.array(times["mitsuba"]) / seconds
-        methods[name] = {
-            "values_per_second": count * pairs * 195 / statistics.median(seconds),
-            "ratio": float(np.median(ratios)),
-            "ratio_min": float(ratios.min()),
-            "ratio_max": float(ratios.max()),
+    methods: dict[str, Any] = {}
+    for where, (wi, wo) in pairs_of(count).items():
+        n = len(wi)
+        u = np.random.default_rng(1).random((n, 2))
+        single_wi, single_wo, single_u = (a.astype(np.float32) for a in (wi, wo, u))
+        out = np.zeros((n, bands), np.float32)
+        plugin = Plugin(path, kind, wi, wo, u)
+        # Ours, Mitsuba's, and how many files are evaluated at once.
+        works: dict[str, tuple[Work, str, int]] = {
+            "eval(wi, wo)": (lambda: brdf.eval(wi, wo), "eval", 1),  # noqa: B023
+            "eval, single precision": (lambda: brdf.eval(single_wi, single_wo), "eval", 1),  # noqa: B023
+            "eval, single precision, out=": (lambda: brdf.eval(single_wi, single_wo, out=out), "eval", 1),  # noqa: B023
+            f"sum of {SUMMED} files": (lambda: sums["identity"].eval(wi, wo), "eval", SUMMED),  # noqa: B023
+            f"sum of {SUMMED} cube roots": (lambda: sums["cube-root"].eval(wi, wo), "eval", SUMMED),  # noqa: B023
         }
-    return methods
+        if where == "random":
+            works |= {
+                "pdf(wi, wo)": (lambda: brdf.pdf(wi, wo), "pdf", 1),  # noqa: B023
+                "pdf, single precision": (lambda: brdf.pdf(single_wi, single_wo), "pdf", 1),  # noqa: B023
+                "sample(wi, u)": (lambda: brdf.sample(wi, u), "sample", 1),  # noqa: B023
+                "sample, single precision": (lambda: brdf.sample(single_wi, single_u), "sample", 1),  # noqa: B023
+            }
+        references = {name: getattr(plugin, name) for name in {of for _, of, _ in works.values()}}
+        times = alternate(references | {name: work for name, (work, _, _) in works.items()}, rounds)
+        for name, (_, of, files) in works.items():
+            ratios = files * times[of] / times[name]  # [rounds, 2]
+            cpu, wall = (float(x) for x in np.median(ratios, axis=0))
+            methods[f"{where} {name}"] = {
+                "cpu_ratio": cpu,
+                "wall_ratio": wall,
+                "cpu_ns": statistics.median(times[name][:, 0]) / n / files * 1e9,
+                "mitsuba_cpu_ns": statistics.median(times[of][:, 0]) / n * 1e9,
+            }
+    return {"file": path.stem, "pairs": count, "bands": bands, "methods": methods}
+
+
+def alternate(works: dict[str, Work], rounds: int) -> dict[str, np.ndarray]:
+    """Processor and wall seconds (rounds, 2) of works, called in turn; the first round, which compiles, is left out."""
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
+    for _ in range(rounds + 1):
+        for name, work in works.items():
+            cpu, wall = time.process_time(), time.perf_counter()
+            values = work()
+            times[name].append((time.process_time() - cpu, time.perf_counter() - wall))
+            del values
+    return {name: np.array(seconds[1:]) for name, seconds in times.items()}
 
 
 if __name__ == "__main__":

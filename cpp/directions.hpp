@@ -1,11 +1,16 @@
-// Angles of directions and coordinates in the unit square of RGL files.
+// Pairs of directions in tiles, and their coordinates in the unit square of RGL files.
+//
+// Loops run over whole tiles, whose length the compiler knows, so that they are vectorised; what lies behind the last
+// pair of a call is the normal.
 #pragma once
 
 #include "common.hpp"
 
-constexpr double LEVEL = 1e-9; // cosine of a direction at the horizon; `manifold.core.pairs.LEVEL`
+constexpr double LEVEL = 1e-9;         // cosine of a direction at the horizon; `manifold.core.pairs.LEVEL`
+constexpr double LENGTH_ERROR = 2e-3;  // of squares of unit vectors; `manifold.core.directions.require_directions`
+constexpr int TILE = 32;               // direction pairs that are handled together
 
-// atan2 without branches or calls, so that loops over it are vectorised; within two units in the last place.
+// atan2 without branches or calls; within two units in the last place.
 // Source: the rational approximation of Moshier's Cephes library, `atan`.
 INLINE double arc_tangent(double y, double x) {
     const double ax = std::abs(x), ay = std::abs(y);
@@ -26,78 +31,148 @@ INLINE double arc_tangent(double y, double x) {
     return std::copysign(angle, y);
 }
 
-// Angle from the normal, stable near it.
-INLINE double elevation(double x, double y, double z) { return arc_tangent(std::sqrt(x * x + y * y), z); }
+// Sine and cosine of `turns` quarter turns, within two units in the last place.
+// Source: the polynomials of Moshier's Cephes library, `sin`.
+INLINE void sine_cosine(double turns, double &sine, double &cosine) {
+    const double nearest = std::floor(turns + 0.5), x = (turns - nearest) * (0.5 * PI), z = x * x;
+    const double s = x + x * z * (((((1.58962301576546568060e-10 * z - 2.50507477628578072866e-8) * z +
+                                     2.75573136213857245213e-6) * z - 1.98412698295895385996e-4) * z +
+                                   8.33333333332211858878e-3) * z - 1.66666666666666307295e-1);
+    const double c = 1.0 - 0.5 * z + z * z * (((((-1.13585365213876817300e-11 * z + 2.08757008419747316778e-9) * z -
+                                                 2.75573141792967388112e-7) * z + 2.48015872888517045348e-5) * z -
+                                               1.38888888888730564116e-3) * z + 4.16666666666665929218e-2);
+    const double quarter = nearest - 4.0 * std::floor(0.25 * nearest); // 0, 1, 2 or 3
+    const bool is_odd = (quarter == 1.0) | (quarter == 3.0);
+    const double of_sine = is_odd ? c : s, of_cosine = is_odd ? s : c;
+    sine = quarter >= 2.0 ? -of_sine : of_sine;
+    cosine = (quarter == 1.0) | (quarter == 2.0) ? -of_cosine : of_cosine;
+}
 
 INLINE double theta_to_u(double theta) { return std::sqrt(theta * (2.0 / PI)); }
 
 INLINE double phi_to_u(double phi) { return (phi + PI) / (2.0 * PI); }
 
-// Signs that move an incident direction into the measured range of azimuths of a symmetric file.
-INLINE void signs(int reduction, double wx, double wy, double &sx, double &sy) {
-    sx = sy = 1.0;
-    if (reduction < 2) return;
-    sy = wy >= 0.0 ? -1.0 : 1.0;
-    sx = reduction == 4 ? (wx >= 0.0 ? -1.0 : 1.0) : sy;
-}
+// Rows of directions (K, 3) in single or double precision; one row may stand for all.
+struct Rows {
+    const void *data;
+    bool is_single;
+    ptrdiff_t step; // from row to row, in numbers
+};
 
-// The incident direction as a symmetric file sees it.
-struct Incident {
-    double sx, sy, x, y, z, theta, phi;
+// Directions of a tile.
+struct Directions {
+    double x[TILE], y[TILE], z[TILE];
 
-    INLINE Incident(const double *w, int reduction) {
-        signs(reduction, w[0], w[1], sx, sy);
-        x = w[0] * sx, y = w[1] * sy, z = w[2];
-        theta = elevation(x, y, z), phi = arc_tangent(y, x);
+    template <class T> INLINE void copy(const T *from, ptrdiff_t step, int n) {
+        for (int k = 0; k < n; ++k, from += step) x[k] = from[0], y[k] = from[1], z[k] = from[2];
+        for (int k = n; k < TILE; ++k) x[k] = y[k] = 0.0, z[k] = 1.0;
+    }
+
+    // Copy n rows, and return whether all are unit vectors.
+    INLINE bool load(const Rows &rows, ptrdiff_t start, int n) {
+        if (rows.is_single)
+            copy(static_cast<const float *>(rows.data) + start * rows.step, rows.step, n);
+        else
+            copy(static_cast<const double *>(rows.data) + start * rows.step, rows.step, n);
+        double wrong = 0.0;
+        for (int k = 0; k < TILE; ++k)
+            wrong += std::abs(x[k] * x[k] + y[k] * y[k] + z[k] * z[k] - 1.0) <= LENGTH_ERROR ? 0.0 : 1.0;
+        return wrong == 0.0;
     }
 };
 
-// The half vector of a point of the unit square, and its elevation.
-struct HalfVector {
-    double x, y, z, theta;
+// Load n rows of points of the unit square into a tile.
+INLINE void load_points(const Rows &rows, ptrdiff_t start, int n, double *x, double *y) {
+    for (int k = 0; k < n; ++k) {
+        const ptrdiff_t at = (start + k) * rows.step;
+        x[k] = rows.is_single ? static_cast<const float *>(rows.data)[at] : static_cast<const double *>(rows.data)[at];
+        y[k] = rows.is_single ? static_cast<const float *>(rows.data)[at + 1] : static_cast<const double *>(rows.data)[at + 1];
+    }
+    for (int k = n; k < TILE; ++k) x[k] = y[k] = 0.5;
+}
 
-    INLINE HalfVector(double ux, double uy, double phi_i, bool isotropic) {
-        theta = ux * ux * (0.5 * PI);
-        const double phi = (2.0 * uy - 1.0) * PI + (isotropic ? phi_i : 0.0), sine = std::sin(theta);
-        x = std::cos(phi) * sine, y = std::sin(phi) * sine, z = std::cos(theta);
+// Of a file: whether it depends on differences of azimuths only, and how often azimuths repeat in a turn.
+struct Symmetry {
+    bool is_isotropic;
+    int repeats;
+};
+
+// Incident directions of a tile as a file sees them, and their angles; azimuths are 0 where nothing depends on them.
+struct Incident {
+    Directions w;
+    double sx[TILE], sy[TILE], theta[TILE], phi[TILE];
+
+    INLINE Incident(const Directions &wi, Symmetry symmetry, bool needs_azimuth) {
+        for (int k = 0; k < TILE; ++k) sx[k] = sy[k] = 1.0;
+        if (symmetry.repeats > 1) // move directions into the measured range of azimuths
+            for (int k = 0; k < TILE; ++k) {
+                sy[k] = wi.y[k] >= 0.0 ? -1.0 : 1.0;
+                sx[k] = (symmetry.repeats == 4 ? wi.x[k] : wi.y[k]) >= 0.0 ? -1.0 : 1.0;
+            }
+        for (int k = 0; k < TILE; ++k) w.x[k] = wi.x[k] * sx[k], w.y[k] = wi.y[k] * sy[k], w.z[k] = wi.z[k];
+        for (int k = 0; k < TILE; ++k) {
+            theta[k] = arc_tangent(std::sqrt(w.x[k] * w.x[k] + w.y[k] * w.y[k]), w.z[k]); // stable near the normal
+            phi[k] = 0.0;
+        }
+        if (needs_azimuth)
+            for (int k = 0; k < TILE; ++k) phi[k] = arc_tangent(w.y[k], w.x[k]);
     }
 
-    INLINE double dot(const Incident &w) const { return w.x * x + w.y * y + w.z * z; }
+    // The direction from which azimuths of half vectors count, of any length.
+    INLINE void reference(int k, Symmetry symmetry, double &x, double &y) const {
+        const double relative = symmetry.is_isotropic ? 1.0 : 0.0;
+        x = relative * w.x[k], y = relative * w.y[k];
+        x = (x == 0.0) & (y == 0.0) ? 1.0 : x;
+    }
+};
+
+// Pairs of a tile in the tables of a file: angles of incident directions, half vectors in the unit square, and cosines of
+// outgoing directions, 0 of pairs that are not above the horizon.
+struct Located {
+    double theta_i[TILE], phi_i[TILE], x[TILE], y[TILE], cos_o[TILE];
+
+    INLINE void locate(const Directions &wi, const Directions &wo, Symmetry symmetry, bool needs_azimuth) {
+        const Incident i(wi, symmetry, needs_azimuth);
+        for (int k = 0; k < TILE; ++k) {
+            theta_i[k] = i.theta[k], phi_i[k] = i.phi[k];
+            const double mx = i.w.x[k] + wo.x[k] * i.sx[k], my = i.w.y[k] + wo.y[k] * i.sy[k], mz = i.w.z[k] + wo.z[k];
+            double ax, ay;
+            i.reference(k, symmetry, ax, ay);
+            const double v = phi_to_u(arc_tangent(ax * my - ay * mx, ax * mx + ay * my));
+            x[k] = theta_to_u(arc_tangent(std::sqrt(mx * mx + my * my), mz));
+            y[k] = v - std::floor(v);
+            cos_o[k] = (wi.z[k] > LEVEL) & (wo.z[k] > LEVEL) ? wo.z[k] : 0.0;
+        }
+    }
+
+    // Copy n rows of `Pairs.located`.
+    INLINE void copy(const double *rows, int n) {
+        for (int k = 0; k < n; ++k, rows += 5)
+            theta_i[k] = rows[0], phi_i[k] = rows[1], x[k] = rows[2], y[k] = rows[3], cos_o[k] = rows[4];
+        for (int k = n; k < TILE; ++k) theta_i[k] = phi_i[k] = x[k] = y[k] = cos_o[k] = 0.0;
+    }
+};
+
+// Normals of a tile at points of the unit square, and their cosines with incident directions.
+struct Normals {
+    double x[TILE], y[TILE], z[TILE], sine[TILE], cos_im[TILE];
+
+    INLINE Normals(const double *ux, const double *uy, const Incident &i, Symmetry symmetry) {
+        for (int k = 0; k < TILE; ++k) {
+            double ax, ay, sin_phi, cos_phi;
+            i.reference(k, symmetry, ax, ay);
+            const double length = std::sqrt(ax * ax + ay * ay);
+            sine_cosine(ux[k] * ux[k], sine[k], z[k]);
+            sine_cosine(4.0 * uy[k] - 2.0, sin_phi, cos_phi);
+            x[k] = sine[k] * (cos_phi * ax - sin_phi * ay) / length;
+            y[k] = sine[k] * (cos_phi * ay + sin_phi * ax) / length;
+            cos_im[k] = i.w.x[k] * x[k] + i.w.y[k] * y[k] + i.w.z[k] * z[k];
+        }
+    }
 };
 
 // Solid angle of outgoing directions per area of the half vector's unit square.
-INLINE double half_vector_jacobian(double ux, double theta_m, double cos_im) {
-    const double area = 2.0 * PI * PI * ux * std::sin(theta_m);
+INLINE double half_vector_jacobian(double ux, double sin_m, double cos_im) {
+    const double area = 2.0 * PI * PI * ux * sin_m;
     return (area > 1e-6 ? area : 1e-6) * 4.0 * cos_im;
-}
-
-constexpr int TILE = 32; // direction pairs that are located together
-
-// Direction pairs as a file sees them: angles of the incident direction, coordinates of the half vector in the unit
-// square, and the cosine of the outgoing direction, 0 of pairs that are not above the horizon.
-struct Located {
-    double theta_i[TILE], phi_i[TILE], x[TILE], y[TILE], cos_o[TILE];
-};
-
-// Locate n <= TILE pairs of directions (n, 3).
-INLINE void locate(const double *wi, const double *wo, int n, bool isotropic, int reduction, Located &out) {
-    double ix[TILE], iy[TILE], iz[TILE], ox[TILE], oy[TILE], oz[TILE];
-    for (int k = 0; k < n; ++k) {
-        double sx, sy;
-        signs(reduction, wi[3 * k], wi[3 * k + 1], sx, sy);
-        ix[k] = wi[3 * k] * sx, iy[k] = wi[3 * k + 1] * sy, iz[k] = wi[3 * k + 2];
-        ox[k] = wo[3 * k] * sx, oy[k] = wo[3 * k + 1] * sy, oz[k] = wo[3 * k + 2];
-    }
-    for (int k = n; k < TILE; ++k) ix[k] = iy[k] = iz[k] = ox[k] = oy[k] = oz[k] = 0.0;
-    const double relative = isotropic ? 1.0 : 0.0;
-    for (int k = 0; k < TILE; ++k) {
-        const double mx = ix[k] + ox[k], my = iy[k] + oy[k], mz = iz[k] + oz[k];
-        const double phi_i = arc_tangent(iy[k], ix[k]), phi_m = arc_tangent(my, mx);
-        const double y = phi_to_u(phi_m - relative * phi_i);
-        out.theta_i[k] = elevation(ix[k], iy[k], iz[k]);
-        out.phi_i[k] = phi_i;
-        out.x[k] = theta_to_u(elevation(mx, my, mz));
-        out.y[k] = y - std::floor(y);
-        out.cos_o[k] = (iz[k] > LEVEL) & (oz[k] > LEVEL) ? oz[k] : 0.0;
-    }
 }

@@ -1,7 +1,7 @@
 // Measured BRDFs at pairs of directions: all bands of a pair from one inversion of a warp; sampling; weighted sums.
 //
-// Pairs are handled in tiles that stay in the cache: first all of a tile are located in the file's tables, in loops
-// that the compiler vectorises over pairs, then their rows of bands are read, in loops vectorised over bands.
+// Pairs are handled in tiles that stay in the cache. Formulas run over the pairs of a tile, four or eight at once; the
+// corners of a cell are read pair by pair, in vectors of the numbers that lie side by side; so are many bands.
 
 #include <nanobind/stl/vector.h>
 
@@ -17,132 +17,114 @@ using namespace nanobind::literals;
 
 namespace {
 
-constexpr int LANES = 8;   // values that a loop over bands handles at once
-constexpr int NEAREST = 4; // corners of a cell
+constexpr int LANES = 8; // values that a loop over bands handles at once
+constexpr int FEW = 4;   // bands that are read together, as those of RGB files
 
-// The tables of a file; the arrays live as long as it does.
+// The tables of a file; arrays and warp live as long as it does.
 struct Tables {
     bool jacobian;
-    Matrix<const double> ndf_array, sigma_array;
-    Cube<const double> data_array, conditional_array;
-    Matrix<const double> marginal_array;
-    Vector<const double> phi_array, theta_array;
+    Matrix<const float> ndf_array, sigma_array;
     Table4<const float> spectra_array;
 
-    WarpView warp;
-    const double *ndf, *sigma;
-    const float *spectra; // (slice, row, column, band)
-    int ndf_rows, ndf_columns, sigma_rows, sigma_columns, rows, columns, bands;
+    const Warp &warp;
+    Grid<float> ndf, sigma;
+    std::vector<float> few; // the spectra with FEW numbers a node, where there are fewer bands
+    const float *spectra;   // (slice, row, column, band)
+    int rows, columns, bands, stride;
 
-    Tables(bool jacobian, Matrix<const double> ndf_, Matrix<const double> sigma_, Cube<const double> data,
-           Cube<const double> conditional, Matrix<const double> marginal, Vector<const double> phi,
-           Vector<const double> theta, Table4<const float> spectra_)
-        : jacobian(jacobian), ndf_array(ndf_), sigma_array(sigma_), data_array(data), conditional_array(conditional),
-          marginal_array(marginal), phi_array(phi), theta_array(theta), spectra_array(spectra_) {
-        warp = warp_view(data, conditional, marginal, phi, theta);
-        require(spectra_.shape(0) == data.shape(0), "expected a slice for each pair of azimuth and elevation");
-        require(ndf_.shape(0) >= 2 && ndf_.shape(1) >= 2 && sigma_.shape(0) >= 2 && sigma_.shape(1) >= 2 &&
-                    spectra_.shape(1) >= 2 && spectra_.shape(2) >= 2,
-                "expected tables of at least 2 x 2 nodes");
-        ndf = ndf_.data(), sigma = sigma_.data(), spectra = spectra_.data();
-        ndf_rows = int(ndf_.shape(0)), ndf_columns = int(ndf_.shape(1));
-        sigma_rows = int(sigma_.shape(0)), sigma_columns = int(sigma_.shape(1));
-        rows = int(spectra_.shape(1)), columns = int(spectra_.shape(2)), bands = int(spectra_.shape(3));
+    Tables(bool jacobian, Matrix<const float> ndf, Matrix<const float> sigma, const Warp &warp, Table4<const float> values)
+        : jacobian(jacobian), ndf_array(ndf), sigma_array(sigma), spectra_array(values), warp(warp), ndf(ndf),
+          sigma(sigma), spectra(values.data()), rows(int(values.shape(1))), columns(int(values.shape(2))),
+          bands(int(values.shape(3))), stride(std::max(bands, FEW)) {
+        require(int(values.shape(0)) == warp.slices, "expected a slice for each pair of azimuth and elevation");
+        require(rows >= 2 && columns >= 2 && bands >= 1, "expected spectra on at least 2 x 2 nodes");
+        if (bands >= FEW) return;
+        few.resize(values.size() / bands * FEW);
+        for (size_t k = 0; k < values.size(); ++k) few[k / bands * FEW + k % bands] = spectra[k];
+        spectra = few.data();
+        spectra_array = {};
     }
 
-    // Whether another material has the same grids of incident directions, half vectors, `ndf` and `sigma`.
-    bool shares_grids(const Tables &other) const {
-        return warp.n_phi == other.warp.n_phi && warp.n_theta == other.warp.n_theta &&
-               warp.rows == other.warp.rows && warp.columns == other.warp.columns && ndf_rows == other.ndf_rows &&
-               ndf_columns == other.ndf_columns && sigma_rows == other.sigma_rows &&
-               sigma_columns == other.sigma_columns &&
-               std::equal(warp.phi_nodes, warp.phi_nodes + warp.n_phi, other.warp.phi_nodes) &&
-               std::equal(warp.theta_nodes, warp.theta_nodes + warp.n_theta, other.warp.theta_nodes);
+    // Whether anything but the half vectors depends on the incident azimuth.
+    bool needs_azimuth() const { return warp.phi.size() > 1 || (jacobian && sigma.needs_y()); }
+
+    // Whether slices and cells of the warp are those of another file.
+    bool shares_axes(const Tables &other) const {
+        return warp.phi == other.warp.phi && warp.theta == other.warp.theta && warp.rows == other.warp.rows &&
+               warp.columns == other.warp.columns;
     }
 
-    INLINE const float *row(int slice, int i, int j) const {
-        return spectra + ((ptrdiff_t(slice) * rows + i) * columns + j) * bands;
+    INLINE const float *node(int slice, int i, int j) const {
+        return spectra + ((ptrdiff_t(slice) * rows + i) * columns + j) * stride;
     }
 
-    // f cos(theta_o) over the stored value at a half vector.
-    INLINE double scale(Cell ndf_row, Cell ndf_column, Cell sigma_row, Cell sigma_column) const {
-        if (!jacobian) return 1.0;
-        return bilinear(ndf, ndf_columns, ndf_row, ndf_column) /
-               (4.0 * bilinear(sigma, sigma_columns, sigma_row, sigma_column));
+    // f cos(theta_o), or f, over the stored values of a tile.
+    INLINE void scale(const double *theta_i, const double *phi_i, const double *x, const double *y, double *out) const {
+        if (!jacobian) {
+            std::fill_n(out, TILE, 1.0);
+            return;
+        }
+        double at_x[TILE], at_y[TILE], area[TILE];
+        for (int k = 0; k < TILE; ++k) at_x[k] = theta_to_u(theta_i[k]), at_y[k] = phi_to_u(phi_i[k]);
+        ndf.interpolate(x, y, out);
+        sigma.interpolate(at_x, at_y, area);
+        for (int k = 0; k < TILE; ++k) out[k] /= 4.0 * area[k];
     }
 };
 
-// What materials with the same grids share of a tile of pairs.
-struct Shared {
-    Blend blend[TILE];
-    Cell row[TILE], column[TILE], ndf_row[TILE], ndf_column[TILE], sigma_row[TILE], sigma_column[TILE];
-};
+// Corners of the cells of a tile in the spectra of a file, and the weights of each slice's four.
+template <class Real, int N> struct Corners {
+    const float *low[N][TILE]; // the left one of the lower row
+    Real weight[4 * N][TILE];
 
-INLINE void place(const Tables &tables, const Located &pairs, int n, Shared &shared) {
-    for (int k = 0; k < n; ++k) {
-        Blend &b = shared.blend[k] = tables.warp.blend(pairs.phi_i[k], pairs.theta_i[k]);
-        for (int q = 0; q < 4; ++q) // a slice without weight is not read: it may hold NaN
-            if (b.weight[q] == 0.0) b.slice[q] = b.slice[q ^ 1];
-        shared.row[k] = cell(pairs.y[k], tables.warp.rows);
-        shared.column[k] = cell(pairs.x[k], tables.warp.columns);
-        shared.ndf_row[k] = cell(pairs.y[k], tables.ndf_rows);
-        shared.ndf_column[k] = cell(pairs.x[k], tables.ndf_columns);
-        shared.sigma_row[k] = cell(phi_to_u(pairs.phi_i[k]), tables.sigma_rows);
-        shared.sigma_column[k] = cell(theta_to_u(pairs.theta_i[k]), tables.sigma_columns);
-    }
-}
-
-// Cells of one material's spectra, and the weights of their corners in each slice, for a tile of pairs.
-template <class Real> struct Corners {
-    int i[TILE], j[TILE];
-    Real weight[TILE][4][NEAREST];
-};
-
-template <class Real>
-INLINE void weigh(const Tables &tables, const Located &pairs, const Shared &shared, int n, bool divide,
-                  Corners<Real> &corners) {
-    for (int k = 0; k < n; ++k) {
-        if (pairs.cos_o[k] <= 0.0) continue;
-        const Blend &b = shared.blend[k];
-        double u, v, pdf;
-        tables.warp.invert(b, shared.row[k], shared.column[k], u, v, pdf);
-        double scale = tables.scale(shared.ndf_row[k], shared.ndf_column[k], shared.sigma_row[k], shared.sigma_column[k]);
-        if (divide) scale /= pairs.cos_o[k];
-        const Cell row = cell(v, tables.rows), column = cell(u, tables.columns);
-        corners.i[k] = row.index, corners.j[k] = column.index;
-        const double low = (1.0 - row.offset) * scale, high = row.offset * scale;
-        for (int q = 0; q < 4; ++q) {
-            corners.weight[k][q][0] = Real(b.weight[q] * (low * (1.0 - column.offset)));
-            corners.weight[k][q][1] = Real(b.weight[q] * (low * column.offset));
-            corners.weight[k][q][2] = Real(b.weight[q] * (high * (1.0 - column.offset)));
-            corners.weight[k][q][3] = Real(b.weight[q] * (high * column.offset));
+    INLINE void weigh(const Tables &tables, const Slices<N> &around, const double *u, const double *v, const double *scale) {
+        Cells at;
+        at.find(u, v, tables.rows, tables.columns);
+        for (int q = 0; q < N; ++q) {
+            for (int k = 0; k < TILE; ++k) low[q][k] = tables.node(around.index[q][k], at.row[k], at.column[k]);
+            for (int k = 0; k < TILE; ++k) {
+                const double share = around.share[q][k] * scale[k], x = at.x[k], y = at.y[k];
+                weight[4 * q][k] = Real(share * ((1.0 - y) * (1.0 - x)));
+                weight[4 * q + 1][k] = Real(share * ((1.0 - y) * x));
+                weight[4 * q + 2][k] = Real(share * (y * (1.0 - x)));
+                weight[4 * q + 3][k] = Real(share * (y * x));
+            }
         }
     }
-}
 
+    // Read FEW bands of pair k.
+    INLINE void read_few(ptrdiff_t row_size, int k, Real *values) const {
+        Real sum[FEW] = {};
+        for (int q = 0; q < N; ++q) {
+            const float *p = low[q][k], *high = p + row_size;
+            for (int b = 0; b < FEW; ++b)
+                sum[b] += (weight[4 * q][k] * p[b] + weight[4 * q + 1][k] * p[FEW + b]) +
+                          (weight[4 * q + 2][k] * high[b] + weight[4 * q + 3][k] * high[FEW + b]);
+        }
+        for (int b = 0; b < FEW; ++b) values[b] = sum[b];
+    }
+};
+
+// The corners of one pair, whose rows of many bands are added up.
 template <class Real, int N> struct Streams {
-    const float *p[N];
-    Real w[N];
+    const float *p[4 * N];
+    Real w[4 * N];
+
+    INLINE Streams(const Tables &tables, const Corners<Real, N> &corners, int k) {
+        for (int q = 0; q < N; ++q) {
+            p[4 * q] = corners.low[q][k], p[4 * q + 1] = p[4 * q] + tables.stride;
+            p[4 * q + 2] = p[4 * q] + ptrdiff_t(tables.columns) * tables.stride, p[4 * q + 3] = p[4 * q + 2] + tables.stride;
+            for (int c = 0; c < 4; ++c) w[4 * q + c] = corners.weight[4 * q + c][k];
+        }
+    }
 
     INLINE Real at(int b) const {
         Real sum = 0;
-        for (int s = 0; s < N; s += 4)
+        for (int s = 0; s < 4 * N; s += 4)
             sum += (w[s] * p[s][b] + w[s + 1] * p[s + 1][b]) + (w[s + 2] * p[s + 2][b] + w[s + 3] * p[s + 3][b]);
         return sum;
     }
 };
-
-template <class Real, int N>
-INLINE Streams<Real, N> streams(const Tables &t, const Blend &b, const Corners<Real> &corners, int k) {
-    Streams<Real, N> out;
-    for (int q = 0; q < N / 4; ++q) {
-        const float *low = t.row(b.slice[q], corners.i[k], corners.j[k]), *high = low + ptrdiff_t(t.columns) * t.bands;
-        out.p[4 * q] = low, out.p[4 * q + 1] = low + t.bands;
-        out.p[4 * q + 2] = high, out.p[4 * q + 3] = high + t.bands;
-        for (int c = 0; c < 4; ++c) out.w[4 * q + c] = corners.weight[k][q][c];
-    }
-    return out;
-}
 
 // Call f(b) for b = 0, ..., n - 1 in vectors; the last vector overlaps the one before it.
 template <class F> INLINE void over_bands(int n, const F &f) {
@@ -162,12 +144,13 @@ template <class Real, int N> INLINE void read(const Streams<Real, N> &s, int n, 
     over_bands(n, [&](int b) INLINE_LAMBDA { row[b] = local.at(b); });
 }
 
-template <class Real>
-INLINE void read_two(const Streams<Real, 8> &s, const Streams<Real, 8> &next, int n, Real *RESTRICT row,
+// Read two pairs whose cells are the same.
+template <class Real, int N>
+INLINE void read_two(const Streams<Real, N> &s, const Streams<Real, N> &next, int n, Real *RESTRICT row,
                      Real *RESTRICT next_row) {
-    const Streams<Real, 8> local = s;
-    Streams<Real, 8> other = next;
-    for (int q = 0; q < 8; ++q) other.p[q] = local.p[q];
+    const Streams<Real, N> local = s;
+    Streams<Real, N> other = next;
+    for (int q = 0; q < 4 * N; ++q) other.p[q] = local.p[q];
     over_bands(n, [&](int b) INLINE_LAMBDA {
         const Real first = local.at(b), second = other.at(b);
         row[b] = first;
@@ -175,97 +158,154 @@ INLINE void read_two(const Streams<Real, 8> &s, const Streams<Real, 8> &next, in
     });
 }
 
-// Rows of bands of a tile: `row_of(k)` is where those of pair k go, and `done(k)` is called when they are there.
-template <class Real, class RowOf, class Done>
-INLINE void read_tile(const Tables &tables, const Located &pairs, const Shared &shared, const Corners<Real> &corners,
-                      int n, const RowOf &row_of, const Done &done) {
-    for (int k = 0; k < n;) {
-        if (pairs.cos_o[k] <= 0.0) {
-            ++k;
-            continue;
-        }
-        const Blend &b = shared.blend[k];
-        const int m = k + 1;
-        if (m < n && pairs.cos_o[m] > 0.0) {
-            const Blend &c = shared.blend[m];
-            const bool is_same = corners.i[m] == corners.i[k] && corners.j[m] == corners.j[k] &&
-                                 c.slice[0] == b.slice[0] && c.slice[1] == b.slice[1];
-            if (is_same && !b.has_two_azimuths && !c.has_two_azimuths) {
-                read_two(streams<Real, 8>(tables, b, corners, k), streams<Real, 8>(tables, c, corners, m),
-                         tables.bands, row_of(k), row_of(m));
+// Rows of bands of a tile: `row_of(k)` is where those of pair k go, and `done(k)` is called when they are there. Pairs
+// that are not above the horizon are left out.
+template <class Real, int N, class RowOf, class Done>
+INLINE void read_tile(const Tables &tables, const Corners<Real, N> &corners, const double *cos_o, int n, const RowOf &row_of,
+                      const Done &done) {
+    for (int k = 0; k < n; ++k) {
+        if (!(cos_o[k] > 0.0)) continue;
+        const Streams<Real, N> here(tables, corners, k);
+        const int next = k + 1;
+        if (next < n && cos_o[next] > 0.0) {
+            const Streams<Real, N> ahead(tables, corners, next);
+            bool is_same = N == 2; // sixteen streams and two rows are more than there are registers
+            for (int q = 0; q < N; ++q) is_same &= ahead.p[4 * q] == here.p[4 * q];
+            if (is_same) {
+                read_two(here, ahead, tables.bands, row_of(k), row_of(next));
                 done(k);
-                done(m);
-                k += 2;
+                done(++k);
                 continue;
             }
-            if (!is_same) {
-                const Streams<Real, 8> ahead = streams<Real, 8>(tables, c, corners, m);
-                for (int q = 0; q < 8; ++q) prefetch(ahead.p[q]), prefetch(ahead.p[q] + 16);
-            }
+            for (int q = 0; q < 4 * N; ++q) prefetch(ahead.p[q]), prefetch(ahead.p[q] + 16);
         }
-        if (b.has_two_azimuths)
-            read(streams<Real, 16>(tables, b, corners, k), tables.bands, row_of(k));
-        else
-            read(streams<Real, 8>(tables, b, corners, k), tables.bands, row_of(k));
+        read(here, tables.bands, row_of(k));
         done(k);
-        ++k;
     }
 }
 
-INLINE int copy_located(const double *located, ptrdiff_t start, ptrdiff_t count, Located &pairs) {
-    const int n = int(std::min<ptrdiff_t>(TILE, count - start));
-    for (int k = 0; k < n; ++k) {
-        const double *from = located + 5 * (start + k);
-        pairs.theta_i[k] = from[0], pairs.phi_i[k] = from[1];
-        pairs.x[k] = from[2], pairs.y[k] = from[3], pairs.cos_o[k] = from[4];
-    }
-    return n;
-}
+// The slices and cells of a tile in the warp of a file.
+template <int N> struct Placed {
+    Slices<N> around;
+    Cells at;
 
-// All bands of a tile of located pairs into out (n, B).
+    INLINE void place(const Warp &warp, const Located &pairs) {
+        around.find(warp.phi, warp.theta, pairs.phi_i, pairs.theta_i);
+        at.find(pairs.x, pairs.y, warp.rows, warp.columns);
+    }
+
+    // The corners of f, or without `divide` of f cos(theta_o).
+    template <class Real>
+    INLINE void weigh(const Tables &tables, const Located &pairs, bool divide, Corners<Real, N> &corners) const {
+        double u[TILE], v[TILE], pdf[TILE], scale[TILE];
+        tables.warp.invert(around, at, u, v, pdf);
+        tables.scale(pairs.theta_i, pairs.phi_i, pairs.x, pairs.y, scale);
+        if (divide)
+            for (int k = 0; k < TILE; ++k) scale[k] /= pairs.cos_o[k] > 0.0 ? pairs.cos_o[k] : 1.0;
+        corners.weigh(tables, around, u, v, scale);
+    }
+};
+
+// All bands of a tile of n located pairs into out (n, B).
 template <class Real> INLINE void evaluate_tile(const Tables &tables, const Located &pairs, int n, bool divide, Real *out) {
-    Shared shared;
-    Corners<Real> corners;
-    place(tables, pairs, n, shared);
-    weigh(tables, pairs, shared, n, divide, corners);
-    for (int k = 0; k < n; ++k)
-        if (pairs.cos_o[k] <= 0.0) std::fill_n(out + ptrdiff_t(k) * tables.bands, tables.bands, Real(0));
-    read_tile(
-        tables, pairs, shared, corners, n,
-        [&](int k) INLINE_LAMBDA { return out + ptrdiff_t(k) * tables.bands; }, [](int) INLINE_LAMBDA {});
-}
-
-// Evaluate all pairs, tile by tile: those in `located` (K, 5) or, without it, of wi and wo (K, 3).
-template <class Real>
-void evaluate(const double *located, const double *wi, const double *wo, ptrdiff_t count, bool isotropic, int reduction,
-              bool divide, const Tables &tables, Real *out) {
-    fastest([&]() INLINE_LAMBDA {
-        Located pairs;
-        for (ptrdiff_t start = 0; start < count; start += TILE) {
-            const int n = int(std::min<ptrdiff_t>(TILE, count - start));
-            if (located)
-                copy_located(located, start, count, pairs);
-            else
-                locate(wi + 3 * start, wo + 3 * start, n, isotropic, reduction, pairs);
-            evaluate_tile(tables, pairs, n, divide, out + start * tables.bands);
+    const int bands = tables.bands;
+    with_slices(tables.warp.phi, [&](auto count) INLINE_LAMBDA {
+        Placed<count> placed;
+        Corners<Real, count> corners;
+        placed.place(tables.warp, pairs);
+        placed.weigh(tables, pairs, divide, corners);
+        if (bands <= FEW) {
+            // FEW numbers are written; the next pair overwrites what is too much.
+            const ptrdiff_t row_size = ptrdiff_t(tables.columns) * FEW;
+            for (int k = 0; k < n; ++k) {
+                Real values[FEW];
+                corners.read_few(row_size, k, values);
+                for (int b = 0; b < FEW; ++b) values[b] = pairs.cos_o[k] > 0.0 ? values[b] : Real(0);
+                if (k < n - 1)
+                    std::memcpy(out + ptrdiff_t(k) * bands, values, sizeof(values));
+                else
+                    std::copy_n(values, bands, out + ptrdiff_t(k) * bands);
+            }
+            return;
         }
+        for (int k = 0; k < n; ++k)
+            if (!(pairs.cos_o[k] > 0.0)) std::fill_n(out + ptrdiff_t(k) * bands, bands, Real(0));
+        read_tile(
+            tables, corners, pairs.cos_o, n, [&](int k) INLINE_LAMBDA { return out + ptrdiff_t(k) * bands; },
+            [](int) INLINE_LAMBDA {});
     });
 }
 
-template <class Real>
-void eval_pairs(Matrix<const double> wi, Matrix<const double> wo, bool isotropic, int reduction, bool divide,
-                const Tables &tables, Matrix<Real> out) {
-    require(wi.shape(1) == 3 && wo.shape(1) == 3 && wo.shape(0) == wi.shape(0) && out.shape(0) == wi.shape(0) &&
-                int(out.shape(1)) == tables.bands,
-            "expected directions (K, 3) and room for (K, B) values");
-    evaluate<Real>(nullptr, wi.data(), wo.data(), ptrdiff_t(wi.shape(0)), isotropic, reduction, divide, tables, out.data());
+// Rows of numbers of Python, in single or double precision: one for each pair, or one for all.
+using Arrays = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+// Results in single or double precision.
+template <class Shape> using Results = nb::ndarray<Shape, nb::c_contig, nb::device::cpu>;
+
+struct Sink {
+    void *data;
+    bool is_single;
+
+    template <class Shape> explicit Sink(const Results<Shape> &array) : data(array.data()), is_single(array.dtype() == nb::dtype<float>()) {
+        require(is_single || array.dtype() == nb::dtype<double>(), "expected results in single or double precision");
+    }
+
+    INLINE void set(ptrdiff_t index, double value) const {
+        if (is_single)
+            static_cast<float *>(data)[index] = float(value);
+        else
+            static_cast<double *>(data)[index] = value;
+    }
+};
+
+Rows rows_of(const Arrays &array, size_t count, size_t width) {
+    const bool is_single = array.dtype() == nb::dtype<float>();
+    require(is_single || array.dtype() == nb::dtype<double>(), "expected single or double precision");
+    require(array.shape(1) == width && (array.shape(0) == count || array.shape(0) == 1),
+            "expected a row for each result, or one for all");
+    return {array.data(), is_single, array.shape(0) == 1 ? 0 : ptrdiff_t(width)};
+}
+
+// Call f with the start and the number of pairs of each tile.
+template <class F> INLINE void over_tiles(ptrdiff_t count, const F &f) {
+    for (ptrdiff_t start = 0; start < count; start += TILE) f(start, int(std::min<ptrdiff_t>(TILE, count - start)));
+}
+
+// Locate pairs tile by tile and call f with each tile; return whether all directions are unit vectors.
+template <class F>
+INLINE bool over_pairs(const Rows &wi, const Rows &wo, ptrdiff_t count, Symmetry symmetry, bool needs_azimuth, const F &f) {
+    bool are_units = true;
+    fastest([&]() INLINE_LAMBDA {
+        Directions i, o;
+        Located pairs;
+        over_tiles(count, [&](ptrdiff_t start, int n) INLINE_LAMBDA {
+            are_units &= i.load(wi, start, n) & o.load(wo, start, n);
+            pairs.locate(i, o, symmetry, needs_azimuth);
+            f(start, n, i, o, pairs);
+        });
+    });
+    return are_units;
 }
 
 template <class Real>
-void eval_located(Matrix<const double> located, bool divide, const Tables &tables, Matrix<Real> out) {
+bool eval_pairs(Arrays wi, Arrays wo, bool isotropic, int repeats, bool divide, const Tables &tables, Matrix<Real> out) {
+    const size_t count = out.shape(0);
+    require(int(out.shape(1)) == tables.bands, "expected room for (K, B) values");
+    return over_pairs(rows_of(wi, count, 3), rows_of(wo, count, 3), count, {isotropic, repeats}, tables.needs_azimuth(),
+                      [&](ptrdiff_t start, int n, const Directions &, const Directions &, const Located &pairs)
+                          INLINE_LAMBDA { evaluate_tile(tables, pairs, n, divide, out.data() + start * tables.bands); });
+}
+
+void eval_located(Matrix<const double> located, const Tables &tables, Matrix<double> out) {
     require(located.shape(1) == 5 && out.shape(0) == located.shape(0) && int(out.shape(1)) == tables.bands,
             "expected located pairs (K, 5) and room for (K, B) values");
-    evaluate<Real>(located.data(), nullptr, nullptr, ptrdiff_t(located.shape(0)), false, 1, divide, tables, out.data());
+    fastest([&]() INLINE_LAMBDA {
+        Located pairs;
+        over_tiles(located.shape(0), [&](ptrdiff_t start, int n) INLINE_LAMBDA {
+            pairs.copy(located.data() + 5 * start, n);
+            evaluate_tile(tables, pairs, n, true, out.data() + start * tables.bands);
+        });
+    });
 }
 
 // Signed cube root of a single, within a unit in the last place; exact at zero.
@@ -312,245 +352,260 @@ void cube_roots(Vector<const float> values, Vector<float> out) {
 // Add the sum of weights f, or of weights times cube roots of f, of K located pairs to total (K, B).
 void add_located(Matrix<const double> located, const std::vector<const Tables *> &materials,
                  Vector<const float> weights, bool take_root, Matrix<float> total) {
-    const ptrdiff_t count = ptrdiff_t(located.shape(0));
-    const int bands = int(total.shape(1)), width = (bands + LANES - 1) / LANES * LANES;
+    const int bands = int(total.shape(1));
     require(located.shape(1) == 5 && total.shape(0) == located.shape(0) && weights.size() == materials.size(),
             "expected located pairs (K, 5), a weight for each material, and totals (K, B)");
-    std::vector<bool> is_placed(materials.size());
-    for (size_t m = 0; m < materials.size(); ++m) {
-        require(materials[m]->bands == bands, "expected materials with the bands of the total");
-        is_placed[m] = m > 0 && materials[m]->shares_grids(*materials[m - 1]);
-    }
-    std::vector<float> sums_of_tile(size_t(TILE) * width), two_rows(size_t(2) * width);
+    for (const Tables *material : materials)
+        require(material->bands == bands, "expected materials with the bands of the total");
+    const int width = bands <= FEW ? FEW : (bands + LANES - 1) / LANES * LANES;
+    std::vector<float> sums_of_tile(size_t(TILE) * width), rows_of_tile(size_t(TILE) * width);
     fastest([&]() INLINE_LAMBDA {
         Located pairs;
-        Shared shared;
-        Corners<float> corners;
-        float *sums = sums_of_tile.data(), *rows = two_rows.data();
-        for (ptrdiff_t start = 0; start < count; start += TILE) {
-            const int n = copy_located(located.data(), start, count, pairs);
-            std::fill(sums, sums + size_t(TILE) * width, 0.0f);
+        float *sums = sums_of_tile.data(), *rows = rows_of_tile.data();
+        over_tiles(located.shape(0), [&](ptrdiff_t start, int n) INLINE_LAMBDA {
+            pairs.copy(located.data() + 5 * start, n);
+            std::fill_n(sums, TILE * width, 0.0f);
             for (size_t m = 0; m < materials.size(); ++m) {
                 const Tables &tables = *materials[m];
                 const float weight = weights.data()[m];
-                if (!is_placed[m]) place(tables, pairs, n, shared);
-                weigh(tables, pairs, shared, n, true, corners);
-                read_tile(
-                    tables, pairs, shared, corners, n,
-                    [&](int k) INLINE_LAMBDA { return rows + ptrdiff_t(k % 2) * width; },
-                    [&](int k) INLINE_LAMBDA {
-                        add_row(rows + ptrdiff_t(k % 2) * width, weight, take_root, width, sums + ptrdiff_t(k) * width);
-                    });
+                with_slices(tables.warp.phi, [&](auto count) INLINE_LAMBDA {
+                    Placed<count> placed;
+                    Corners<float, count> corners;
+                    placed.place(tables.warp, pairs);
+                    placed.weigh(tables, pairs, true, corners);
+                    if (bands <= FEW) {
+                        for (int k = 0; k < TILE; ++k) corners.read_few(ptrdiff_t(tables.columns) * FEW, k, rows + FEW * k);
+                        add_row(rows, weight, take_root, TILE * FEW, sums);
+                        return;
+                    }
+                    // Two rows at a time stay in the nearest cache.
+                    read_tile(
+                        tables, corners, pairs.cos_o, n,
+                        [&](int k) INLINE_LAMBDA { return rows + ptrdiff_t(k % 2) * width; },
+                        [&](int k) INLINE_LAMBDA {
+                            add_row(rows + ptrdiff_t(k % 2) * width, weight, take_root, width, sums + ptrdiff_t(k) * width);
+                        });
+                });
             }
             for (int k = 0; k < n; ++k)
-                add_row(sums + ptrdiff_t(k) * width, 1.0f, false, bands, total.data() + (start + k) * bands);
-        }
+                if (pairs.cos_o[k] > 0.0)
+                    add_row(sums + ptrdiff_t(k) * width, 1.0f, false, bands, total.data() + (start + k) * bands);
+        });
     });
 }
 
 // Locate pairs of directions (K, 3) in the files of a symmetry: rows of `Pairs.located` into out (K, 5).
-void locate_pairs(Matrix<const double> wi, Matrix<const double> wo, bool isotropic, int reduction, Matrix<double> out) {
-    const ptrdiff_t count = ptrdiff_t(wi.shape(0));
-    require(wi.shape(1) == 3 && wo.shape(1) == 3 && wo.shape(0) == wi.shape(0) && out.shape(0) == wi.shape(0) &&
-                out.shape(1) == 5,
-            "expected directions (K, 3) and room for (K, 5) values");
-    fastest([&]() INLINE_LAMBDA {
-        Located pairs;
-        for (ptrdiff_t start = 0; start < count; start += TILE) {
-            const int n = int(std::min<ptrdiff_t>(TILE, count - start));
-            locate(wi.data() + 3 * start, wo.data() + 3 * start, n, isotropic, reduction, pairs);
-            for (int k = 0; k < n; ++k) {
-                double *to = out.data() + 5 * (start + k);
-                to[0] = pairs.theta_i[k], to[1] = pairs.phi_i[k];
-                to[2] = pairs.x[k], to[3] = pairs.y[k], to[4] = pairs.cos_o[k];
-            }
-        }
-    });
+void locate_pairs(Arrays wi, Arrays wo, bool isotropic, int repeats, Matrix<double> out) {
+    require(out.shape(1) == 5, "expected room for (K, 5) values");
+    over_pairs(rows_of(wi, out.shape(0), 3), rows_of(wo, out.shape(0), 3), out.shape(0), {isotropic, repeats}, true,
+               [&](ptrdiff_t start, int n, const Directions &, const Directions &, const Located &pairs) INLINE_LAMBDA {
+                   for (int k = 0; k < n; ++k) {
+                       double *to = out.data() + 5 * (start + k);
+                       to[0] = pairs.theta_i[k], to[1] = pairs.phi_i[k];
+                       to[2] = pairs.x[k], to[3] = pairs.y[k], to[4] = pairs.cos_o[k];
+                   }
+               });
 }
 
-// Densities of sampling wo from wi, K pairs (K, 3), into out (K,); `luminance` are nodes of the sampled density.
-void pdf_of_pairs(Matrix<const double> wi, Matrix<const double> wo, bool isotropic, int reduction, const Tables &tables,
-                  Cube<const double> luminance, Vector<double> out) {
-    const ptrdiff_t count = ptrdiff_t(wi.shape(0));
-    require(wi.shape(1) == 3 && wo.shape(1) == 3 && wo.shape(0) == wi.shape(0) && out.size() == wi.shape(0),
-            "expected directions (K, 3) and room for (K,) densities");
-    require(luminance.shape(0) == tables.data_array.shape(0) && luminance.shape(1) >= 2 && luminance.shape(2) >= 2,
-            "expected a luminance for each slice, of at least 2 x 2 nodes");
-    WarpView sampled = tables.warp;
-    sampled.data = luminance.data(), sampled.conditional = sampled.marginal = nullptr;
-    sampled.rows = int(luminance.shape(1)), sampled.columns = int(luminance.shape(2));
-    fastest([&]() INLINE_LAMBDA {
-        Located pairs;
-        for (ptrdiff_t start = 0; start < count; start += TILE) {
-            const int n = int(std::min<ptrdiff_t>(TILE, count - start));
-            locate(wi.data() + 3 * start, wo.data() + 3 * start, n, isotropic, reduction, pairs);
-            for (int k = 0; k < n; ++k) {
-                out.data()[start + k] = 0.0;
-                if (pairs.cos_o[k] <= 0.0) continue;
-                const Blend b = tables.warp.blend(pairs.phi_i[k], pairs.theta_i[k]);
-                double u, v, pdf;
-                tables.warp.invert(b, cell(pairs.y[k], tables.warp.rows), cell(pairs.x[k], tables.warp.columns), u, v, pdf);
-                // 2 <wi, m> = |wi + wo|
-                const double *i = wi.data() + 3 * (start + k), *o = wo.data() + 3 * (start + k);
-                const double mx = i[0] + o[0], my = i[1] + o[1], mz = i[2] + o[2];
-                const double length = std::sqrt(mx * mx + my * my + mz * mz);
-                const double cos_im = (i[0] * mx + i[1] * my + i[2] * mz) / length;
-                const double theta_m = elevation(mx, my, mz);
-                out.data()[start + k] =
-                    pdf * sampled.density(b, u, v) / half_vector_jacobian(pairs.x[k], theta_m, cos_im);
-            }
-        }
-    });
+// Densities of sampling wo from wi, K pairs, into out (K,); whether all directions are unit vectors.
+bool pdf_of_pairs(Arrays wi, Arrays wo, bool isotropic, int repeats, const Tables &tables, const Warp &luminance,
+                  Results<nb::ndim<1>> out) {
+    const Warp &warp = tables.warp;
+    const Sink sink(out);
+    require(luminance.phi == warp.phi && luminance.theta == warp.theta, "expected warps of the same incident directions");
+    return over_pairs(
+        rows_of(wi, out.size(), 3), rows_of(wo, out.size(), 3), out.size(), {isotropic, repeats}, warp.phi.size() > 1,
+        [&](ptrdiff_t start, int n, const Directions &i, const Directions &o, const Located &pairs) INLINE_LAMBDA {
+            with_slices(warp.phi, [&](auto count) INLINE_LAMBDA {
+                Placed<count> placed;
+                placed.place(warp, pairs);
+                double u[TILE], v[TILE], of_normal[TILE], of_luminance[TILE];
+                warp.invert(placed.around, placed.at, u, v, of_normal);
+                placed.at.find(u, v, luminance.rows, luminance.columns);
+                luminance.evaluate(placed.around, placed.at, of_luminance);
+                for (int k = 0; k < TILE; ++k) {
+                    const double x = i.x[k] + o.x[k], y = i.y[k] + o.y[k], z = i.z[k] + o.z[k], xy = x * x + y * y;
+                    const double length = std::sqrt(xy + z * z), sine = std::sqrt(xy) / length;
+                    const double cos_im = (i.x[k] * x + i.y[k] * y + i.z[k] * z) / length;
+                    const double pdf = of_normal[k] * of_luminance[k] / half_vector_jacobian(pairs.x[k], sine, cos_im);
+                    u[k] = pairs.cos_o[k] > 0.0 ? pdf : 0.0;
+                }
+                for (int k = 0; k < n; ++k) sink.set(start + k, u[k]);
+            });
+        });
 }
 
-// Outgoing directions of wi (K, 3) and uniforms (K, 2) into wo (K, 3), their densities into pdf (K,).
-void sample_directions(Matrix<const double> wi, Matrix<const double> uniforms, bool isotropic, int reduction,
-                       const Tables &tables, Cube<const double> luminance, Cube<const double> conditional,
-                       Matrix<const double> marginal, Matrix<double> wo, Vector<double> pdf) {
-    const ptrdiff_t count = ptrdiff_t(wi.shape(0));
-    require(wi.shape(1) == 3 && uniforms.shape(0) == wi.shape(0) && uniforms.shape(1) == 2 &&
-                wo.shape(0) == wi.shape(0) && wo.shape(1) == 3 && pdf.size() == wi.shape(0),
-            "expected directions (K, 3), uniforms (K, 2), and room for (K, 3) directions and (K,) densities");
-    const WarpView sampled = warp_view(luminance, conditional, marginal, tables.phi_array, tables.theta_array);
+// Outgoing directions of wi and uniforms, K of each, into wo (K, 3), their densities into pdf (K,); whether all wi are
+// unit vectors.
+bool sample_directions(Arrays wi, Arrays uniforms, bool isotropic, int repeats, const Tables &tables, const Warp &luminance,
+                       Results<nb::ndim<2>> wo, Results<nb::ndim<1>> pdf) {
+    const Warp &warp = tables.warp;
+    const Sink directions(wo), densities(pdf);
+    const size_t count = pdf.size();
+    const Symmetry symmetry{isotropic, repeats};
+    const Rows of_wi = rows_of(wi, count, 3), of_uniforms = rows_of(uniforms, count, 2);
+    require(wo.shape(0) == count && wo.shape(1) == 3, "expected room for (K, 3) directions and (K,) densities");
+    require(luminance.phi == warp.phi && luminance.theta == warp.theta, "expected warps of the same incident directions");
+    bool are_units = true;
     fastest([&]() INLINE_LAMBDA {
-        for (ptrdiff_t k = 0; k < count; ++k) {
-            double *to = wo.data() + 3 * k;
-            pdf.data()[k] = to[0] = to[1] = 0.0, to[2] = 1.0;
-            const double *from = wi.data() + 3 * k, *uniform = uniforms.data() + 2 * k;
-            if (!(from[2] > 0.0)) continue;
-            const Incident w(from, reduction);
-            const Blend b = tables.warp.blend(w.phi, w.theta);
-            double x, y, of_luminance, ux, uy, of_normal;
-            sampled.sample(b, uniform[1], uniform[0], x, y, of_luminance);
-            tables.warp.sample(b, x, y, ux, uy, of_normal);
-            const HalfVector m(ux, uy, w.phi, isotropic);
-            const double cos_im = m.dot(w);
-            if (!(cos_im > 0.0)) continue;
-            to[0] = w.sx * (2.0 * cos_im * m.x - w.x);
-            to[1] = w.sy * (2.0 * cos_im * m.y - w.y);
-            to[2] = 2.0 * cos_im * m.z - w.z;
-            if (to[2] > 0.0) pdf.data()[k] = of_normal * of_luminance / half_vector_jacobian(ux, m.theta, cos_im);
-        }
+        Directions from;
+        double u[TILE], v[TILE], of_luminance[TILE], of_normal[TILE];
+        over_tiles(count, [&](ptrdiff_t start, int n) INLINE_LAMBDA {
+            are_units &= from.load(of_wi, start, n);
+            load_points(of_uniforms, start, n, v, u);
+            const Incident i(from, symmetry, warp.phi.size() > 1);
+            with_slices(warp.phi, [&](auto slices) INLINE_LAMBDA {
+                Slices<slices> around;
+                around.find(warp.phi, warp.theta, i.phi, i.theta);
+                luminance.sample(around, u, v, n, u, v, of_luminance);
+                warp.sample(around, u, v, n, u, v, of_normal);
+            });
+            const Normals m(u, v, i, symmetry);
+            Directions to;
+            for (int k = 0; k < TILE; ++k) {
+                const double twice = 2.0 * m.cos_im[k];
+                const bool is_hit = (from.z[k] > 0.0) & (m.cos_im[k] > 0.0);
+                to.x[k] = is_hit ? i.sx[k] * (twice * m.x[k] - i.w.x[k]) : 0.0;
+                to.y[k] = is_hit ? i.sy[k] * (twice * m.y[k] - i.w.y[k]) : 0.0;
+                to.z[k] = is_hit ? twice * m.z[k] - i.w.z[k] : 1.0;
+                const double density = of_normal[k] * of_luminance[k] / half_vector_jacobian(u[k], m.sine[k], m.cos_im[k]);
+                of_normal[k] = is_hit & (to.z[k] > 0.0) ? density : 0.0;
+            }
+            for (int k = 0; k < n; ++k) {
+                const ptrdiff_t at = 3 * (start + k);
+                directions.set(at, to.x[k]), directions.set(at + 1, to.y[k]), directions.set(at + 2, to.z[k]);
+                densities.set(start + k, of_normal[k]);
+            }
+        });
     });
+    return are_units;
 }
 
 // Sums of f cos(theta_o) / pdf of the visible normals over n x n points of the unit square, of K incident directions
 // (K, 3), row by row, into out (K, n, B).
-void integrate(Matrix<const double> wi, bool isotropic, int reduction, const Tables &tables, Cube<double> out) {
-    const ptrdiff_t count = ptrdiff_t(wi.shape(0));
+void integrate(Arrays wi, bool isotropic, int repeats, const Tables &tables, Cube<double> out) {
+    const Symmetry symmetry{isotropic, repeats};
     const int n = int(out.shape(1)), bands = tables.bands;
-    require(wi.shape(1) == 3 && out.shape(0) == wi.shape(0) && int(out.shape(2)) == bands,
-            "expected directions (K, 3) and room for (K, n, B) values");
-    std::vector<double> row_of_point(bands);
+    Rows rows = rows_of(wi, out.shape(0), 3);
+    const ptrdiff_t step = rows.step;
+    rows.step = 0; // a tile has one incident direction
+    require(int(out.shape(2)) == bands, "expected room for (K, n, B) values");
+    std::fill_n(out.data(), out.size(), 0.0);
+    std::vector<double> row_of_point(std::max(bands, FEW));
     fastest([&]() INLINE_LAMBDA {
-        double *RESTRICT row = row_of_point.data();
-        std::fill_n(out.data(), count * n * bands, 0.0);
-        for (ptrdiff_t k = 0; k < count; ++k) {
-            const double *from = wi.data() + 3 * k;
-            if (!(from[2] > 0.0)) continue;
-            const Incident w(from, reduction);
-            Blend b = tables.warp.blend(w.phi, w.theta);
-            const Blend whole = b;
-            for (int q = 0; q < 4; ++q)
-                if (b.weight[q] == 0.0) b.slice[q] = b.slice[q ^ 1];
-            const Cell sigma_row = cell(phi_to_u(w.phi), tables.sigma_rows);
-            const Cell sigma_column = cell(theta_to_u(w.theta), tables.sigma_columns);
-            for (int i = 0; i < n; ++i) {
-                double *RESTRICT sums = out.data() + (k * n + i) * bands;
-                for (int j = 0; j < n; ++j) {
-                    const double u = (j + 0.5) / n, v = (i + 0.5) / n;
-                    double ux, uy, pdf;
-                    tables.warp.sample(whole, u, v, ux, uy, pdf);
-                    const HalfVector m(ux, uy, w.phi, isotropic);
-                    const double cos_im = m.dot(w), cos_o = 2.0 * cos_im * m.z - w.z;
-                    if (!(cos_im > 0.0 && cos_o > 0.0 && pdf > 0.0)) continue;
-                    const double scale = tables.scale(cell(uy, tables.ndf_rows), cell(ux, tables.ndf_columns), sigma_row,
-                                                      sigma_column) *
-                                         half_vector_jacobian(ux, m.theta, cos_im) / pdf;
-                    const Cell across = cell(v, tables.rows), along = cell(u, tables.columns);
-                    Corners<double> corners;
-                    corners.i[0] = across.index, corners.j[0] = along.index;
-                    for (int q = 0; q < 4; ++q) {
-                        const double share = b.weight[q] * scale, ty = across.offset, tx = along.offset;
-                        corners.weight[0][q][0] = share * ((1 - ty) * (1 - tx));
-                        corners.weight[0][q][1] = share * ((1 - ty) * tx);
-                        corners.weight[0][q][2] = share * (ty * (1 - tx));
-                        corners.weight[0][q][3] = share * (ty * tx);
-                    }
-                    if (b.has_two_azimuths)
-                        read(streams<double, 16>(tables, b, corners, 0), bands, row);
-                    else
-                        read(streams<double, 8>(tables, b, corners, 0), bands, row);
-                    for (int band = 0; band < bands; ++band) sums[band] += row[band];
+        Directions from;
+        double u[TILE], v[TILE], x[TILE], y[TILE], pdf[TILE], scale[TILE];
+        for (size_t k = 0; k < out.shape(0); ++k) {
+            from.load(rows, 0, TILE);
+            rows.data = rows.is_single ? static_cast<const void *>(static_cast<const float *>(rows.data) + step)
+                                       : static_cast<const void *>(static_cast<const double *>(rows.data) + step);
+            if (!(from.z[0] > 0.0)) continue;
+            const Incident i(from, symmetry, true);
+            with_slices(tables.warp.phi, [&](auto slices) INLINE_LAMBDA {
+                Slices<slices> around;
+                Corners<double, slices> corners;
+                around.find(tables.warp.phi, tables.warp.theta, i.phi, i.theta);
+                for (int line = 0; line < n; ++line) {
+                    double *RESTRICT sums = out.data() + (k * n + line) * bands, *RESTRICT row = row_of_point.data();
+                    over_tiles(n, [&](ptrdiff_t start, int points) INLINE_LAMBDA {
+                        for (int j = 0; j < TILE; ++j) u[j] = (start + j + 0.5) / n, v[j] = (line + 0.5) / n;
+                        tables.warp.sample(around, u, v, points, x, y, pdf);
+                        const Normals m(x, y, i, symmetry);
+                        tables.scale(i.theta, i.phi, x, y, scale);
+                        for (int j = 0; j < TILE; ++j) scale[j] *= half_vector_jacobian(x[j], m.sine[j], m.cos_im[j]) / pdf[j];
+                        corners.weigh(tables, around, u, v, scale);
+                        for (int j = 0; j < points; ++j) {
+                            const double cos_o = 2.0 * m.cos_im[j] * m.z[j] - i.w.z[j];
+                            if (!(m.cos_im[j] > 0.0 && cos_o > 0.0 && pdf[j] > 0.0)) continue;
+                            if (bands <= FEW)
+                                corners.read_few(ptrdiff_t(tables.columns) * FEW, j, row);
+                            else
+                                read(Streams<double, slices>(tables, corners, j), bands, row);
+                            for (int b = 0; b < bands; ++b) sums[b] += row[b];
+                        }
+                    });
                 }
-            }
+            });
         }
     });
 }
 
 enum Mode { DENSITY, SAMPLE, INVERT };
 
-// Points (K, 2) of the unit square through the warp of parameters phi and theta (K,), into out (K, 3): two coordinates,
+// Points (K, 2) of the unit square through a warp of parameters phi and theta (K,), into out (K, 3): two coordinates,
 // unless the mode is that of the density, and the density.
-void map_points(int mode, Cube<const double> data, Cube<const double> conditional, Matrix<const double> marginal,
-                Vector<const double> phi_nodes, Vector<const double> theta_nodes, Vector<const double> phi,
-                Vector<const double> theta, Matrix<const double> points, Matrix<double> out) {
-    const ptrdiff_t count = ptrdiff_t(points.shape(0));
-    require(points.shape(1) == 2 && phi.size() == points.shape(0) && theta.size() == points.shape(0) &&
-                out.shape(0) == points.shape(0) && out.shape(1) == 3,
+void map_points(int mode, const Warp &warp, Vector<const double> phi, Vector<const double> theta, Matrix<const double> points,
+                Matrix<double> out) {
+    const size_t count = out.shape(0);
+    require(points.shape(0) == count && phi.size() == count && theta.size() == count && out.shape(1) == 3,
             "expected points (K, 2), parameters (K,) and room for (K, 3) values");
-    const WarpView warp = warp_view(data, conditional, marginal, phi_nodes, theta_nodes);
+    const Rows of_points = rows_of(Arrays(points), count, 2);
     fastest([&]() INLINE_LAMBDA {
-        for (ptrdiff_t k = 0; k < count; ++k) {
-            const double x = points.data()[2 * k], y = points.data()[2 * k + 1];
-            double *to = out.data() + 3 * k;
-            const Blend b = warp.blend(phi.data()[k], theta.data()[k]);
-            if (mode == DENSITY)
-                to[2] = warp.density(b, x, y);
-            else if (mode == SAMPLE)
-                warp.sample(b, x, y, to[0], to[1], to[2]);
-            else
-                warp.invert(b, cell(y, warp.rows), cell(x, warp.columns), to[0], to[1], to[2]);
-        }
+        double x[TILE], y[TILE], to_x[TILE], to_y[TILE], pdf[TILE], phi_of_tile[TILE], theta_of_tile[TILE];
+        over_tiles(count, [&](ptrdiff_t start, int n) INLINE_LAMBDA {
+            load_points(of_points, start, n, x, y);
+            for (int k = 0; k < TILE; ++k) {
+                phi_of_tile[k] = phi.data()[start + std::min(k, n - 1)];
+                theta_of_tile[k] = theta.data()[start + std::min(k, n - 1)];
+            }
+            with_slices(warp.phi, [&](auto slices) INLINE_LAMBDA {
+                Slices<slices> around;
+                around.find(warp.phi, warp.theta, phi_of_tile, theta_of_tile);
+                if (mode == SAMPLE) {
+                    warp.sample(around, x, y, n, to_x, to_y, pdf);
+                    return;
+                }
+                Cells at;
+                at.find(x, y, warp.rows, warp.columns);
+                warp.invert(around, at, to_x, to_y, pdf);
+            });
+            for (int k = 0; k < n; ++k) {
+                double *to = out.data() + 3 * (start + k);
+                to[0] = to_x[k], to[1] = to_y[k], to[2] = pdf[k];
+            }
+        });
     });
 }
 
 // Values of an (R, C) table at points (K, 2) of the unit square, into out (K,).
 void interpolate(Matrix<const double> table, Matrix<const double> points, Vector<double> out) {
-    require(table.shape(0) >= 2 && table.shape(1) >= 2 && points.shape(1) == 2 && out.size() == points.shape(0),
-            "expected a table of at least 2 x 2 nodes, points (K, 2) and room for (K,) values");
-    const int rows = int(table.shape(0)), columns = int(table.shape(1));
-    for (size_t k = 0; k < out.size(); ++k) {
-        const double *point = points.data() + 2 * k;
-        out.data()[k] = bilinear(table.data(), columns, cell(point[1], rows), cell(point[0], columns));
-    }
+    const Grid<double> grid(table);
+    require(points.shape(0) == out.size(), "expected points (K, 2) and room for (K,) values");
+    const Rows of_points = rows_of(Arrays(points), out.size(), 2);
+    fastest([&]() INLINE_LAMBDA {
+        double x[TILE], y[TILE], values[TILE];
+        over_tiles(out.size(), [&](ptrdiff_t start, int n) INLINE_LAMBDA {
+            load_points(of_points, start, n, x, y);
+            grid.interpolate(x, y, values);
+            std::copy_n(values, n, out.data() + start);
+        });
+    });
 }
 
 } // namespace
 
 void bind_evaluation(nb::module_ &m) {
+    nb::class_<Warp>(m, "Warp")
+        .def(nb::init<Cube<const float>, Vector<const double>, Vector<const double>>(), "values"_a, "phi_nodes"_a,
+             "theta_nodes"_a);
     nb::class_<Tables>(m, "Tables")
-        .def(nb::init<bool, Matrix<const double>, Matrix<const double>, Cube<const double>, Cube<const double>,
-                      Matrix<const double>, Vector<const double>, Vector<const double>, Table4<const float>>(),
-             "jacobian"_a, "ndf"_a, "sigma"_a, "data"_a, "conditional"_a, "marginal"_a, "phi_nodes"_a, "theta_nodes"_a,
-             "spectra"_a);
+        .def(nb::init<bool, Matrix<const float>, Matrix<const float>, const Warp &, Table4<const float>>(), "jacobian"_a,
+             "ndf"_a, "sigma"_a, "warp"_a, "spectra"_a, nb::keep_alive<1, 5>());
     // Arrays that receive values are never copied: a copy would receive them instead.
-    m.def("eval_pairs", &eval_pairs<float>, "wi"_a, "wo"_a, "isotropic"_a, "reduction"_a, "divide"_a, "tables"_a,
+    m.def("eval_pairs", &eval_pairs<float>, "wi"_a, "wo"_a, "isotropic"_a, "repeats"_a, "divide"_a, "tables"_a,
           "out"_a.noconvert(), Unlocked());
-    m.def("eval_pairs", &eval_pairs<double>, "wi"_a, "wo"_a, "isotropic"_a, "reduction"_a, "divide"_a, "tables"_a,
+    m.def("eval_pairs", &eval_pairs<double>, "wi"_a, "wo"_a, "isotropic"_a, "repeats"_a, "divide"_a, "tables"_a,
           "out"_a.noconvert(), Unlocked());
-    m.def("eval_located", &eval_located<float>, "located"_a, "divide"_a, "tables"_a, "out"_a.noconvert(), Unlocked());
-    m.def("eval_located", &eval_located<double>, "located"_a, "divide"_a, "tables"_a, "out"_a.noconvert(), Unlocked());
+    m.def("eval_located", &eval_located, "located"_a, "tables"_a, "out"_a.noconvert(), Unlocked());
     m.def("cube_roots", &cube_roots, "values"_a, "out"_a.noconvert(), Unlocked());
     m.def("add_located", &add_located, "located"_a, "materials"_a, "weights"_a, "take_root"_a,
           "total"_a.noconvert(), Unlocked());
-    m.def("locate_pairs", &locate_pairs, "wi"_a, "wo"_a, "isotropic"_a, "reduction"_a, "out"_a.noconvert(), Unlocked());
-    m.def("pdf_of_pairs", &pdf_of_pairs, "wi"_a, "wo"_a, "isotropic"_a, "reduction"_a, "tables"_a, "luminance"_a,
+    m.def("locate_pairs", &locate_pairs, "wi"_a, "wo"_a, "isotropic"_a, "repeats"_a, "out"_a.noconvert(), Unlocked());
+    m.def("pdf_of_pairs", &pdf_of_pairs, "wi"_a, "wo"_a, "isotropic"_a, "repeats"_a, "tables"_a, "luminance"_a,
           "out"_a.noconvert(), Unlocked());
-    m.def("sample_directions", &sample_directions, "wi"_a, "uniforms"_a, "isotropic"_a, "reduction"_a, "tables"_a,
-          "luminance"_a, "conditional"_a, "marginal"_a, "wo"_a.noconvert(), "pdf"_a.noconvert(), Unlocked());
-    m.def("integrate", &integrate, "wi"_a, "isotropic"_a, "reduction"_a, "tables"_a, "out"_a.noconvert(), Unlocked());
-    m.def("map_points", &map_points, "mode"_a, "data"_a, "conditional"_a, "marginal"_a, "phi_nodes"_a,
-          "theta_nodes"_a, "phi"_a, "theta"_a, "points"_a, "out"_a.noconvert(), Unlocked());
+    m.def("sample_directions", &sample_directions, "wi"_a, "uniforms"_a, "isotropic"_a, "repeats"_a, "tables"_a,
+          "luminance"_a, "wo"_a.noconvert(), "pdf"_a.noconvert(), Unlocked());
+    m.def("integrate", &integrate, "wi"_a, "isotropic"_a, "repeats"_a, "tables"_a, "out"_a.noconvert(), Unlocked());
+    m.def("map_points", &map_points, "mode"_a, "warp"_a, "phi"_a, "theta"_a, "points"_a, "out"_a.noconvert(), Unlocked());
     m.def("interpolate", &interpolate, "table"_a, "points"_a, "out"_a.noconvert(), Unlocked());
 }

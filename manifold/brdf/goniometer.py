@@ -263,7 +263,7 @@ def measure(
     for p, t in np.ndindex(vndf.shape[:2]):
         wi = from_spherical(min(theta_i[t], HORIZON), phi_i[p])
         vndf[p, t] = _node_density(ndf, m, wi, warp_exponent)
-    warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
+    warp = Warp(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
     cells = [
         Cells.seen_from(warp, float(phi), float(theta), (resolution, resolution), is_isotropic=isotropic)
         for phi in phi_i

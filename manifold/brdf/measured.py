@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -13,8 +14,8 @@ from manifold.brdf.notebook import NotebookPicture
 from manifold.brdf.warp import Warp
 from manifold.core.compiled import loops
 from manifold.core.directions import require_directions, rotate_z
-from manifold.core.errors import UsageError
-from manifold.core.pairs import Pairs, Symmetry, flat_samples
+from manifold.core.errors import ShapeError, UsageError
+from manifold.core.pairs import Pairs, Symmetry, as_rows, results
 from manifold.core.records import Array, BsdfFile
 from manifold.core.threads import share_rows
 
@@ -54,30 +55,22 @@ class MeasuredBRDF(NotebookPicture):
         repeats, rotation_rad = (1, 0.0) if self.is_isotropic else (file.azimuth_repeats, file.rotation_rad)
         self.symmetry: Symmetry = (self.is_isotropic, repeats, rotation_rad)
         self._stored_luminance = file.luminance
-        self._warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+        self._axes = file.phi_i_rad, file.theta_i_rad
+        self._warp = Warp(file.vndf, *self._axes)
         band_last = np.moveaxis(file.spectra, 2, -1)  # (P, T, H, W, B)
         self.spectra = np.ascontiguousarray(band_last, np.float32).reshape(-1, *band_last.shape[2:])
-        self._scale = (bool(file.jacobian), np.asarray(file.ndf, float), np.asarray(file.sigma, float))
+        self._scale = bool(file.jacobian), file.ndf, file.sigma
         self.tables = self._tables()
 
     def _tables(self) -> loops.Tables:
-        warp = self._warp
-        return loops.Tables(
-            *self._scale,
-            warp.data,
-            warp.conditional,
-            warp.marginal,
-            warp.phi_nodes,
-            warp.theta_nodes,
-            self.spectra,
-        )
+        return loops.Tables(*self._scale, self._warp.tables, self.spectra)
 
     @cached_property
     def _luminance(self) -> Warp:
         """The density for sampling: the luminance, made positive, because RGB files have a few negative values."""
         density = np.maximum(self._stored_luminance, 0.0)  # [P, T, H, W]
         black = density.sum(axis=(2, 3), keepdims=True) <= 0
-        return Warp.from_values(np.where(black, 1.0, density), self._warp.phi_nodes, self._warp.theta_nodes)
+        return Warp(np.where(black, 1.0, density), *self._axes)
 
     def __repr__(self) -> str:
         return f"MeasuredBRDF({self.name!r}, {self.bands})"
@@ -109,19 +102,36 @@ class MeasuredBRDF(NotebookPicture):
         turned.symmetry = (*self.symmetry[:2], self.symmetry[2] - angle_rad)
         return turned
 
-    def _evaluate(self, wi: Array, wo: Array, divide: bool, out: Array | None) -> Array:
-        pairs = Pairs(wi, wo)
-        out = pairs.results(self.bands.count, out)
-        isotropic, repeats, rotation = self.symmetry
-        rows = out.reshape(len(pairs), self.bands.count)
-        flat_wi, flat_wo = pairs.turned(rotation)
+    def _turn(self, w: Array, sign: float = 1.0) -> Array:
+        """Return directions (K, 3) as the measured sample saw them, or with sign -1 turned back."""
+        rotation = sign * self.symmetry[2]
+        return rotate_z(w, rotation) if rotation else w
+
+    @staticmethod
+    def _share(work: Callable[[slice, Array, Array], bool], count: int, wi: Array, others: Array) -> bool:
+        """Call `work` with blocks of rows on several threads; return whether all directions are unit vectors."""
+        are_units: list[bool] = []
         share_rows(
-            lambda k: loops.eval_pairs(
-                flat_wi[k], flat_wo[k], isotropic, repeats, divide, self.tables, rows[k]
+            lambda k: are_units.append(
+                work(k, *(rows if len(rows) == 1 else rows[k] for rows in (wi, others)))
             ),
-            len(pairs),
+            count,
             _FEW,
         )
+        return all(are_units)
+
+    def _evaluate(self, wi: Array, wo: Array, divide: bool, out: Array | None) -> Array:
+        flat_wi, flat_wo, shape = as_rows(wi, wo, "wo")
+        out = results((*shape, self.bands.count), out, flat_wi.dtype)
+        rows = out.reshape(-1, self.bands.count)
+        if not self._share(
+            lambda k, i, o: loops.eval_pairs(i, o, *self.symmetry[:2], divide, self.tables, rows[k]),
+            len(rows),
+            self._turn(flat_wi),
+            self._turn(flat_wo),
+        ):
+            require_directions(wi, "wi")
+            require_directions(wo, "wo")
         return out
 
     def eval_at(self, pairs: Pairs) -> Array:
@@ -130,14 +140,15 @@ class MeasuredBRDF(NotebookPicture):
         Callers that distribute materials or blocks of pairs over threads use it.
         """
         out = np.empty((len(pairs), self.bands.count))
-        loops.eval_located(pairs.located(*self.symmetry), True, self.tables, out)
+        loops.eval_located(pairs.located(*self.symmetry), self.tables, out)
         return out
 
     def eval(self, wi: Array, wo: Array, out: Array | None = None) -> Array:
         """Return f in 1/sr, shape (..., B).
 
         Args:
-            wi, wo: unit vectors (..., 3) that broadcast against each other.
+            wi, wo: unit vectors (..., 3) that broadcast against each other. If both are in single precision, so are the
+                values.
             out: contiguous array (..., B) in double or single precision, which receives the values and is returned.
                 Passing the same array in every call saves up to half of the time, because no new memory is
                 allocated.
@@ -153,18 +164,17 @@ class MeasuredBRDF(NotebookPicture):
 
     def pdf(self, wi: Array, wo: Array) -> Array:
         """Return the density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
-        pairs = Pairs(wi, wo)
-        out = np.empty(len(pairs))
-        isotropic, repeats, rotation = self.symmetry
-        density, (flat_wi, flat_wo) = self._luminance.data, pairs.turned(rotation)
-        share_rows(
-            lambda k: loops.pdf_of_pairs(
-                flat_wi[k], flat_wo[k], isotropic, repeats, self.tables, density, out[k]
-            ),
+        flat_wi, flat_wo, shape = as_rows(wi, wo, "wo")
+        out, luminance = np.empty(math.prod(shape), flat_wi.dtype), self._luminance.tables
+        if not self._share(
+            lambda k, i, o: loops.pdf_of_pairs(i, o, *self.symmetry[:2], self.tables, luminance, out[k]),
             len(out),
-            _FEW,
-        )
-        return out.reshape(pairs.shape)
+            self._turn(flat_wi),
+            self._turn(flat_wo),
+        ):
+            require_directions(wi, "wi")
+            require_directions(wo, "wo")
+        return out.reshape(shape)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
         """Return outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks an invalid sample.
@@ -176,21 +186,21 @@ class MeasuredBRDF(NotebookPicture):
         Raises:
             ShapeError: as in `eval`, or u is not (..., 2) in [0, 1].
         """
-        flat_wi, flat_u, shape = flat_samples(wi, u)
-        isotropic, repeats, rotation = self.symmetry
-        flat_wi = rotate_z(flat_wi, rotation) if rotation else flat_wi
-        wo = np.empty_like(flat_wi)
-        pdf = np.empty(flat_wi.shape[0])
-        warp = self._luminance
-        luminance = (warp.data, warp.conditional, warp.marginal)
-        share_rows(
-            lambda k: loops.sample_directions(
-                flat_wi[k], flat_u[k], isotropic, repeats, self.tables, *luminance, wo[k], pdf[k]
+        flat_wi, flat_u, shape = as_rows(wi, u, "u", 2)
+        if flat_u.size and not (flat_u.min() >= 0.0 and flat_u.max() <= 1.0):
+            raise ShapeError("u has values outside [0, 1], expected uniform variates")
+        count, luminance = math.prod(shape), self._luminance.tables
+        wo, pdf = np.empty((count, 3), flat_wi.dtype), np.empty(count, flat_wi.dtype)
+        if not self._share(
+            lambda k, i, v: loops.sample_directions(
+                i, v, *self.symmetry[:2], self.tables, luminance, wo[k], pdf[k]
             ),
-            len(pdf),
-            _FEW,
-        )
-        wo = rotate_z(wo, -rotation) if rotation else wo
+            count,
+            self._turn(flat_wi),
+            flat_u,
+        ):
+            require_directions(wi, "wi")
+        wo = self._turn(wo, -1.0).astype(pdf.dtype, copy=False)
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
@@ -203,8 +213,7 @@ class MeasuredBRDF(NotebookPicture):
             ShapeError: as in `eval`.
         """
         wi = require_directions(wi, "wi")
-        isotropic, repeats, rotation = self.symmetry
-        flat = np.ascontiguousarray(rotate_z(wi, rotation).reshape(-1, 3))
+        flat = np.ascontiguousarray(self._turn(wi).reshape(-1, 3))
         sums = np.empty((flat.shape[0], resolution, self.bands.count))
-        share_rows(lambda k: loops.integrate(flat[k], isotropic, repeats, self.tables, sums[k]), len(flat), 1)
+        share_rows(lambda k: loops.integrate(flat[k], *self.symmetry[:2], self.tables, sums[k]), len(flat), 1)
         return np.asarray((sums.sum(axis=1) / resolution**2).reshape(*wi.shape[:-1], sums.shape[2]))

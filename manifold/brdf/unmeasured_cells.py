@@ -58,8 +58,8 @@ class Cells:
 def cells_of(
     file: BsdfFile, slices: Iterable[Sequence[int]] | None = None
 ) -> Iterator[tuple[int, int, Cells]]:
-    """Yield p, t and the cells of each slice of a file, of all by default; p is the azimuth, t the elevation."""
-    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    """Yield the cells of a file's slices, all by default, with their indices p of azimuth and t of elevation."""
+    warp = Warp(file.vndf, file.phi_i_rad, file.theta_i_rad)
     shape = file.spectra.shape
     for p, t in np.ndindex(shape[:2]) if slices is None else slices:
         phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])

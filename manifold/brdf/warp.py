@@ -9,8 +9,6 @@ Source: Dupuy & Jakob 2018, section 4; the interpolation is that of Mitsuba's `M
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from manifold.core.compiled import loops
@@ -28,45 +26,21 @@ def interpolate(table: Array, points: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True, eq=False)
 class Warp:
-    """A family of densities on the unit square, one per (phi, theta), with their cumulative sums.
+    """A family of densities on the unit square, one per (phi, theta), each of which integrates to 1.
 
     Attributes:
-        phi_nodes, theta_nodes: conditional parameters in radians, shapes (P,), (T,).
-        data: node values scaled so that each slice integrates to 1, shape (P * T, R, C).
-        conditional: cumulative sums along each row, shape (P * T, R, C).
-        marginal: cumulative sums of the rows, shape (P * T, R).
+        tables: what compiled loops read.
     """
 
-    phi_nodes: Array
-    theta_nodes: Array
-    data: Array
-    conditional: Array
-    marginal: Array
-
-    @classmethod
-    def from_values(cls, values: Array, phi_nodes: Array, theta_nodes: Array) -> Warp:
-        """Normalise node values of shape (P, T, R, C) and build their cumulative sums.
+    def __init__(self, values: Array, phi_nodes: Array, theta_nodes: Array) -> None:
+        """Normalise node values (P, T, R, C) and add them up.
 
         Args:
-            values: values at least 0, of which one in each slice is above 0.
+            values: values at least 0, of which one in each slice is above 0; used in single precision.
             phi_nodes, theta_nodes: in radians, shapes (P,) and (T,).
         """
-        data = values.astype(np.float64).reshape(-1, *values.shape[2:])
-        conditional = np.zeros_like(data)
-        np.cumsum(0.5 * (data[:, :, :-1] + data[:, :, 1:]), axis=2, out=conditional[:, :, 1:])
-        rows = conditional[:, :, -1]
-        marginal = np.zeros_like(rows)
-        np.cumsum(0.5 * (rows[:, :-1] + rows[:, 1:]), axis=1, out=marginal[:, 1:])
-        total = marginal[:, -1]
-        return cls(
-            np.ascontiguousarray(phi_nodes, dtype=np.float64),
-            np.ascontiguousarray(theta_nodes, dtype=np.float64),
-            data / total[:, None, None],
-            conditional / total[:, None, None],
-            marginal / total[:, None],
-        )
+        self.tables = loops.Warp(values.reshape(-1, *values.shape[2:]), phi_nodes, theta_nodes)
 
     def _run(self, mode: int, points: Array, phi: Array | float, theta: Array | float) -> Array:
         points = np.asarray(points, dtype=np.float64)
@@ -76,9 +50,8 @@ class Warp:
             np.ascontiguousarray(np.broadcast_to(a, shape), float).reshape(-1) for a in (phi, theta)
         )
         out = np.empty((flat.shape[0], 3))
-        tables = (self.data, self.conditional, self.marginal, self.phi_nodes, self.theta_nodes)
         share_rows(
-            lambda k: loops.map_points(mode, *tables, phi[k], theta[k], flat[k], out[k]), len(flat), _FEW
+            lambda k: loops.map_points(mode, self.tables, phi[k], theta[k], flat[k], out[k]), len(flat), _FEW
         )
         return out.reshape(*shape, 3)
 

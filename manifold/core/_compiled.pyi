@@ -11,24 +11,28 @@ from manifold.core.records import Array
 
 # evaluation.cpp
 
+class Warp:
+    """Densities (S, R, C) on the unit square, in single precision, with their cumulative sums; S slices are (P * T)."""
+
+    def __init__(self, values: Any, phi_nodes: Any, theta_nodes: Any) -> None: ...
+
 class Tables:
-    """The tables of an RGL file, in double precision but for spectra (S, H, W, B) in single; S slices are (P * T).
+    """The tables of an RGL file, in single precision: ndf and sigma (R, C), spectra (S, H, W, B)."""
 
-    Shapes: ndf and sigma (R, C), data and conditional (S, R, C), marginal (S, R), nodes (P,) and (T,).
-    """
+    def __init__(self, jacobian: bool, ndf: Any, sigma: Any, warp: Warp, spectra: Any) -> None: ...
 
-    def __init__(
-        self, jacobian: bool, ndf: Array, sigma: Array, data: Array, conditional: Array, marginal: Array,
-        phi_nodes: Array, theta_nodes: Array, spectra: Any,
-    ) -> None: ...  # fmt: skip
+# Directions and variates of pairs are rows in single or double precision, (K, n) or (1, n) of one for all.
 
 def eval_pairs(
-    wi: Array, wo: Array, isotropic: bool, reduction: int, divide: bool, tables: Tables, out: Array
-) -> None:
-    """Write f at K pairs (K, 3), or without `divide` f cos(theta_o), in all bands into out (K, B), double or single."""
+    wi: Array, wo: Array, isotropic: bool, repeats: int, divide: bool, tables: Tables, out: Any
+) -> bool:
+    """Write f at K pairs, or without `divide` f cos(theta_o), in all bands into out (K, B), double or single.
 
-def eval_located(located: Array, divide: bool, tables: Tables, out: Array) -> None:
-    """Write `eval_pairs` at K pairs that are located, (K, 5)."""
+    Returns whether all directions are unit vectors, as do `pdf_of_pairs` and `sample_directions`.
+    """
+
+def eval_located(located: Array, tables: Tables, out: Array) -> None:
+    """Write f at K pairs that are located, (K, 5), into out (K, B)."""
 
 def cube_roots(values: Any, out: Any) -> None:
     """Write signed cube roots of singles (K,), as `add_located` computes them, into out (K,)."""
@@ -38,27 +42,30 @@ def add_located(
 ) -> None:
     """Add the sum of weights (M,) times f, or times cube roots of f, at K located pairs to total (K, B), single."""
 
-def locate_pairs(wi: Array, wo: Array, isotropic: bool, reduction: int, out: Array) -> None:
-    """Write `Pairs.located` of pairs (K, 3) into out (K, 5)."""
+def locate_pairs(wi: Array, wo: Array, isotropic: bool, repeats: int, out: Array) -> None:
+    """Write `Pairs.located` of K pairs into out (K, 5)."""
 
 def pdf_of_pairs(
-    wi: Array, wo: Array, isotropic: bool, reduction: int, tables: Tables, luminance: Array, out: Array
-) -> None:
-    """Write densities of sampling wo from wi, K pairs, into out (K,); luminance is the `data` of the sampled warp."""
+    wi: Array, wo: Array, isotropic: bool, repeats: int, tables: Tables, luminance: Warp, out: Any
+) -> bool:
+    """Write densities of sampling wo from wi, K pairs, into out (K,), double or single."""
 
 def sample_directions(
-    wi: Array, uniforms: Array, isotropic: bool, reduction: int, tables: Tables, luminance: Array,
-    conditional: Array, marginal: Array, wo: Array, pdf: Array,
-) -> None:  # fmt: skip
-    """Write outgoing directions of wi (K, 3) and uniforms (K, 2) into wo (K, 3), their densities into pdf (K,)."""
+    wi: Array,
+    uniforms: Array,
+    isotropic: bool,
+    repeats: int,
+    tables: Tables,
+    luminance: Warp,
+    wo: Any,
+    pdf: Any,
+) -> bool:
+    """Write outgoing directions of wi and uniforms into wo (K, 3), their densities into pdf (K,), double or single."""
 
-def integrate(wi: Array, isotropic: bool, reduction: int, tables: Tables, out: Array) -> None:
+def integrate(wi: Array, isotropic: bool, repeats: int, tables: Tables, out: Array) -> None:
     """Sum f cos(theta_o) / pdf of visible normals over rows of n x n points, for wi (K, 3), into out (K, n, B)."""
 
-def map_points(
-    mode: int, data: Array, conditional: Array, marginal: Array, phi_nodes: Array, theta_nodes: Array,
-    phi: Array, theta: Array, points: Array, out: Array,
-) -> None:  # fmt: skip
+def map_points(mode: int, warp: Warp, phi: Array, theta: Array, points: Array, out: Array) -> None:
     """Write densities (mode 0), samples (1) or inverted samples (2) at points (K, 2), into out (K, 3)."""
 
 def interpolate(table: Any, points: Array, out: Array) -> None:

@@ -54,13 +54,14 @@ def require_directions(w: Array, name: str) -> Array:
     w = np.asarray(w, dtype=np.float64)
     if w.ndim == 0 or w.shape[-1] != 3:
         raise ShapeError(f"{name} has shape {w.shape}, expected (..., 3)")
+    length_squared = np.einsum("...i,...i->...", w, w)
+    deviation = np.abs(length_squared - 1.0)
+    if np.all(deviation <= 2e-3):
+        return w
     if not np.all(np.isfinite(w)):
         raise ShapeError(f"{name} has non-finite components, expected unit vectors; drop those directions")
-    length_squared = np.einsum("...i,...i->...", w, w)
-    if np.any(np.abs(length_squared - 1.0) > 2e-3):
-        worst = float(np.sqrt(length_squared.flat[int(np.argmax(np.abs(length_squared - 1.0)))]))
-        raise ShapeError(f"{name} has a vector of length {worst:.4g}, expected unit vectors; normalise them")
-    return w
+    worst = float(np.sqrt(length_squared.flat[int(np.argmax(deviation))]))
+    raise ShapeError(f"{name} has a vector of length {worst:.4g}, expected unit vectors; normalise them")
 
 
 @lru_cache(maxsize=32)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from manifold.core.compiled import loops
 from manifold.core.directions import from_rusinkiewicz, require_directions, rotate_z
@@ -34,6 +35,42 @@ def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
         raise ShapeError(f"wi has shape {wi.shape} and u {u.shape}; they do not broadcast") from error
     flat_wi, flat_u = (np.ascontiguousarray(np.broadcast_to(a, (*shape, a.shape[-1]))) for a in (wi, u))
     return flat_wi.reshape(-1, 3), flat_u.reshape(-1, 2), shape
+
+
+def as_rows(vectors: Array, others: Array, name: str, width: int = 3) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return directions (..., 3) and others (..., width) as contiguous rows, and the shape that they broadcast to.
+
+    The rows are (K, width), or one for all pairs; in single precision if both arrays were, else in double. Loops check
+    their values: passes of NumPy would take as long as the values of an RGB file.
+    """
+    vectors, others = np.asarray(vectors), np.asarray(others)
+    dtype: DTypeLike = np.float32 if vectors.dtype == others.dtype == np.float32 else np.float64
+    if vectors.ndim == 0 or vectors.shape[-1] != 3:
+        raise ShapeError(f"wi has shape {vectors.shape}, expected (..., 3)")
+    if others.ndim == 0 or others.shape[-1] != width:
+        raise ShapeError(f"{name} has shape {others.shape}, expected (..., {width})")
+    try:
+        shape = np.broadcast_shapes(vectors.shape[:-1], others.shape[:-1])
+    except ValueError as error:
+        raise ShapeError(
+            f"wi has shape {vectors.shape} and {name} {others.shape}; they do not broadcast"
+        ) from error
+    flat: list[Array] = [
+        np.ascontiguousarray(w if w.ndim == 1 else np.broadcast_to(w, (*shape, w.shape[-1])), dtype)
+        for w in (vectors, others)
+    ]
+    return flat[0].reshape(-1, 3), flat[1].reshape(-1, width), shape
+
+
+def results(shape: tuple[int, ...], out: Array | None, dtype: DTypeLike = np.float64) -> Array:
+    """Return the array for values of a shape: `out`, which must fit, or new memory of a type."""
+    if out is None:
+        return np.empty(shape, dtype)
+    if out.shape != shape or out.dtype not in (np.float32, np.float64) or not out.flags.carray:
+        raise ShapeError(
+            f"out is {out.dtype} {out.shape}, expected contiguous float32 or float64 {shape}, which can be written"
+        )
+    return out
 
 
 def cosine_weight(wi: Array, wo: Array) -> Array:
@@ -87,14 +124,7 @@ class Pairs:
 
     def results(self, count: int, out: Array | None) -> Array:
         """Return the array for `count` values per pair, (..., count): `out`, which must fit, or new memory."""
-        shape = (*self.shape, count)
-        if out is None:
-            return np.empty(shape)
-        if out.shape != shape or out.dtype not in (np.float32, np.float64) or not out.flags.carray:
-            raise ShapeError(
-                f"out is {out.dtype} {out.shape}, expected contiguous float32 or float64 {shape}, which can be written"
-            )
-        return out
+        return results((*self.shape, count), out)
 
     def turned(self, angle_rad: float) -> tuple[Array, Array]:
         """Rotate both directions about the normal; return two arrays (K, 3)."""

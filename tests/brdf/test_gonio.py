@@ -46,7 +46,7 @@ def test_compensation_lowers_the_error(alpha):
 def test_uncompensated_files_are_exact_at_their_nodes():
     truth = Plastic(GGX.isotropic(0.2), 1.5, 0.3, RGB)
     file = goniometer.measure(truth, "exact", compensate=False)
-    brdf, warp = MeasuredBRDF(file), Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    brdf, warp = MeasuredBRDF(file), Warp(file.vndf, file.phi_i_rad, file.theta_i_rad)
     t = np.linspace(0.0, 1.0, 32)
     nodes = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2)
     for theta in file.theta_i_rad[1:-1].astype(float):

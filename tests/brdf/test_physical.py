@@ -232,7 +232,7 @@ def test_albedo_above_one_at_grazing_incidence_changes_nothing_elsewhere(keeps_h
     below = np.rad2deg(plain.theta_i_rad[-2])
     for t in range(len(is_wrong) - 1):
         cells = Cells.seen_from(
-            Warp.from_values(plain.vndf, plain.phi_i_rad, plain.theta_i_rad), 0.0, float(plain.theta_i_rad[t]),
+            Warp(plain.vndf, plain.phi_i_rad, plain.theta_i_rad), 0.0, float(plain.theta_i_rad[t]),
             plain.spectra.shape[-2:], is_isotropic=True,
         )  # fmt: skip
         possible = np.rad2deg(np.arccos(np.clip(cells.wo[..., 2], -1.0, 1.0))) < below

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.brdf.warp import Warp
 from manifold.core.errors import UsageError
 from manifold.core.records import AnyArray, Array, BsdfFile
 
@@ -96,13 +95,13 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
         density = np.maximum(file.luminance, 0.0)
         density[density.sum(axis=(2, 3)) <= 0] = 1.0
         for values in (file.vndf, density):
-            warp = Warp.from_values(values, file.phi_i_rad, file.theta_i_rad)
+            data, conditional, marginal = cumulative_sums(values)
             row += [
-                warps.add(_warp_cells(warp, values.shape[:2])),
-                marginals.add(warp.marginal),
-                *warp.data.shape[1:],
+                warps.add(_warp_cells(data, conditional, values.shape[:2])),
+                marginals.add(marginal),
+                *values.shape[2:],
             ]
-            most_nodes = max(most_nodes, *warp.data.shape[1:])
+            most_nodes = max(most_nodes, *values.shape[2:])
         # The factor ndf / (4 sigma) is 1 where a file holds final values.
         one = np.ones((2, 2))
         ndf, sigma = (file.ndf, 4.0 * file.sigma) if file.jacobian else (one, one)
@@ -182,10 +181,25 @@ def _neighbours(slices: Array) -> Array:
     return np.stack([slices[:, : upper.shape[1]], upper], axis=-2)
 
 
-def _warp_cells(warp: Warp, of_incidence: tuple[int, ...]) -> Array:
+def cumulative_sums(values: Array) -> tuple[Array, Array, Array]:
+    """Normalise densities (P, T, R, C) to integrate to 1, and add them up.
+
+    Returns densities (P * T, R, C), their cumulative sums along each row, and those of the rows (P * T, R).
+    """
+    data = values.astype(np.float64).reshape(-1, *values.shape[2:])
+    conditional = np.zeros_like(data)
+    np.cumsum(0.5 * (data[:, :, :-1] + data[:, :, 1:]), axis=2, out=conditional[:, :, 1:])
+    rows = conditional[:, :, -1]
+    marginal = np.zeros_like(rows)
+    np.cumsum(0.5 * (rows[:, :-1] + rows[:, 1:]), axis=1, out=marginal[:, 1:])
+    total = marginal[:, -1]
+    return data / total[:, None, None], conditional / total[:, None, None], marginal / total[:, None]
+
+
+def _warp_cells(data: Array, conditional: Array, of_incidence: tuple[int, ...]) -> Array:
     """Return all cells of a warp of P x T incidences, shape (P, T - 1, R - 1, C - 1, 2, 8)."""
-    before = np.stack([warp.conditional[:, :-1, :-1], warp.conditional[:, 1:, :-1]], axis=-1)
-    totals = warp.conditional[:, :, -1]
+    before = np.stack([conditional[:, :-1, :-1], conditional[:, 1:, :-1]], axis=-1)
+    totals = conditional[:, :, -1]
     rows = np.stack([totals[:, :-1], totals[:, 1:]], axis=-1)[:, :, None, :]
-    cells = np.concatenate([_corners(warp.data), before, np.broadcast_to(rows, before.shape)], axis=-1)
+    cells = np.concatenate([_corners(data), before, np.broadcast_to(rows, before.shape)], axis=-1)
     return _neighbours(cells.reshape(*of_incidence, *cells.shape[1:]))

@@ -82,7 +82,7 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
     brdf = MeasuredBRDF(replace(file, rotation_rad=0.0))  # nodes are where the sample was measured
     vndf = _resampled(file.vndf[:, theta_i], warp_nodes)
     theta, phi = file.theta_i_rad[theta_i], file.phi_i_rad
-    warp = Warp.from_values(vndf, phi, theta)
+    warp = Warp(vndf, phi, theta)
     shape = (len(phi), len(theta), resolution, resolution)
     values = np.zeros((*shape, file.bands.count), dtype=np.float32)
     measured = np.zeros(shape, dtype=bool)

@@ -9,6 +9,7 @@ place until the new one is there.
 from __future__ import annotations
 
 import glob
+import json
 import os
 import shutil
 import tempfile
@@ -37,6 +38,7 @@ from manifold.library.layout import (
     write_group,
 )
 from manifold.records import Bands, BsdfFile
+from manifold.stores import CONSOLIDATED, METADATA, Entry
 
 _REPLACED = ".replaced"
 _PARTS = ("materials", "cache")  # folders in which folders are replaced
@@ -126,14 +128,15 @@ def publish(staged: Path, target: Path) -> None:
     _conclude(target)
 
 
-def standing(target: Path) -> Path:
-    """Return the current place of a folder, which is beside its final one while it is being replaced."""
-    return _replaced(target) if not target.exists() and _replaced(target).is_dir() else target
+def standing(folder: Entry, name: str) -> Entry:
+    """Return the current place of a folder in another, which is beside its final one while it is being replaced."""
+    target, replaced = folder / name, folder / f".{name}{_REPLACED}"
+    return replaced if not target.is_folder and replaced.is_folder else target
 
 
-def standing_names(folder: Path) -> set[str]:
+def standing_names(folder: Entry) -> set[str]:
     """Return the names of the folders in a folder, including those that are being replaced."""
-    found = {entry.name for entry in os.scandir(folder) if entry.is_dir()}
+    found = folder.folders
     replaced = {
         name[1 : -len(_REPLACED)] for name in found if name.startswith(".") and name.endswith(_REPLACED)
     }
@@ -153,6 +156,20 @@ def _conclude(target: Path) -> None:
         old.unlink()
     else:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def consolidate(library: Path) -> None:
+    """Write the metadata of all materials into the library's own, so that reading over HTTP takes few requests."""
+    files = sorted((library / "materials").rglob(METADATA))
+    parts = {file: file.parent.relative_to(library).parts for file in files}
+    below = {
+        "/".join(names): json.loads(file.read_bytes())
+        for file, names in parts.items()
+        if not any(name.startswith(".") for name in names)  # of materials that are being replaced
+    }
+    root = json.loads((library / METADATA).read_bytes())
+    root[CONSOLIDATED] = {"kind": "inline", "must_understand": False, "metadata": below}
+    disk.write_bytes(library / METADATA, json.dumps(root).encode())
 
 
 def make_store(folder: Path, bands: Bands, staged: Path) -> None:

@@ -219,6 +219,7 @@ def export(
     balls of the material and of its fit, mean of {manifold.judged_lights.LIGHTS} that the fit did not use. The error of
     Mitsuba's principled, where the fit starts, is printed beside it.
     """
+    from manifold.estimate.inputs import is_many
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
     from manifold.io_rgl import material_name
@@ -232,7 +233,7 @@ def export(
     if pack is not None and source is None and latent is None:
         source = str(library or options.DEFAULT_LIBRARY)
     material = options.one_material(source, latent, model, library, colour=colour)
-    if isinstance(material, FileSource) and material.path.is_dir():
+    if isinstance(material, FileSource) and is_many([material]):
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         command = exporting.exports(

@@ -243,7 +243,7 @@ def embed(
     results.document(
         {
             "model": str(output),
-            "library": str(library),
+            "library": library,
             "settings": dict(vars(settings)),
             "statistics": fitted.statistics,
             "candidates": [c.to_json() for c in candidates],

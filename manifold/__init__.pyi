@@ -4,7 +4,7 @@ from .fit.principled import fit_bsdf
 from .io_rgl import read_bsdf, write_bsdf
 from .library.importing import import_files
 from .library.store import Library
-from .model.manifold import Manifold
+from .model.manifold import Manifold, built_in
 from .model.settings import Settings
 from .records import Bands
 from .render.ball import render_ball
@@ -18,6 +18,7 @@ __all__ = [
     "MeasuredBRDF",
     "Settings",
     "analytic",
+    "built_in",
     "colour",
     "directions",
     "dls",

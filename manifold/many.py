@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold import shipped
 from manifold.batch import (
     LAB_UNDER,
     MEASURED,
@@ -209,7 +210,7 @@ def locations(model: Path, *, library: Path | None, options: OutputOptions) -> C
     columns = _latent_columns(loaded.settings.latent_dim)
     columns |= placed(Located.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
     content_hash = loaded.library.content_hash
-    how = {"model": file_sha256(model), "library": content_hash, **asdict(options)}
+    how = {"model": file_sha256(shipped.model_file(model)), "library": content_hash, **asdict(options)}
     make = partial(_locate, model=model, library=library, options=options)
     return Command(
         "locations", make, how, columns=columns, under=BALL_COLUMN, has_balls=True, is_of_measured=True

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from manifold import shipped
 from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
@@ -84,7 +85,7 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     """
     text = text.strip()
     path = Path(text)
-    if os.path.isfile(path):
+    if os.path.isfile(path) or shipped.is_elsewhere(path):
         return FileSource(path)
     looks_like_file = "/" in text or _FILE_ENDING.fullmatch(path.suffix) is not None
     try:

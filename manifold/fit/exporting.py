@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold import disk
+from manifold import disk, shipped
 from manifold.batch import Batch, Command, Content, Outcome
 from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF
@@ -137,8 +137,8 @@ def subject_of_prediction(
     predicted = predict_and_diagnose(loaded, place, colour)
     name = latent if isinstance(latent, str) and latent in loaded.names else "predicted"
     source = {
-        "model": model.name,
-        "model_sha256": file_sha256(model),
+        "model": shipped.named(model.name),
+        "model_sha256": file_sha256(shipped.model_file(model)),
         "latent": None if predicted.latent is None else predicted.latent.tolist(),
         "walk": predicted.walk,
         "colour": predicted.colour,
@@ -157,7 +157,7 @@ def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
 def subject_in_library(library: Library, name: str) -> Subject:
     """Fit a material of a library."""
     info = library.attributes(name)
-    described = {"library": library.path.name, "file": info.source_file, "sha256": info.sha256}
+    described = {"library": shipped.named(library.path.name), "file": info.source_file, "sha256": info.sha256}
     return subject_of_file(library.read(name), described)
 
 

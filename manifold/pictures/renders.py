@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from manifold import __version__
+from manifold import __version__, shipped
 from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
@@ -172,10 +172,10 @@ def latent_material(
             f"{at}: direct renders are of latents, not of steps of walks; render a predicted file"
         )
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
-    bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
+    bsdf = {"type": "manifold", "model": shipped.named(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}
     if library is not None:
-        bsdf["library"] = str(library)
+        bsdf["library"] = shipped.named(library)
     yield BallMaterial(f"latent {at}", bsdf, loaded.bands.is_rgb, "measured materials, directly"), predicted
 
 

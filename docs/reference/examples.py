@@ -26,6 +26,11 @@ model.save("corpus.h5")
 model = mf.Manifold.load("corpus.h5")
 prediction = model.predict([-0.3, 1.2])
 
+# manifold.built_in
+built_in = mf.built_in()  # a Manifold of 20 measured RGB materials
+built_in.library.names
+built_in.predict([0.3, 0.2])
+
 # manifold.read_bsdf
 file = mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf")
 file.name, file.bands, file.theta_i_rad

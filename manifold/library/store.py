@@ -232,7 +232,7 @@ class Library:
 
         Libraries that are only read may bring some along.
         """
-        for home in (Entry.of_folder(self._cache_home), self._root):
+        for home in dict.fromkeys((Entry.of_folder(self._cache_home), self._root)):
             folder = home / "cache" / key
             try:
                 if not folder.is_folder:
@@ -305,7 +305,7 @@ def require_folder(path: Path | str) -> None:
     elif name is None and Path(path).is_file():
         name = str(path)
     if name is not None:
-        raise UsageError(f"{name}: only read, expected a folder; import the files into a library of your own")
+        raise UsageError(f"{name} is read only, expected a folder; import the files into a library of your own")
 
 
 def _root(path: Path | str) -> Entry:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.paths import real_rgl_folder
+from helpers.real_materials import real_materials
 from helpers.reference import left_out
 from helpers.small_library import NAMES, measured, spectral_materials
 
@@ -17,7 +17,6 @@ from manifold.evaluate.latent_models import fit_settings
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import STANDARD, standard_methods
 from manifold.gplvm import GPLVM
-from manifold.io_rgl import read_bsdf
 from manifold.metrics import cube_root_error, relative_error, rmse
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.pairs import RusinkiewiczGrid
@@ -274,11 +273,8 @@ def test_standardised_errors_are_errors_over_expected_deviations(data):
 
 def errors_on_the_real_files(keys):
     """Median and 90th percentile by method, as in docs/explanation/accuracy.md."""
-    folder = real_rgl_folder()
-    files = [] if folder is None else sorted(folder.glob("*_rgb.bsdf"))
-    if len(files) != 20:
-        pytest.skip("needs the 20 real RGB files: set MANIFOLD_RGL_DIR to a folder of exactly those")
-    data = Data.evaluate([MeasuredBRDF(read_bsdf(path)) for path in files], RusinkiewiczGrid.named("default"))
+    materials = [MeasuredBRDF(file) for file in real_materials()]
+    data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     errors = measure_errors([encode_all(data, METHODS[key]).combinations for key in keys], data.bands, [data])
     linear = {key: e.of_values().linear for key, e in zip(keys, errors, strict=True)}
     median, p90 = ({key: np.quantile(e, q) for key, e in linear.items()} for q in (0.5, 0.9))

@@ -157,14 +157,14 @@ def test_writers_refuse_what_is_only_read(folder, tmp_path, path):
         lambda: import_files(path, tmp_path / "files"),
         lambda: Library.create(path, Library(folder).bands),
     ):
-        with pytest.raises(UsageError, match="only read"):
+        with pytest.raises(UsageError, match="is read only"):
             write()
     assert not Path("built-in").exists()
 
 
 def test_the_built_in_and_zipped_libraries_are_not_compacted(folder):
     for path in ("built-in", zipped(folder)):
-        with pytest.raises(UsageError, match="only read"):
+        with pytest.raises(UsageError, match="is read only"):
             compact_library(path)
 
 

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from manifold.errors import LibraryError
 from manifold.extras import require
 
-METADATA = "zarr.json"
+METADATA, MATERIALS = "zarr.json", "materials"
 CONSOLIDATED = "consolidated_metadata"
-"""The key in the metadata of a root under which zarr stores those of all groups and arrays below it."""
+"""The key in the metadata of a group under which zarr stores those of all groups and arrays below it."""
 
 _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]+):/+(?=[^/])")  # two letters or more: one is a drive of Windows
 
@@ -186,7 +186,7 @@ def is_zipped_library(path: Path) -> bool:
 class RemoteStore:
     """An address that fsspec opens.
 
-    The metadata of all groups and arrays are read at once, from the root's; a file is fetched when its size is asked
+    The metadata of all materials are read at once, from that of their group; a file is fetched when its size is asked
     for, and kept until it is read.
     """
 
@@ -202,8 +202,8 @@ class RemoteStore:
         self._fetched: dict[str, bytes] = {}
         try:
             self._files, self._root = fsspec.url_to_fs(address)
-            root: dict[str, Any] = json.loads(self._files.cat_file(f"{self._root}/{METADATA}"))
-            below: dict[str, Any] | None = (root.get(CONSOLIDATED) or {}).get("metadata")
+            root, group = (self._json(path) for path in (METADATA, f"{MATERIALS}/{METADATA}"))
+            below = group.pop(CONSOLIDATED, {}).get("metadata")
         except ImportError as error:  # fsspec names what the protocol needs
             raise LibraryError(
                 f"{address}: {error}; pip install 'brdf-manifold[remote]', or the package of its protocol"
@@ -216,11 +216,12 @@ class RemoteStore:
             ) from error
         if below is None:
             raise LibraryError(
-                f"{address}: its {METADATA} lacks the metadata of its materials, as versions before 0.5 wrote it; "
-                "import its files again where it is stored"
+                f"{address}: its {MATERIALS}/{METADATA} lacks the metadata of the materials, as versions before 0.5 "
+                "wrote it; import its files again where it is stored"
             )
-        self._metadata = {METADATA: root} | {f"{path}/{METADATA}": each for path, each in below.items()}
-        self._groups = set(below)
+        metadata = {MATERIALS: group} | {f"{MATERIALS}/{path}": each for path, each in below.items()}
+        self._metadata = {METADATA: root} | {f"{path}/{METADATA}": each for path, each in metadata.items()}
+        self._groups = set(metadata)
 
     def folders(self, path: str) -> list[str]:
         """Return the names of the folders in a folder."""
@@ -245,6 +246,9 @@ class RemoteStore:
         if most < 0:
             self._fetched.pop(path, None)
         return np.frombuffer(bytearray(content if most < 0 else content[:most]), np.uint8)
+
+    def _json(self, path: str) -> dict[str, Any]:
+        return dict(json.loads(self._files.cat_file(f"{self._root}/{path}")))
 
     def _content(self, path: str) -> bytes:
         if path in self._metadata:

@@ -15,7 +15,7 @@
 
 Arrays are written by zarr, and read by NumPy in those forms that are written here: zarr takes longer to import and to
 read than a prediction to compute. Files of others are checked first: sizes, codecs, and that no chunk is missing. The
-root's metadata have those of all materials (zarr's consolidated metadata), for libraries that are read over HTTP.
+metadata of `materials` include those of all materials (zarr's consolidated metadata), for reading over HTTP.
 """
 
 from __future__ import annotations

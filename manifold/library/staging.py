@@ -38,7 +38,7 @@ from manifold.library.layout import (
     write_group,
 )
 from manifold.records import Bands, BsdfFile
-from manifold.stores import CONSOLIDATED, METADATA, Entry
+from manifold.stores import CONSOLIDATED, MATERIALS, METADATA, Entry
 
 _REPLACED = ".replaced"
 _PARTS = ("materials", "cache")  # folders in which folders are replaced
@@ -159,17 +159,17 @@ def _conclude(target: Path) -> None:
 
 
 def consolidate(library: Path) -> None:
-    """Write the metadata of all materials into the library's own, so that reading over HTTP takes few requests."""
-    files = sorted((library / "materials").rglob(METADATA))
-    parts = {file: file.parent.relative_to(library).parts for file in files}
+    """Write the metadata of all materials into that of their group, so that reading over HTTP takes few requests."""
+    group = library / MATERIALS
+    parts = {file: file.parent.relative_to(group).parts for file in sorted(group.rglob(METADATA))}
     below = {
         "/".join(names): json.loads(file.read_bytes())
         for file, names in parts.items()
-        if not any(name.startswith(".") for name in names)  # of materials that are being replaced
+        if names and not names[0].startswith(".")  # which are being replaced
     }
-    root = json.loads((library / METADATA).read_bytes())
-    root[CONSOLIDATED] = {"kind": "inline", "must_understand": False, "metadata": below}
-    disk.write_bytes(library / METADATA, json.dumps(root).encode())
+    own = json.loads((group / METADATA).read_bytes())
+    own[CONSOLIDATED] = {"kind": "inline", "must_understand": False, "metadata": below}
+    disk.write_bytes(group / METADATA, json.dumps(own).encode())
 
 
 def make_store(folder: Path, bands: Bands, staged: Path) -> None:

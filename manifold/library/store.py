@@ -266,7 +266,9 @@ class Library:
     @cached_property
     def _cache_home(self) -> Path:
         """The folder of the cache: the library's own, or the user's if the library is only read."""
-        if self.path.is_dir() and all(os.access(p, os.W_OK) for p in (self.path, self.path.parent)):
+        # Locks and staging folders stand beside a library, but in one that is a mount point.
+        homes = (self.path, self.path if os.path.ismount(self.path) else self.path.parent)
+        if self.path.is_dir() and all(os.access(home, os.W_OK) for home in homes):
             return self.path
         return user_cache_path("manifold") / "libraries" / self.content_hash
 
@@ -305,7 +307,9 @@ def require_folder(path: Path | str) -> None:
     elif name is None and Path(path).is_file():
         name = str(path)
     if name is not None:
-        raise UsageError(f"{name} is read only, expected a folder; import the files into a library of your own")
+        raise UsageError(
+            f"{name} is read only, expected a folder; import the files into a library of your own"
+        )
 
 
 def _root(path: Path | str) -> Entry:

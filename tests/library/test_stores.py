@@ -86,12 +86,12 @@ def test_a_library_over_http_is_read_as_its_folder_is(folder, served):
     )  # as options have it, which drops a slash
 
 
-def test_opening_a_library_over_http_takes_one_request(served):
+def test_opening_a_library_over_http_takes_two_requests(served):
     address, requests = served
     library = Library(address)
     assert [library.attributes(name).name for name in library.names] == list(library.names)
     assert library.content_hash
-    assert requests == [f"GET /library.zarr/{stores.METADATA}"]
+    assert requests == [f"GET /library.zarr/{path}" for path in ("zarr.json", "materials/zarr.json")]
 
 
 def test_each_file_is_fetched_once(folder, served):
@@ -100,7 +100,7 @@ def test_each_file_is_fetched_once(folder, served):
     chunks = [
         path for path in (folder / "materials" / "m00").rglob("*") if path.is_file() and path.name[0] == "c"
     ]
-    assert len(requests) == len(set(requests)) == 1 + len(chunks)
+    assert len(requests) == len(set(requests)) == 2 + len(chunks)
 
 
 def test_a_missing_chunk_over_http_names_the_material(folder, served):
@@ -116,9 +116,10 @@ def test_an_address_without_a_library_is_an_error_of_one_line(served):
 
 
 def test_a_library_without_consolidated_metadata_says_how_to_get_them(folder, served):
-    root = json.loads((folder / "zarr.json").read_text())
-    del root["consolidated_metadata"]
-    (folder / "zarr.json").write_text(json.dumps(root))
+    path = folder / "materials" / "zarr.json"
+    group = json.loads(path.read_text())
+    del group["consolidated_metadata"]
+    path.write_text(json.dumps(group))
     with pytest.raises(LibraryError, match="import its files again where it is stored"):
         Library(served[0])
 
@@ -127,12 +128,19 @@ def test_consolidated_metadata_are_those_that_zarr_expects(folder, tmp_path):
     write_samples(tmp_path / "more", 3)
     import_files(folder, tmp_path / "more")
     compact_library(folder, 5.0)
-    group = zarr.open_consolidated(folder)
-    assert sorted(group["materials"].group_keys()) == ["m00", "m01", "m02"]
+    group = zarr.open_consolidated(folder / "materials")
+    assert sorted(group.group_keys()) == ["m00", "m01", "m02"]
     stored = zarr.open_group(folder, use_consolidated=False)["materials"]
     for name in ("m00", "m02"):
-        assert sorted(group["materials"][name].array_keys()) == sorted(stored[name].array_keys())
-        assert dict(group["materials"][name].attrs) == dict(stored[name].attrs)
+        assert sorted(group[name].array_keys()) == sorted(stored[name].array_keys())
+        assert dict(group[name].attrs) == dict(stored[name].attrs)
+
+
+def test_the_metadata_of_a_library_do_not_grow_with_its_materials(folder, tmp_path):
+    before = (folder / "zarr.json").read_bytes()
+    write_samples(tmp_path / "more", 3)
+    import_files(folder, tmp_path / "more")
+    assert (folder / "zarr.json").read_bytes() == before
 
 
 def test_what_is_only_read_is_cached_for_the_user(folder, tmp_path):

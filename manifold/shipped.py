@@ -42,7 +42,7 @@ def content_hash() -> str:
 
 
 def named(path: PurePath | str) -> str:
-    """Return a path as JSON and scenes name it: `built-in` with the hash of what this version brings."""
+    """Return a path as JSON and scenes name it: `built-in` with the hash of its content."""
     if is_built_in(path):
         return f"{BUILT_IN}@{content_hash()}"
     return address_of(path) or str(path)
@@ -58,7 +58,7 @@ def require_same(path: PurePath | str) -> None:
 
 
 def is_elsewhere(path: PurePath | str) -> bool:
-    """Return whether a path names what the file system does not have: the built-in library or model, or an address."""
+    """Return whether a path names the built-in library or model, or an address, which no file system has."""
     return is_built_in(path) or address_of(path) is not None
 
 
@@ -68,7 +68,7 @@ def resolved(path: PurePath | str) -> Path:
 
 
 def exists(path: Path) -> bool:
-    """Return whether a path names a file or folder that is there, or what the file system does not have."""
+    """Return whether a path names the built-in library or model, an address, or a file or folder that is there."""
     return is_elsewhere(path) or path.exists()
 
 

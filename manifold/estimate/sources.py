@@ -135,6 +135,8 @@ def _names(model: Path, library: Path | None) -> tuple[Path, tuple[str, ...]]:
     """Return the library in which names are looked up, and its names."""
     from manifold.library.store import Library
 
+    if shipped.is_built_in(library or model):  # not opened, which would say that it is used
+        return shipped.BUILT_IN, tuple(shipped.about()["materials"])
     if library is None:
         from manifold.model.model_file import read_model
 

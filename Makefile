@@ -10,7 +10,7 @@ MINUTES ?= 10
 # Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-machines test-slow test-lowest check attack bench evidence golden engines docs clean help
+.PHONY: demo test test-machines test-slow test-lowest check built-in attack bench evidence golden engines docs clean help
 
 help:
 	@echo "make demo        run all main steps on the built-in corpus, into $(OUT)/"
@@ -18,7 +18,8 @@ help:
 	@echo "make test-slow   run the slow ones"
 	@echo "make test-machines run the tests as processors of other core types compute, with one thread and two: hours"
 	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
-	@echo "make check       ruff, mypy, import-linter, circular imports, spelling, formulas"
+	@echo "make check       ruff, mypy, import-linter, circular imports, spelling, formulas, built-in library"
+	@echo "make built-in    make the built-in library, its map and calibrations again, from the files in MANIFOLD_RGL_DIR"
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
@@ -66,6 +67,10 @@ check: .venv/readydev
 	$(BIN)/python tools/house.py --check
 	$(BIN)/codespell *.md docs manifold cli tools benchmarks
 	$(BIN)/python tools/prose.py
+	$(BIN)/python tools/built_in.py --check
+
+built-in: .venv/readydev
+	$(BIN)/python tools/built_in.py
 
 attack: .venv/readydev
 	$(BIN)/python tools/attack --seed $(SEED) --minutes $(MINUTES) --flips 20000 --kills 200

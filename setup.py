@@ -1,8 +1,13 @@
-"""Build the compiled loops of `cpp/`; everything else is in `pyproject.toml`."""
+"""Build the compiled loops of `cpp/`; everything else is in `pyproject.toml`.
+
+From Python 3.12 on they use the stable ABI: one wheel per platform serves all later versions.
+"""
 
 from __future__ import annotations
 
+import platform
 import sys
+import sysconfig
 from pathlib import Path
 
 import nanobind
@@ -11,6 +16,11 @@ from setuptools.command.build_ext import build_ext
 from setuptools.errors import CCompilerError, ExecError, PlatformError
 
 BINDING = Path(nanobind.include_dir()).parent
+HAS_STABLE_ABI = (
+    sys.version_info >= (3, 12)
+    and platform.python_implementation() == "CPython"
+    and not sysconfig.get_config_var("Py_GIL_DISABLED")
+)
 FLAGS = {
     # No errno, no traps, and multiplications fused with additions where processors can. Python's own flags may let
     # integers wrap around, which keeps loops from being vectorised.
@@ -49,9 +59,11 @@ setup(
             sorted(str(path) for path in Path("cpp").glob("*.cpp")),
             include_dirs=[nanobind.include_dir(), str(BINDING / "ext" / "robin_map" / "include")],
             depends=sorted(str(path) for path in Path("cpp").glob("*.hpp")),
-            define_macros=[("NDEBUG", None)],
+            define_macros=[("NDEBUG", None), *([("Py_LIMITED_API", "0x030C0000")] if HAS_STABLE_ABI else [])],
+            py_limited_api=HAS_STABLE_ABI,
             language="c++",
         )
     ],
     cmdclass={"build_ext": BuildLoops},
+    options={"bdist_wheel": {"py_limited_api": "cp312"}} if HAS_STABLE_ABI else {},
 )

@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from . import outputs
+from .defaults import use_built_in
 
 _REGISTRY = re.compile(r"\{(manifold[.\w]*)\.(\w+)\}")
 _RANGE = re.compile(r"(; |\s*\[)[-\d.e<>=]*x[-\d.e<>=]*\]$")  # such as `; 2<=x<=128]`
@@ -124,6 +125,7 @@ class Command(TyperCommand):
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
         """Check the outputs, then run. Raises UsageError if an output cannot be written to."""
         assert self.callback is not None
+        use_built_in(ctx)
         outputs.check_all(inspect.unwrap(self.callback), ctx.params)
         return super().invoke(ctx)
 

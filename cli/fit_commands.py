@@ -215,6 +215,7 @@ def export(
     balls of the material and of its fit, mean of {manifold.core.judged_lights.LIGHTS} that the fit did not use. The
     error of Mitsuba's principled, where the fit starts, is printed beside it.
     """
+    from manifold.estimate.inputs import is_many
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
     from manifold.io_rgl import material_name
@@ -235,7 +236,7 @@ def export(
     targets = [TARGETS[name] for name in dict.fromkeys(map(str.strip, (target or "gltf").split(",")))]
     if len(targets) > 1 and (picture or pack is not None):
         raise UsageError(f"--picture and --pack go with one target, found {target}")
-    if isinstance(material, FileSource) and material.path.is_dir():
+    if isinstance(material, FileSource) and is_many([material]):
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         if len(targets) > 1:

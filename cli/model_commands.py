@@ -231,7 +231,7 @@ def embed(
     results.document(
         {
             "model": str(output),
-            "library": str(library),
+            "library": library,
             "settings": settings.to_json(),
             "statistics": fitted.statistics,
             "candidates": [c.to_json() for c in candidates],

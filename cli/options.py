@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from manifold.core import shipped
 from manifold.core.errors import UsageError
 
 from .application import COLOUR, GRID
+from .defaults import DEFAULT_LIBRARY
+from .defaults import DEFAULT_MODEL as DEFAULT_MODEL
 from .outputs import written
 
 if TYPE_CHECKING:
@@ -19,25 +22,32 @@ if TYPE_CHECKING:
     from manifold.formats.readings import Viewing
     from manifold.model.colours import ColourChoice
 
-DEFAULT_LIBRARY = Path("library.zarr")
-DEFAULT_MODEL = Path("model.h5")
-
 
 def output_option(help: str, metavar: str = "FILE") -> Any:
     """Return the option `--output` for an annotation."""
     return written("--output", "-o", help=help, metavar=metavar)
 
 
-LibraryOption = Annotated[Path, typer.Option("--library", "-L", help="The library.", metavar="FOLDER")]
+LibraryOption = Annotated[
+    Path,
+    typer.Option(
+        "--library",
+        "-L",
+        help="The library: a folder, a zip file, an address, or built-in.",
+        metavar="LIBRARY",
+    ),
+]
 MovedLibraryOption = Annotated[
     Path | None,
-    typer.Option("--library", "-L", help="The model's library, if it was moved.", metavar="FOLDER"),
+    typer.Option("--library", "-L", help="The model's library, if it was moved.", metavar="LIBRARY"),
 ]
 JsonOption = Annotated[
     Path | None,
     written("--json", help="Also write the results as JSON; with -, write only JSON to stdout.", at_end=True),
 ]
-ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
+ModelOption = Annotated[
+    Path, typer.Option("--model", "-M", help="The model: a file, or built-in.", metavar="MODEL")
+]
 
 
 @dataclass(frozen=True)
@@ -215,7 +225,7 @@ def material_source(text: str, model: Path, library: Path | None) -> MaterialSou
     """Return the material that an argument names."""
     from manifold.estimate.sources import parse_source
 
-    return parse_source(text, model, library or (None if model.exists() else DEFAULT_LIBRARY))
+    return parse_source(text, model, library or (None if shipped.exists(model) else DEFAULT_LIBRARY))
 
 
 def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:

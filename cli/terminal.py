@@ -14,13 +14,16 @@ from typing import Any
 import typer
 
 from manifold import __version__
-from manifold.core import disk, text_tables
+from manifold.core import disk, shipped, text_tables
 from manifold.core.names import first_few, printable
 from manifold.core.progress import Progress as Listener
 
 _is_strict = False
 warned: list[str] = []
 """Warnings of this package since the command began, which its JSON repeats."""
+
+used: dict[str, str] = {}
+"""The built-in library, if the command used it, for its JSON."""
 
 _SILENT_SECONDS = 10.0  # while a command works and stderr is no terminal
 _QUICK_SECONDS = 1.0  # work that is done by then needs no line
@@ -35,6 +38,7 @@ def begin(strict: bool) -> None:
     _is_strict = strict
     _last_line = time.monotonic()
     warned.clear()
+    used.clear()
 
 
 def is_strict() -> bool:
@@ -147,7 +151,7 @@ class Results:
 
         from manifold.core.records import plain
 
-        document = {"program": f"manifold {__version__}", **plain(document), "warnings": list(warned)}
+        document = {"program": f"manifold {__version__}", **used, **plain(document), "warnings": list(warned)}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"
         if self._only_json:
             sys.stdout.write(text)
@@ -179,6 +183,18 @@ def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
     """Return rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
+
+
+def note_built_in(*, is_default: bool) -> None:
+    """Name the built-in library in the JSON of the command; print on stderr if it was not asked for."""
+    used["library"] = shipped.named(shipped.BUILT_IN)
+    if is_default:
+        count = len(shipped.about()["materials"])
+        print(
+            f"manifold: no library.zarr or model.h5 here: using the built-in library, {count} measured materials in "
+            "RGB, which also serves for spectral readings",
+            file=sys.stderr,
+        )
 
 
 def megabytes(size: int) -> str:

@@ -6,7 +6,7 @@ from .fit.principled import fit_bsdf
 from .io_rgl import read_bsdf, write_bsdf
 from .library.importing import import_files
 from .library.store import Library
-from .model.manifold import Manifold
+from .model.manifold import Manifold, built_in
 from .model.settings import BlendSettings, GplvmSettings
 from .render.ball import render_ball
 
@@ -20,6 +20,7 @@ __all__ = [
     "Manifold",
     "MeasuredBRDF",
     "analytic",
+    "built_in",
     "colour",
     "directions",
     "dls",

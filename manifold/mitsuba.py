@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import manifold.render.render  # noqa: F401  # registers the plugin
+from manifold.core import shipped
 from manifold.model.manifold import load_model
 from manifold.render.plugin.bsdf import NAME
 
@@ -24,7 +25,7 @@ def bsdf(
     """Return the dictionary of a prediction for `mi.load_dict`, checked here, where errors are one line.
 
     Args:
-        model: path of the model.
+        model: path of the model, or `built-in`.
         latent: coordinates, shape (Q,), or as text: "-0.3,1.2", or a material of the model.
         library: path of the library, if it was moved.
         tolerance: leave out materials that change mapped values by at most this share of their norm.
@@ -38,10 +39,10 @@ def bsdf(
     load_model(Path(model), None if library is None else Path(library)).place(place)
     properties: dict[str, str | float] = {
         "type": NAME,
-        "model": str(model),
+        "model": shipped.named(model),
         "latent": place,
         "tolerance": tolerance,
     }
     if library is not None:
-        properties["library"] = str(library)
+        properties["library"] = shipped.named(library)
     return {**properties, **colour}

@@ -32,6 +32,11 @@ model.save("corpus.h5")
 model = mf.Manifold.load("corpus.h5")
 prediction = model.predict([-0.3, 1.2])
 
+# manifold.built_in
+built_in = mf.built_in()  # a Manifold of 20 measured RGB materials
+built_in.library.names
+built_in.predict([0.3, 0.2])
+
 # manifold.read_bsdf
 file = mf.read_bsdf("corpus/syn_satin_gold_rgb.bsdf")
 file.name, file.bands, file.theta_i_rad
@@ -58,39 +63,39 @@ fit.values, fit.notes
 # manifold.render_ball
 picture = mf.render_ball(brdf, size=32, samples=4)  # linear sRGB, (32, 32, 3)
 
-# === manifold.directions
+# === manifold.core.directions
 
 import manifold as mf
 
-# manifold.directions
+# manifold.core.directions
 wi = mf.directions.from_spherical(0.5, 0.0)
 wo = mf.directions.from_spherical(0.7, 3.0)
 half = mf.directions.half_vector(wi, wo)
 theta_h, theta_d, phi_d, phi_h = mf.directions.to_rusinkiewicz(wi, wo)
 
-# === manifold.mapping
+# === manifold.core.mapping
 
 import numpy as np
 import manifold as mf
 
-# manifold.mapping
+# manifold.core.mapping
 mapping = mf.mapping.CubeRoot()
 mapping.inverse(mapping.forward(np.array([0.1, 2.0])))
 
-# === manifold.metrics
+# === manifold.core.metrics
 
 import numpy as np
 import manifold as mf
 
-# manifold.metrics
+# manifold.core.metrics
 f, f_star = np.array([0.1, 2.0]), np.array([0.11, 1.9])
 mf.metrics.cube_root_error(f, f_star)
 
-# === manifold.errors
+# === manifold.core.errors
 
 import manifold as mf
 
-# manifold.errors
+# manifold.core.errors
 try:
     mf.read_bsdf("missing.bsdf")
 except mf.errors.ManifoldError as error:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from manifold.core import shipped
 from manifold.core.errors import FileFormatError, LibraryError, UsageError
 from manifold.core.judged_lights import BALL
 from manifold.core.metrics import Errors
@@ -366,13 +367,15 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
     from manifold.library.store import Library
 
     library = Library(path)
+    about = shipped.about() if shipped.is_built_in(path) else {}
     materials = [library.attributes(name) for name in library.names]
     others, size = origins_in_words(materials), library.disk_bytes
     errors = [m.accuracy for m in materials if m.accuracy is not None]
     rows: dict[str, object] = {
         "materials": f"{len(materials)}" + (f", {others}" if others else ""),
         "bands": str(library.bands),
-        "size": f"{size / 1e6:.1f} MB, as files {sum(m.bytes for m in materials) / 1e6:.1f} MB",
+        "size": (f"{size / 1e6:.1f} MB, as files " if size else "as files ")
+        + f"{sum(m.bytes for m in materials) / 1e6:.1f} MB",
         "content hash": library.content_hash,
         "schema version": library.schema_version,
     }
@@ -382,6 +385,10 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
             f"largest errors {max(e.ball for e in errors):.2f} {BALL}, "
             f"{percent(max(e.cube_root for e in errors), 2)} cube-root error",
         ]
+    rows |= {key: about[key] for key in ("source", "licence", "citation") if key in about}
+    if about:
+        rows["sha256"] = tuple(f"{value}  {key}" for key, value in about["sha256"].items())
+        rows["model"] = f"{shipped.MODEL_FILE.stat().st_size / 1e3:.1f} kB; -M {shipped.BUILT_IN}"
     problems = library.verify() if verify else []
     if verify:
         rows["verified"] = "all hashes match" if not problems else f"{len(problems)} damaged"
@@ -403,7 +410,7 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
         for m in materials
     ]
     document = {
-        "path": str(path),
+        "path": shipped.named(path),
         "schema_version": library.schema_version,
         "bands": str(library.bands),
         "content_hash": rows["content hash"],
@@ -411,9 +418,9 @@ def _inspect_library(path: Path, verify: bool) -> Inspection:
         "materials": [asdict(material) for material in materials],
         "verified": verify,
         "problems": problems,
-    }
+    } | ({"about": about} if about else {})
     columns = ("material", "grid", "pipeline", "MB", *(["ball, cube root"] if errors else []), "description")
-    return Inspection(f"{path}: library", rows, document, [(columns, table)], problems)
+    return Inspection(f"{shipped.named(path)}: library", rows, document, [(columns, table)], problems)
 
 
 def _process_rows(s: Settings, statistics: Mapping[str, float]) -> dict[str, object]:
@@ -448,7 +455,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
         **_process_rows(s, stored.statistics),
-        "size": f"{path.stat().st_size / 1e3:.1f} kB",
+        "size": f"{shipped.model_file(path).stat().st_size / 1e3:.1f} kB",
     }
     coherence = Coherence.from_statistics(stored.statistics)
     if coherence is not None:
@@ -475,7 +482,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         table = [(*row, *words.get(str(row[0]), ("", ""))) for row in table]
     document = {
         "path": str(path),
-        "library": str(stored.library if found is None else found.path),
+        "library": shipped.named(stored.library if found is None else found.path),
         "library_problem": missing,
         "settings": s.to_json(),
         "statistics": stored.statistics,

@@ -19,6 +19,7 @@ from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+from manifold.core import shipped
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.extras import require
 from manifold.core.names import printable
@@ -128,7 +129,7 @@ def versions() -> dict[str, str]:
     for package in _PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
             found[package] = version(package)
-    return found
+    return found | {shipped.BUILT_IN.name: shipped.content_hash()}
 
 
 def _run(folder: str, expected: dict[str, str], task: bytes) -> Any:

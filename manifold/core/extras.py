@@ -15,6 +15,7 @@ EXTRAS = {
     "photographs": ("OpenImageIO", "rawpy", "PIL"),
     "fetch": ("pooch", "requests"),
     "cluster": ("distributed",),
+    "remote": ("fsspec", "aiohttp"),
     "frames": ("pandas", "xarray"),
 }
 """Modules by the extra of `pip install 'brdf-manifold[EXTRA]'` that installs them; errors name the first that does."""

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from manifold.core import shipped
 from manifold.core.errors import BandMismatchError, ShapeError
 
 Array = NDArray[np.floating[Any]]
@@ -215,7 +216,7 @@ def plain(value: Any) -> Any:
         case list() | tuple():
             return [plain(each) for each in value]
         case PurePath():
-            return str(value)
+            return shipped.named(value)
     raise TypeError(f"{type(value).__name__} has no place in JSON")
 
 

@@ -45,7 +45,7 @@ from manifold.estimate.attributes import (
 )
 from manifold.estimate.completion import Completion
 from manifold.estimate.completions import atoms_of, colour_under_d65, draw_ball
-from manifold.estimate.expected import Calibration, cached, errors_of
+from manifold.estimate.expected import CALIBRATION_VERSION, Calibration, cached, errors_of
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
@@ -274,7 +274,7 @@ def _missed(sample: ColourSample, lab: Array, gloss: Mapping[float, float]) -> l
 
 def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library: Library) -> Errors[float]:
     """Return errors of coats with the colour and gloss of a library's materials; cached in the library."""
-    axes = (__version__, library.content_hash, atoms.names, angles_deg)
+    axes = (CALIBRATION_VERSION, library.content_hash, atoms.names, angles_deg)
     key = hashlib.sha256(f"coats {axes}".encode()).hexdigest()
     return cached(library, key, lambda: _calibrated(atoms, angles_deg)).at(np.ones(2))
 

@@ -128,7 +128,7 @@ class Evidence:
         if self.pictures:
             return self._pictures_of(channel_atoms(atoms, m))
         (readings, at, glossy), own, axis = self.read, atoms.material_of == m, atoms.band_axis
-        is_read = _nearest(axis, readings.bands)
+        is_read = nearest_bands(axis, readings.bands)
         gloss = {
             angle: min(float(mean) / value_of_unit(angle), MOST_GLOSS[angle])
             for angle, mean in zip(self.gloss, luminance(glossy[own].T ** 3, axis), strict=True)
@@ -266,7 +266,7 @@ def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
     return (low, high) if of_library[0] < low - 1.0 or of_library[-1] > high + 1.0 else None
 
 
-def _nearest(bands: Bands, to: Bands) -> Mask:
+def nearest_bands(bands: Bands, to: Bands) -> Mask:
     """Return a mask of the bands (B,) that are nearest to one of others; all if either is linear sRGB."""
     if bands.wavelengths_nm is None or to.wavelengths_nm is None:
         return np.ones(bands.count, bool)

@@ -10,17 +10,19 @@ from typing import Any, cast
 import numpy as np
 from scipy.optimize import nnls
 
-from manifold import __version__
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.core.metrics import Errors
 from manifold.core.records import Array, evenly_spaced
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import NOISY, Completion
-from manifold.estimate.evidence import Evidence, channel_atoms, clipping
+from manifold.estimate.evidence import Evidence, channel_atoms, clipping, nearest_bands
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
+
+CALIBRATION_VERSION = 1
+"""Raised where completions, or errors of left-out materials, change: calibrations that are stored are stale then."""
 
 _KINDS = ("ball", "cube_root", "linear", "near_mirror", "elsewhere")  # of which some may be unknown
 _NEAR_MIRROR_DEG = 10.0  # from the mirror direction
@@ -163,13 +165,19 @@ def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> 
 
 
 def _cache_key(atoms: LibraryAtoms, evidence: Evidence, library: Library) -> str:
-    """Return a hash of all that a calibration depends on: library, program, and observations but for their values."""
+    """Return a hash of all that a calibration depends on: library, version, and observations but for their values.
+
+    Directions and weights of readings are rounded and sorted, so that processors agree on the key.
+    """
     axes: tuple[object, ...] = (atoms.names, atoms.coats, atoms.bands.wavelengths_nm, tuple(evidence.gloss))
     arrays: list[Array] = []
     readings = evidence.readings
     if readings is not None and not evidence.pictures:
-        axes += (readings.bands.wavelengths_nm, readings.repeatability)
-        arrays += [readings.wi, readings.wo, readings.weights]
+        is_read = nearest_bands(atoms.band_axis, readings.bands)
+        axes += (is_read.tolist(), round(readings.repeatability, 6))
+        pairs = np.column_stack([readings.wi, readings.wo, readings.weights])
+        pairs = np.round(pairs, 6) + 0.0  # + 0.0: no negative zeros
+        arrays.append(pairs[np.lexsort(pairs.T)])
     if evidence.pictures:
         axes += (evidence.exposure is None, evidence.has_gains)
     for picture in evidence.pictures:
@@ -177,7 +185,7 @@ def _cache_key(atoms: LibraryAtoms, evidence: Evidence, library: Library) -> str
             arrays += [rows.atoms, rows.weights, np.array(clipping(rows))]
     for rows in (*evidence.of_readings, *evidence.of_gloss):
         arrays += [rows.atoms, rows.weights]
-    digest = hashlib.sha256(f"completion {__version__} {library.content_hash} {axes}".encode())
+    digest = hashlib.sha256(f"completion {CALIBRATION_VERSION} {library.content_hash} {axes}".encode())
     for array in arrays:
         digest.update(array.tobytes())
     return digest.hexdigest()

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.core import disk, progress
+from manifold.core import disk, progress, shipped
 from manifold.core.disk import matching
 from manifold.core.errors import FileFormatError, ManifoldError, UsageError
 from manifold.estimate.sources import FileSource, LibrarySource, MaterialSource, PlaceSource
@@ -166,7 +166,8 @@ class Input:
 
         loaded = load_model(source.model, source.library)
         place, colour = loaded.place(source.place), source.colour.made_of()
-        model = _sha256(source.model, source.model.stat().st_mtime_ns)
+        file = shipped.model_file(source.model)
+        model = _sha256(file, file.stat().st_mtime_ns)
         hashes = {"model": model, "library": loaded.library.content_hash}
         return hashes | {"latent": place.latent.tolist(), "path": place.walk, "colour": colour}
 
@@ -179,7 +180,11 @@ def _sha256(path: Path, changed_ns: int) -> str:
 
 def is_many(sources: Sequence[MaterialSource]) -> bool:
     """Return whether sources are several, or a folder or library, which stands for several."""
-    return len(sources) > 1 or any(isinstance(one, FileSource) and one.path.is_dir() for one in sources)
+    return len(sources) > 1 or any(isinstance(one, FileSource) and _is_several(one.path) for one in sources)
+
+
+def _is_several(path: Path) -> bool:
+    return path.is_dir() or is_library(path)
 
 
 def find_inputs(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from manifold.core import shipped
 from manifold.core.errors import ManifoldError, MissingFileError, UnknownNameError
 from manifold.core.names import names_like
 from manifold.core.records import BsdfFile
@@ -84,7 +85,7 @@ def parse_source(text: str, model: Path, library: Path | None = None) -> Materia
     """
     text = text.strip()
     path = Path(text)
-    if os.path.isfile(path):
+    if os.path.isfile(path) or shipped.is_elsewhere(path):
         return FileSource(path)
     looks_like_file = "/" in text or _FILE_ENDING.fullmatch(path.suffix) is not None
     try:
@@ -134,6 +135,8 @@ def _names(model: Path, library: Path | None) -> tuple[Path, tuple[str, ...]]:
     """Return the library in which names are looked up, and its names."""
     from manifold.library.store import Library
 
+    if shipped.is_built_in(library or model):  # not opened, which would say that it is used
+        return shipped.BUILT_IN, tuple(shipped.about()["materials"])
     if library is None:
         from manifold.model.model_file import read_model
 

@@ -16,7 +16,7 @@ from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured_cells import fill_unmeasured
 from manifold.colour.difference import VISIBLE
-from manifold.core import disk
+from manifold.core import disk, shipped
 from manifold.core.errors import UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.core.metrics import Errors
@@ -138,8 +138,8 @@ def subject_of_prediction(
     predicted = predict_and_diagnose(loaded, place, colour)
     name = latent if isinstance(latent, str) and latent in loaded.names else "predicted"
     source = {
-        "model": model.name,
-        "model_sha256": file_sha256(model),
+        "model": shipped.named(model.name),
+        "model_sha256": file_sha256(shipped.model_file(model)),
         "latent": None if predicted.latent is None else predicted.latent.tolist(),
         "walk": predicted.walk,
         "colour": predicted.colour,
@@ -158,7 +158,7 @@ def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
 def subject_in_library(library: Library, name: str) -> Subject:
     """Fit a material of a library."""
     info = library.attributes(name)
-    described = {"library": library.path.name, "file": info.source_file, "sha256": info.sha256}
+    described = {"library": shipped.named(library.path.name), "file": info.source_file, "sha256": info.sha256}
     return subject_of_file(library.read(name), described)
 
 

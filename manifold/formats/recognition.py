@@ -9,8 +9,10 @@ import os
 from enum import StrEnum
 from pathlib import Path
 
+from manifold.core import shipped
 from manifold.core.disk import begins_with
 from manifold.core.picture_bytes import KINDS
+from manifold.core.stores import METADATA, is_zipped_library
 from manifold.formats.tensor_file import is_tensor_file
 
 MODEL_MAGIC = b"manifold model\r\n"
@@ -35,10 +37,12 @@ class Kind(StrEnum):
 
 def kind_of(path: Path) -> Kind:
     """Return the kind of a path by its content, by its name only if the content does not tell."""
+    if is_library(path):
+        return Kind.LIBRARY
     if not os.path.exists(path):
         return Kind.NOTHING
     if os.path.isdir(path):
-        return Kind.LIBRARY if is_library(path) else Kind.FOLDER
+        return Kind.FOLDER
     if is_tensor_file(path):
         return Kind.RGL
     if begins_with(path, MODEL_MAGIC) or path.suffix in (".h5", ".hdf5"):
@@ -53,8 +57,8 @@ def kind_of(path: Path) -> Kind:
 
 
 def is_library(path: Path) -> bool:
-    """Return whether a path is a folder that looks like a library."""
-    return os.path.isfile(path / "zarr.json")
+    """Return whether a path is a folder or zip file that looks like a library, the built-in one, or an address."""
+    return shipped.is_elsewhere(path) or os.path.isfile(path / METADATA) or is_zipped_library(path)
 
 
 def is_rgl(path: Path) -> bool:

@@ -19,6 +19,7 @@ from manifold.core.metrics import cube_root_error
 from manifold.core.names import percent
 from manifold.core.pairs import Pairs, RusinkiewiczGrid
 from manifold.core.records import AnyArray, Array, BsdfFile
+from manifold.core.stores import Entry
 from manifold.library import staging, visible_normals
 from manifold.library.compact import EXTRA, Compact, decode
 from manifold.library.identity import (
@@ -58,11 +59,12 @@ def compact_library(path: Path | str, tolerance: float = DEFAULT_TOLERANCE) -> C
     """
     require_tolerance(tolerance)
     library = Library(path)
+    home = library.folder
     result = CompactResult({}, (), {})
     skipped = []
-    with staging.writing(library.path) as staged:
+    with staging.writing(home) as staged:
         for name in progress.each(library.names, str):
-            folder = library.path / "materials" / name
+            folder = home / "materials" / name
             try:
                 for part in (folder, *folder.iterdir()):
                     staging.require_no_link(part)
@@ -75,6 +77,7 @@ def compact_library(path: Path | str, tolerance: float = DEFAULT_TOLERANCE) -> C
                     skipped.append(name)
             except LibraryError as error:
                 result.failed[name] = str(error)
+        staging.consolidate(home)
     return replace(result, skipped=tuple(skipped))
 
 
@@ -82,8 +85,9 @@ def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, t
     file = library.read(info.name)
     compact = encode(file, tolerance)
     write_material(staged, file, info.source_file, info.sha256, compact)
-    expected = info_of(info.name, read_attributes(staged))
-    _, found = read_material(staged, expected, is_rgb=library.bands.is_rgb)
+    written = Entry.of_folder(staged)
+    expected = info_of(info.name, read_attributes(written))
+    _, found = read_material(written, expected, is_rgb=library.bands.is_rgb)
     if found != expected.content_sha256:
         raise LibraryError(f"{info.name}: was not written as it should be; check the disk, and try again")
     staging.supplant(staged, folder)

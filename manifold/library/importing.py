@@ -31,7 +31,7 @@ from manifold.library.identity import (
     require_tolerance,
 )
 from manifold.library.staging import make_store, write_material
-from manifold.library.store import Library
+from manifold.library.store import Library, require_folder
 
 _MANY_TASKS = 64  # number of tasks from which on they have several files
 _MOST_TOGETHER = 16  # files of a task
@@ -117,6 +117,7 @@ def import_files(
     if isinstance(rotation_rad, float) and not abs(rotation_rad) <= np.pi:
         raise UsageError(f"rotation is {rotation_rad:g}, expected -pi to pi, in radians")
     paths = find_files([sources] if isinstance(sources, str | Path) else sources)
+    require_folder(library_path)
     library = Path(library_path).expanduser().resolve()  # staging beside the library, not beside a link
     require_outside_libraries(library)
     is_new = not library.exists() or (os.path.ismount(library) and not staging.contents(library))
@@ -148,6 +149,7 @@ def import_files(
                     make_store(library, loaded[0].bands, staged)
                 chosen = _choose(Library(library), loaded, replace, tolerance, report)
                 _store_all(library, chosen, staged, tolerance, workers, report)
+                staging.consolidate(library)
     return report.result({str(source.path): source.findings for source in loaded if source.findings})
 
 

@@ -14,14 +14,14 @@
 `docs/explanation/storage-and-rendering.md` says why the chunks are what they are.
 
 Arrays are written by zarr, and read by NumPy in those forms that are written here: zarr takes longer to import and to
-read than a prediction to compute. Files of others are checked first: sizes, codecs, and that no chunk is missing.
+read than a prediction to compute. Files of others are checked first: sizes, codecs, and that no chunk is missing. The
+metadata of `materials` include those of all materials (zarr's consolidated metadata), for reading over HTTP.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.core.records import RGB_NAMES, AnyArray, Array, Bands
+from manifold.core.stores import METADATA, Entry
 
 SCHEMA = "manifold-library"
 SCHEMA_VERSION = 2
@@ -152,12 +153,12 @@ def compressed_bytes(values: AnyArray) -> int:
     return len(Blosc("zstd", clevel=5, shuffle=Blosc.BITSHUFFLE, typesize=4).encode(values))
 
 
-def read_attributes(folder: Path) -> dict[str, Any]:
+def read_attributes(folder: Entry) -> dict[str, Any]:
     """Read the attributes of the group in a folder. Raises OSError, LookupError, TypeError or ValueError."""
     return dict(_metadata(folder, "group", "it lacks its zarr.json")["attributes"])
 
 
-def read_array(group: Path, name: str) -> AnyArray:
+def read_array(group: Entry, name: str) -> AnyArray:
     """Read one array of the group in a folder, writeable and C-contiguous in the axis order of the store.
 
     Raises OSError, LookupError, TypeError or ValueError.
@@ -187,12 +188,12 @@ def unpack(packed: AnyArray, layout: Any) -> dict[str, AnyArray]:
     return tables
 
 
-def read_extra(group: Path) -> dict[str, Array]:
+def read_extra(group: Entry) -> dict[str, Array]:
     """Read the fields of a material that this package does not interpret, by name."""
     folder = group / "extra"
-    if not folder.is_dir():
+    if not folder.is_folder:
         return {}
-    names = [str(i) for i in range(sum(entry.is_dir() for entry in os.scandir(folder)))]
+    names = [str(i) for i in range(len(folder.folders))]
     fields = [_metadata(folder / name, "array", f"it lacks its field '{name}'") for name in names]
     return {
         str(metadata["attributes"]["field"]): read_array(folder, name)
@@ -248,23 +249,23 @@ class _Form:
                 raise LookupError(f"field '{name}' has {size} bytes, expected at most {_MOST_ARRAY}")
         return form
 
-    def read(self, folder: Path) -> AnyArray:
+    def read(self, folder: Entry) -> AnyArray:
         """Return the array; no memory is taken before all files are known to have its size."""
         if 0 in self.shape:
             return np.empty(self.shape, self.dtype)
         files = []
         for index in np.ndindex(*_grid(self.shape, self.file_shape)):
-            path = folder / ".".join(["c", *map(str, index)])
+            file = folder / ".".join(["c", *map(str, index)])
             start = tuple(k * size for k, size in zip(index, self.file_shape, strict=True))
             within = (min(n - a, size) for n, a, size in zip(self.shape, start, self.file_shape, strict=True))
             chunks = _grid(tuple(within), self.chunk_shape)  # the others of a shard lie outside the array
-            self._require_size(path, math.prod(chunks))
-            files.append((start, chunks, path))
+            self._require_size(file, math.prod(chunks))
+            files.append((start, chunks, file))
         if self.chunk_shape == self.shape and not self.is_sharded:
-            return self._chunk(np.fromfile(path, np.uint8))
+            return self._chunk(file.read())
         values = np.empty(self.shape, self.dtype)
-        for start, chunks, path in files:
-            for inner, chunk in self._chunks(np.fromfile(path, np.uint8), chunks):
+        for start, chunks, file in files:
+            for inner, chunk in self._chunks(file.read(), chunks):
                 first = [a + k * size for a, k, size in zip(start, inner, self.chunk_shape, strict=True)]
                 here = values[
                     tuple(slice(a, a + size) for a, size in zip(first, self.chunk_shape, strict=True))
@@ -305,18 +306,17 @@ class _Form:
         """Return the size of the index of a shard: an offset and a size of each chunk, and a checksum."""
         return 16 * math.prod(_grid(self.file_shape, self.chunk_shape)) + _CHECKSUM
 
-    def _require_size(self, path: Path, chunks: int) -> None:
+    def _require_size(self, file: Entry, chunks: int) -> None:
         """Raise LookupError where a file is missing, which zarr would read as zeros, or has another size."""
-        if not path.is_file():
-            raise LookupError(f"field '{self.name}' lacks its chunk {path.name}")
-        size, expected = path.stat().st_size, self._bytes
+        size, expected = file.size, self._bytes
+        if size is None:
+            raise LookupError(f"field '{self.name}' lacks its chunk {file.name}")
         if self.is_compressed:
-            with path.open("rb") as file:
-                size = int.from_bytes(file.read(_BLOSC_HEADER)[4:8], "little")
+            size = int.from_bytes(file.read(_BLOSC_HEADER)[4:8].tobytes(), "little")
         elif self.is_sharded:
             expected = chunks * self._bytes + self._index_bytes
         if size != expected:
-            raise LookupError(f"chunk {path.name} of '{self.name}' has {size} bytes, expected {expected}")
+            raise LookupError(f"chunk {file.name} of '{self.name}' has {size} bytes, expected {expected}")
 
 
 def _sizes(values: Any) -> tuple[int, ...]:
@@ -330,14 +330,14 @@ def _grid(shape: tuple[int, ...], parts: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(-(-n // size) for n, size in zip(shape, parts, strict=True))
 
 
-def _metadata(folder: Path, kind: str, lack: str) -> dict[str, Any]:
+def _metadata(folder: Entry, kind: str, lack: str) -> dict[str, Any]:
     """Return what `zarr.json` says of a group or an array."""
-    path = folder / "zarr.json"
-    if not path.is_file():
+    file = folder / METADATA
+    if (size := file.size) is None:
         raise LookupError(lack)
-    if path.stat().st_size > _MOST_METADATA:
-        raise LookupError(f"{folder.name}/zarr.json has more than {_MOST_METADATA} bytes")
-    metadata: dict[str, Any] = json.loads(path.read_bytes())
+    if size > _MOST_METADATA:
+        raise LookupError(f"{folder.name}/{METADATA} has more than {_MOST_METADATA} bytes")
+    metadata: dict[str, Any] = json.loads(file.read().tobytes())
     if metadata["zarr_format"] != 3 or metadata["node_type"] != kind:
         raise LookupError(f"{folder.name} is no {kind} of zarr version 3")
     return metadata

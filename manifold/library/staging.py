@@ -9,6 +9,7 @@ place until the new one is there.
 from __future__ import annotations
 
 import glob
+import json
 import os
 import shutil
 import tempfile
@@ -21,6 +22,7 @@ from typing import Any
 from manifold.core import disk
 from manifold.core.errors import LibraryError
 from manifold.core.records import Bands, BsdfFile
+from manifold.core.stores import CONSOLIDATED, MATERIALS, METADATA, Entry
 from manifold.library import visible_normals
 from manifold.library.compact import Compact
 from manifold.library.identity import describe, present_arrays
@@ -126,14 +128,15 @@ def publish(staged: Path, target: Path) -> None:
     _conclude(target)
 
 
-def standing(target: Path) -> Path:
-    """Return the current place of a folder, which is beside its final one while it is being replaced."""
-    return _replaced(target) if not target.exists() and _replaced(target).is_dir() else target
+def standing(folder: Entry, name: str) -> Entry:
+    """Return the current place of a folder in another, which is beside its final one while it is being replaced."""
+    target, replaced = folder / name, folder / f".{name}{_REPLACED}"
+    return replaced if not target.is_folder and replaced.is_folder else target
 
 
-def standing_names(folder: Path) -> set[str]:
+def standing_names(folder: Entry) -> set[str]:
     """Return the names of the folders in a folder, including those that are being replaced."""
-    found = {entry.name for entry in os.scandir(folder) if entry.is_dir()}
+    found = folder.folders
     replaced = {
         name[1 : -len(_REPLACED)] for name in found if name.startswith(".") and name.endswith(_REPLACED)
     }
@@ -153,6 +156,20 @@ def _conclude(target: Path) -> None:
         old.unlink()
     else:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def consolidate(library: Path) -> None:
+    """Write the metadata of all materials into that of their group, so that reading over HTTP takes few requests."""
+    group = library / MATERIALS
+    parts = {file: file.parent.relative_to(group).parts for file in sorted(group.rglob(METADATA))}
+    below = {
+        "/".join(names): json.loads(file.read_bytes())
+        for file, names in parts.items()
+        if names and not names[0].startswith(".")  # which are being replaced
+    }
+    own = json.loads((group / METADATA).read_bytes())
+    own[CONSOLIDATED] = {"kind": "inline", "must_understand": False, "metadata": below}
+    disk.write_bytes(group / METADATA, json.dumps(own).encode())
 
 
 def make_store(folder: Path, bands: Bands, staged: Path) -> None:

@@ -9,15 +9,18 @@ import hashlib
 import json
 import os
 import shutil
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from platformdirs import user_cache_path
 
-from manifold.core import progress
+from manifold.core import progress, shipped
 from manifold.core.errors import (
     FileFormatError,
     LibraryError,
@@ -25,9 +28,11 @@ from manifold.core.errors import (
     MissingLibraryError,
     ShapeError,
     UnknownNameError,
+    UsageError,
 )
 from manifold.core.names import names_like
 from manifold.core.records import AnyArray, Array, Bands, BsdfFile
+from manifold.core.stores import METADATA, Entry, ZipStore, address_of, remote
 from manifold.io_rgl import require_sound
 from manifold.library import compact, staging, visible_normals
 from manifold.library.identity import (
@@ -76,22 +81,30 @@ def _prune(folder: Path) -> None:
 class Library:
     """A library opened for reading; `import_files` in `manifold.library.importing` adds materials.
 
-    Nothing is cached: materials imported by another process are visible immediately.
+    Nothing of a folder is cached: materials imported by another process are visible immediately.
+
+    Attributes:
+        path: of the folder or zip file; `built-in`, or an address.
     """
 
     def __init__(self, path: Path | str) -> None:
         """Open a library for reading; write permission is not needed.
 
+        Args:
+            path: a folder, a zip file of one, `built-in`, or an address such as https://example.org/library.zarr.
+
         Raises:
             MissingLibraryError: nothing there.
             LibraryError: no library of this package, another schema version, or damaged.
+            UsageError: the built-in library of another version.
+            MissingPackageError: addresses need the extra `remote`.
         """
-        self.path = Path(path).expanduser().resolve()
-        if not self.path.exists():
-            raise MissingLibraryError(f"{path}: no such library; create one with `manifold import`")
-        if not self.path.is_dir():
-            raise LibraryError(f"{path}: a file, expected a library, which is a folder; name another path")
-        self.schema_version, self.bands = _read_root(self.path, path)
+        self._root = _root(path)
+        self.path = shipped.BUILT_IN if shipped.is_built_in(path) else shipped.resolved(path)
+        self.schema_version, self.bands = _read_root(self._root, address_of(path) or path)
+
+    def __reduce__(self) -> tuple[type[Library], tuple[str]]:
+        return Library, (shipped.named(self.path),)
 
     def __repr__(self) -> str:
         try:
@@ -113,6 +126,7 @@ class Library:
             UsageError: the path lies in a library.
             LibraryError: something is there already, or the folder cannot be written.
         """
+        require_folder(path)
         folder = Path(path).expanduser().resolve()  # staging beside the library, not beside a link
         require_outside_libraries(folder)
         with staging.writing(folder) as staged:
@@ -120,10 +134,16 @@ class Library:
         return cls(folder)
 
     @property
+    def folder(self) -> Path:
+        """The folder of the library, for those who write. Raises UsageError for libraries that are only read."""
+        require_folder(self.path)
+        return self.path
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The materials' names, sorted."""
         try:
-            return tuple(sorted(staging.standing_names(self.path / "materials")))
+            return tuple(sorted(staging.standing_names(self._root / "materials")))
         except OSError as error:
             raise LibraryError(
                 f"{self.path.name}: its folder 'materials' cannot be read ({error.strerror}); "
@@ -134,7 +154,7 @@ class Library:
         return len(self.names)
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and is_material_name(name) and self._folder(name).is_dir()
+        return isinstance(name, str) and is_material_name(name) and self._folder(name).is_folder
 
     def read(self, name: str) -> BsdfFile:
         """Read one material, verified by its hash.
@@ -177,8 +197,11 @@ class Library:
 
     @property
     def disk_bytes(self) -> int:
-        """Return the bytes of the materials' files."""
-        return sum(path.stat().st_size for path in (self.path / "materials").rglob("*") if path.is_file())
+        """Return the bytes of the materials' files, of a zip file its own; 0 for those at an address."""
+        files = [shipped.LIBRARY_FILE] if self.path == shipped.BUILT_IN else [self.path]
+        if self.path.is_dir():
+            files = list((self.path / "materials").rglob("*"))
+        return sum(path.stat().st_size for path in files if path.is_file())
 
     @property
     def content_hash(self) -> str:
@@ -205,26 +228,32 @@ class Library:
         return problems
 
     def cache_get(self, key: str) -> dict[str, Array] | None:
-        """Return the arrays that `cache_put` stored under a key, or None if there are none or they are damaged."""
-        folder = self.path / "cache" / key
-        if not folder.is_dir():
-            return None
-        try:
-            attributes = read_attributes(folder)
-            arrays = {name: read_array(folder, name) for name in attributes["names"]}
-            if attributes["sha256"] != hash_arrays(arrays):
-                return None
-            with suppress(OSError):  # of another user, or on read-only media
-                os.utime(folder)
-            return arrays
-        except Exception:  # A cache never stops the work: whatever is wrong with it, compute again.
-            return None
+        """Return the arrays that `cache_put` stored under a key, or None if there are none or they are damaged.
+
+        Libraries that are only read may bring some along.
+        """
+        for home in dict.fromkeys((Entry.of_folder(self._cache_home), self._root)):
+            folder = home / "cache" / key
+            try:
+                if not folder.is_folder:
+                    continue
+                attributes = read_attributes(folder)
+                arrays = {name: read_array(folder, name) for name in attributes["names"]}
+                if attributes["sha256"] != hash_arrays(arrays):
+                    continue
+                with suppress(OSError):  # of another user, or on read-only media
+                    os.utime(self._cache_home / "cache" / key)
+                return arrays
+            except Exception:  # A cache never stops the work: whatever is wrong with it, compute again.
+                continue
+        return None
 
     def cache_put(self, key: str, arrays: Mapping[str, Array]) -> None:
         """Store arrays under a key of letters, digits, - and _, atomically; no effect if it cannot be written."""
-        target = self.path / "cache" / key
+        target = self._cache_home / "cache" / key
         try:
-            with staging.writing(self.path) as staged:
+            with staging.writing(self._cache_home) as staged:
+                target.parent.mkdir(parents=True, exist_ok=True)
                 folder = staged / key
                 write_group(folder, {"names": list(arrays), "sha256": hash_arrays(arrays)})
                 for name, array in arrays.items():
@@ -234,12 +263,21 @@ class Library:
         except (OSError, LibraryError):
             return
 
-    def _folder(self, name: str) -> Path:
+    @cached_property
+    def _cache_home(self) -> Path:
+        """The folder of the cache: the library's own, or the user's if the library is only read."""
+        # Locks and staging folders stand beside a library, but in one that is a mount point.
+        homes = (self.path, self.path if os.path.ismount(self.path) else self.path.parent)
+        if self.path.is_dir() and all(os.access(home, os.W_OK) for home in homes):
+            return self.path
+        return user_cache_path("manifold") / "libraries" / self.content_hash
+
+    def _folder(self, name: str) -> Entry:
         """Return the folder of a material, whether it exists or not."""
-        return staging.standing(self.path / "materials" / name)
+        return staging.standing(self._root / "materials", name)
 
     @contextmanager
-    def _named(self, name: str) -> Iterator[Path]:
+    def _named(self, name: str) -> Iterator[Entry]:
         """Yield the material's folder; any fault of it becomes a LibraryError that names it."""
         if name not in self:
             raise UnknownNameError(
@@ -256,16 +294,49 @@ class Library:
             ) from error
 
     def _repair(self, name: str) -> str:
+        if not self.path.is_dir():
+            return "install or copy it again"
         return f"delete {self.path / 'materials' / name} and import its file again"
 
 
-def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
+def require_folder(path: Path | str) -> None:
+    """Raise UsageError if a path names a library that cannot be written to: the built-in one, or one elsewhere."""
+    name = address_of(path)
+    if shipped.is_built_in(path):
+        name = "the built-in library"
+    elif name is None and Path(path).is_file():
+        name = str(path)
+    if name is not None:
+        raise UsageError(
+            f"{name} is read only, expected a folder; import the files into a library of your own"
+        )
+
+
+def _root(path: Path | str) -> Entry:
+    """Return the root of the store of a library."""
+    if shipped.is_built_in(path):
+        return Entry(ZipStore(shipped.library_file(path)))
+    if (address := address_of(path)) is not None:
+        return Entry(remote(address))
+    real = shipped.resolved(path)
+    if not real.exists():
+        raise MissingLibraryError(f"{path}: no such library; create one with `manifold import`")
+    if real.is_dir():
+        return Entry.of_folder(real)
+    if not zipfile.is_zipfile(real):
+        raise LibraryError(
+            f"{path}: a file, expected a library, which is a folder, or a zip file of one; name another path"
+        )
+    return Entry(ZipStore(real))
+
+
+def _read_root(folder: Entry, shown: Path | str) -> tuple[int, Bands]:
     """Return schema version and bands of the library in a folder, which is `shown` in errors."""
     again = "import its files again into a new library"
     try:
         attributes: dict[str, Any] = read_attributes(folder)
     except Exception as error:  # No zarr.json, no JSON, zarr version 2, no permission, ...
-        is_there = (folder / "zarr.json").is_file()
+        is_there = (folder / METADATA).size is not None
         found = (
             f"its zarr.json cannot be used ({_first_line(error)})"
             if is_there
@@ -297,7 +368,7 @@ def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def read_material(folder: Path, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
+def read_material(folder: Entry, info: MaterialInfo, *, is_rgb: bool) -> tuple[BsdfFile, str]:
     """Return a material and the hash of the data that were read; RGB has no wavelengths."""
     hashed: dict[str, AnyArray] | None = None
     attributes = read_attributes(folder)
@@ -321,7 +392,7 @@ def read_material(folder: Path, info: MaterialInfo, *, is_rgb: bool) -> tuple[Bs
     return file, content_sha256(file, info.source_file, info.sha256, hashed)
 
 
-def _as_imported(folder: Path, attributes: Mapping[str, Any], *, is_rgb: bool) -> dict[str, Any]:
+def _as_imported(folder: Entry, attributes: Mapping[str, Any], *, is_rgb: bool) -> dict[str, Any]:
     """Return the fields of `BsdfFile` that hold arrays."""
     fields: dict[str, Any] = {
         field: read_array(folder, stored)

@@ -15,6 +15,7 @@ from manifold.colour.correction import read_correction
 from manifold.convert import conversion
 from manifold.convert.source import open_source
 from manifold.convert.targets import Options
+from manifold.core import shipped
 from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.judged_lights import BALL, BALL_COLUMN
 from manifold.core.metrics import EXPECTED_BALL
@@ -210,7 +211,7 @@ def locations(model: Path, *, library: Path | None, options: OutputOptions) -> C
     columns = _latent_columns(loaded.settings.latent_dim)
     columns |= placed(Located.columns(), MEASURED | PREDICTED, before=BALL_COLUMN)
     content_hash = loaded.library.content_hash
-    how = {"model": file_sha256(model), "library": content_hash, **asdict(options)}
+    how = {"model": file_sha256(shipped.model_file(model)), "library": content_hash, **asdict(options)}
     make = partial(_locate, model=model, library=library, options=options)
     return Command(
         "locations", make, how, columns=columns, under=BALL_COLUMN, has_balls=True, is_of_measured=True

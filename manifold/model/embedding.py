@@ -170,7 +170,7 @@ class Embedding:
         """Read a model and open its library.
 
         Args:
-            path: the model.
+            path: the model, or `built-in`.
             library: path of the library, if it was moved.
 
         Raises:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from manifold.brdf.interface import BRDF, require_brdf
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.core import shipped
 from manifold.core.errors import UnknownNameError, UsageError
 from manifold.core.mapping import Identity, ValueMapping
 from manifold.core.metrics import Errors
@@ -490,9 +491,10 @@ def load_model(model: Manifold | Path | str, library: Path | str | None) -> Mani
     """Load a model, again only if its file or its library has changed; a `Manifold` is returned itself."""
     if isinstance(model, Manifold):
         return model
-    path = Path(model).absolute()
-    changed = path.stat().st_mtime_ns if path.exists() else 0
-    key = path, changed, None if library is None else Path(library).absolute()
+    path = shipped.resolved(model)
+    file = shipped.model_file(path)
+    changed = file.stat().st_mtime_ns if file.exists() else 0
+    key = path, changed, None if library is None else shipped.resolved(library)
     loaded, content_hash = _model(*key)
     if loaded.library.content_hash != content_hash:
         _model.cache_clear()
@@ -500,3 +502,11 @@ def load_model(model: Manifold | Path | str, library: Path | str | None) -> Mani
     for note in loaded.notes:
         warnings.warn(note, LibraryChangedWarning, stacklevel=2)
     return loaded
+
+
+def built_in() -> Manifold:
+    """Return the map of the built-in library: 20 measured RGB materials of the RGL database (Dupuy & Jakob, CC0 1.0).
+
+    Its `library` holds the materials.
+    """
+    return Manifold.load(shipped.BUILT_IN)

@@ -4,7 +4,7 @@
     the rest            HDF5: the arrays in `space`, and `record`
 
 `record` is JSON in UTF-8: names, settings, statistics, the library. The measured data stay in the library, which is
-named by its place relative to the model and by the hash of its content.
+named by its place relative to the model, by its address, or as `built-in`, and by the hash of its content.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from manifold.core import disk
+from manifold.core import disk, shipped
 from manifold.core.errors import LibraryError, MissingModelError, ModelError, UnknownNameError, UsageError
 from manifold.core.records import Array
+from manifold.core.stores import address_of
 from manifold.formats.recognition import MODEL_MAGIC
 from manifold.library.store import Library
 from manifold.model.blend_space import BlendSpace
@@ -81,8 +82,7 @@ class ModelRecord:
 def write_model(path: Path, record: ModelRecord) -> None:
     """Write a model, atomically."""
     values = {
-        # Relative to the model, so that a folder with both can be moved.
-        "library": os.path.relpath(record.library.resolve(), path.resolve().parent),
+        "library": _reference(record.library, path),
         "library_hash": record.library_hash,
         "names": record.names,
         "settings": record.settings,
@@ -107,8 +107,16 @@ def write_model(path: Path, record: ModelRecord) -> None:
     disk.write_bytes(path, bytes(content))
 
 
+def _reference(library: Path, path: Path) -> str:
+    """Return the name of a library in a model: relative to it, so that a folder with both can be moved."""
+    if shipped.is_elsewhere(library):
+        return address_of(library) or shipped.BUILT_IN.name
+    return os.path.relpath(library.resolve(), path.resolve().parent)
+
+
 def read_model(path: Path) -> ModelRecord:
-    """Read a model."""
+    """Read a model, or the built-in one."""
+    path = shipped.model_file(path)
     if not path.exists():
         raise MissingModelError(f"{path}: no such model; create one with `manifold embed`")
     if path.is_dir():
@@ -153,8 +161,11 @@ def _record_of(content: bytes, path: Path) -> ModelRecord:
     names = [str(name) for name in values["names"]]
     if len(set(names)) < len(names):
         raise ValueError("a material is named twice")
+    library = Path(str(values["library"]))
+    if not shipped.is_elsewhere(library):
+        library = Path(os.path.normpath(path.resolve().parent / library))
     return ModelRecord(
-        library=Path(os.path.normpath(path.resolve().parent / str(values["library"]))),
+        library=library,
         library_hash=str(values["library_hash"]),
         names=tuple(names),
         settings=dict(values["settings"]),
@@ -193,7 +204,7 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
     """Open the library of a model file, or the given one, if it was moved."""
     if library is None:
         library = stored.library
-        if not library.exists():
+        if not shipped.exists(library):
             raise LibraryError(f"{path}: its library is not at {library}; say where it is now")
     if not isinstance(library, Library):
         library = Library(library)

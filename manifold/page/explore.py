@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from manifold.core import disk
+from manifold.core import disk, shipped
 from manifold.core.errors import UsageError
 from manifold.core.extras import require
 from manifold.library.identity import require_outside_libraries
@@ -57,7 +57,7 @@ def server(
     require_outside_libraries(folder, into=True)
     loaded = _load(model, library)
     context = Context(
-        folder.resolve(), model.resolve(), loaded.library.path.resolve(), loaded.names, loaded.X.shape[1],
+        folder.resolve(), shipped.resolved(model), loaded.library.path, loaded.names, loaded.X.shape[1],
         loaded.bands.is_rgb,
     )  # fmt: skip
     targets = [[target.name, target.title] for target in TARGETS.values()]

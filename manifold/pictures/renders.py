@@ -15,6 +15,7 @@ import numpy as np
 from manifold import __version__
 from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.reflectances import ReflectanceSpectrum
+from manifold.core import shipped
 from manifold.core.errors import UsageError
 from manifold.core.progress import Stages
 from manifold.core.results import Result, entry
@@ -170,10 +171,10 @@ def latent_material(
     if predicted.latent is None:
         raise UsageError(f"{at}: --direct evaluates latents, but no steps of walks; leave it out")
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
-    bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
+    bsdf = {"type": "manifold", "model": shipped.named(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}
     if library is not None:
-        bsdf["library"] = str(library)
+        bsdf["library"] = shipped.named(library)
     yield BallMaterial(f"latent {at}", bsdf, loaded.bands.is_rgb, "measured materials, directly"), predicted
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.paths import real_rgl_files
+from helpers.real_materials import real_materials
 from helpers.small_library import small_library
 
 from manifold.analytic.base import Lambert
@@ -260,11 +260,10 @@ def test_only_values_that_are_not_reciprocal_change():
     np.testing.assert_array_equal(projected.spectra[is_possible], plain.spectra[is_possible])
 
 
-@pytest.mark.skipif(not real_rgl_files(), reason="no real RGL files at hand")
 @pytest.mark.parametrize("name", ["paper_white", "aurora_white", "cm_toxic_green"])
 def test_no_possible_value_of_a_real_file_changes(name):
-    (path,) = (path for path in real_rgl_files() if path.name.startswith(name))
-    plain = goniometer.measure(ClippedBRDF(MeasuredBRDF(read_bsdf(path))), name)
+    (material,) = (file for file in real_materials() if file.name == name)
+    plain = goniometer.measure(ClippedBRDF(MeasuredBRDF(material)), name)
     file, projected = MeasuredBRDF(plain), physical_file(plain)
     changed = projected.spectra != plain.spectra
     if plausibility_of_file(plain).reciprocity_error <= 0.05:

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.mitsuba_reference import measured
-from helpers.paths import real_rgl_files
 from helpers.quick_pictures import draw_quickly
+from helpers.real_materials import real_materials
 from helpers.small_library import small_model
 
 from manifold.analytic import corpus
@@ -26,7 +26,7 @@ from manifold.evaluate import make_report
 from manifold.evaluate.methods import chart_methods
 from manifold.evaluate.report_text import lead
 from manifold.evaluate.seen_fits import METHODS
-from manifold.io_rgl import read_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
@@ -207,9 +207,9 @@ def test_a_place_on_the_path_between_two_materials_is_written(tmp_path):
 
 @pytest.mark.parametrize("share", [5, pytest.param(1, marks=pytest.mark.slow)], ids=["every fifth", "all"])
 def test_the_main_job_runs_on_real_files(tmp_path, share):
-    files = real_rgl_files()[::share]
-    if not files:
-        pytest.skip("no real RGL files: set MANIFOLD_RGL_DIR to a folder of them")
+    files = [tmp_path / f"{file.name}_rgb.bsdf" for file in real_materials()[::share]]
+    for path, file in zip(files, real_materials()[::share], strict=True):
+        write_bsdf(path, file)
     library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
     result = import_files(library, files)
     assert not result.failed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.paths import real_rgl_files
+from helpers.real_materials import real_materials
 from helpers.reference import left_out
 from helpers.small_library import NAMES, measured, spectral_materials
 
@@ -14,7 +14,6 @@ from manifold.evaluate.cross_validation import encode_all
 from manifold.evaluate.errors import measure_errors
 from manifold.evaluate.method_data import Data
 from manifold.evaluate.methods import standard_methods
-from manifold.io_rgl import read_bsdf
 from manifold.model.materials import MaterialTable
 from manifold.model.prediction import PredictedBRDF
 
@@ -83,7 +82,6 @@ def test_many_bands_are_predicted_from_a_few(key):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(len(real_rgl_files()) < 20, reason="no real RGL files at hand")
 @pytest.mark.parametrize(
     ("key", "targets"),
     [
@@ -95,8 +93,8 @@ def test_many_bands_are_predicted_from_a_few(key):
     ],
 )  # fmt: skip
 def test_real_materials_are_predicted_within_the_target(key, targets):
-    """Linear, cube root, ball CIEDE2000 in the judged lights: median and 90th percentile of the 20 real files."""
-    materials = [MeasuredBRDF(read_bsdf(path)) for path in real_rgl_files()]
+    """Linear, cube root, ball CIEDE2000 in the judged lights: median and 90th percentile of 20 measured materials."""
+    materials = [MeasuredBRDF(file) for file in real_materials()]
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     balls = MaterialTable(materials, data.bands)
     combinations = encode_all(data, METHODS[key]).combinations

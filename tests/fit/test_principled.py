@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.paths import real_rgl_files
+from helpers.real_materials import real_materials
 from helpers.small_library import measured
 
 from manifold.analytic.ggx import GGX
@@ -27,7 +27,6 @@ from manifold.fit.fit_samples import FitSamples
 from manifold.fit.gauss_newton import GaussNewton, Minimum, select_minima
 from manifold.fit.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.fit.principled import fit_bsdf
-from manifold.io_rgl import read_bsdf
 from manifold.render import backend
 from manifold.render.bsdf_evaluation import LaneEvaluator, evaluator
 from manifold.render.bsdf_parameters import BsdfFamily, FreeParameter, Layout, principled
@@ -345,14 +344,11 @@ def test_the_older_methods_come_near_an_easy_truth(method):
 
 
 def test_no_fit_of_a_real_file_is_worse_than_diffuse_or_at_an_unsaid_bound():
-    paths = real_rgl_files()[::6]
-    if not paths:
-        pytest.skip("no real RGL files here")
-    for path in paths:
-        result = fit_bsdf(read_bsdf(path))
-        assert result.residuals["appearance"] < result.diffuse_residual, path.name
+    for file in real_materials()[::6]:
+        result = fit_bsdf(file)
+        assert result.residuals["appearance"] < result.diffuse_residual, file.name
         said = " ".join(note for note in result.notes if note.startswith("at the end"))
-        assert all(s.name in said for s in result.statements if s.at_bound), path.name
+        assert all(s.name in said for s in result.statements if s.at_bound), file.name
 
 
 def test_a_file_and_its_brdf_have_the_same_fit():

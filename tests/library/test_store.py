@@ -25,6 +25,7 @@ from helpers.small_library import measured
 from manifold.core import progress
 from manifold.core.errors import BandMismatchError, LibraryError, UsageError
 from manifold.core.records import Bands, BsdfFile
+from manifold.core.stores import Entry
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library import layout, staging
 from manifold.library.identity import is_material_name
@@ -154,7 +155,7 @@ def test_arrays_are_read_as_zarr_reads_them(
     layout.write_array(
         tmp_path / "a", layout.StoredArray(values, chunks, shards, is_compressed=is_compressed)
     )
-    found = layout.read_array(tmp_path, "a")
+    found = layout.read_array(Entry.of_folder(tmp_path), "a")
     by_zarr = np.asarray(zarr.open_array(tmp_path / "a", mode="r")[...])
     np.testing.assert_array_equal(found, by_zarr, strict=True)
     np.testing.assert_array_equal(found, values)
@@ -165,7 +166,9 @@ def test_arrays_are_read_as_zarr_reads_them(
 @pytest.mark.parametrize("values", [np.float32(2.5), np.zeros((0, 3), np.int16)])
 def test_numbers_and_empty_arrays_are_read(tmp_path: Path, values: np.ndarray) -> None:
     layout.write_array(tmp_path / "a", layout.StoredArray(np.asarray(values)))
-    np.testing.assert_array_equal(layout.read_array(tmp_path, "a"), np.asarray(values), strict=True)
+    np.testing.assert_array_equal(
+        layout.read_array(Entry.of_folder(tmp_path), "a"), np.asarray(values), strict=True
+    )
 
 
 @pytest.mark.parametrize("change", [-1, 1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.paths import real_rgl_files
+from helpers.real_materials import real_materials
 from helpers.small_library import NAMES, measured, small_library
 
 from manifold.analytic.base import Lambert
@@ -18,7 +18,6 @@ from manifold.core.errors import BandMismatchError, UsageError
 from manifold.core.metrics import cube_root_error, relative_error
 from manifold.core.pairs import RusinkiewiczGrid, cosine_weight
 from manifold.core.records import Bands
-from manifold.io_rgl import read_bsdf
 from manifold.model import reconstruction
 from manifold.model.comparison import brdf_errors
 from manifold.model.location import reconstruct_file
@@ -175,9 +174,8 @@ class OthersThan:
         return [self._materials[name].select_bands(bands) for name in names]
 
 
-@pytest.mark.skipif(not real_rgl_files(), reason="no real RGL files at hand")
 def test_real_materials_that_were_left_out_are_physical():
-    materials = [MeasuredBRDF(read_bsdf(path)) for path in real_rgl_files()]
+    materials = [MeasuredBRDF(file) for file in real_materials()]
     wi = from_spherical(np.deg2rad([0.0, 45.0, 70.0, 85.0]), 0.0)
     bright = sorted(materials, key=lambda m: -m.albedo(wi, 16).max())[:5]
     for material in bright:

@@ -1,0 +1,99 @@
+"""The library and the model that the package brings along, by which it works without any file of the user.
+
+They are named `built-in`, wherever a path of a library or model is taken. `built-in@HASH`, as scenes and JSON have it,
+is the same, and an error in a version that brings others. `tools/built_in.py` makes them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path, PurePath
+from typing import Any
+
+from manifold.core.errors import UsageError
+from manifold.core.stores import address_of
+
+BUILT_IN = Path("built-in")
+
+_DATA = Path(__file__).parents[1] / "data"
+LIBRARY_FILE, MODEL_FILE, ABOUT_FILE = (_DATA / f"built_in.{suffix}" for suffix in ("zip", "h5", "json"))
+_HASH_LENGTH = 12
+
+
+def is_built_in(path: PurePath | str) -> bool:
+    """Return whether a path names the built-in library or model, of this version or another."""
+    return str(path).partition("@")[0] == str(BUILT_IN)
+
+
+@cache
+def about() -> dict[str, Any]:
+    """Return source, licence, citation and checksums of the built-in library and model."""
+    return json.loads(ABOUT_FILE.read_bytes())
+
+
+@cache
+def content_hash() -> str:
+    """Return a hash of the built-in library and model, which stands in JSON and scenes."""
+    sums = json.dumps(about()["sha256"], sort_keys=True)
+    return hashlib.sha256(sums.encode()).hexdigest()[:_HASH_LENGTH]
+
+
+def named(path: PurePath | str) -> str:
+    """Return a path as JSON and scenes name it: `built-in` with the hash of its content."""
+    if is_built_in(path):
+        return f"{BUILT_IN}@{content_hash()}"
+    return address_of(path) or str(path)
+
+
+def require_same(path: PurePath | str) -> None:
+    """Raise UsageError if a path names the built-in library or model of another version."""
+    expected = str(path).partition("@")[2]
+    if expected and expected != content_hash():
+        raise UsageError(
+            f"{path}: another version of manifold; this one brings {named(BUILT_IN)}: name {BUILT_IN} to use that"
+        )
+
+
+def is_elsewhere(path: PurePath | str) -> bool:
+    """Return whether a path names the built-in library or model, or an address, which no file system has."""
+    return is_built_in(path) or address_of(path) is not None
+
+
+def resolved(path: PurePath | str) -> Path:
+    """Return the absolute path of a library or model; `built-in` and addresses stay as they are."""
+    return Path(path) if is_elsewhere(path) else Path(path).expanduser().resolve()
+
+
+def exists(path: Path) -> bool:
+    """Return whether a path names the built-in library or model, an address, or a file or folder that is there."""
+    return is_elsewhere(path) or path.exists()
+
+
+def model_file(path: Path) -> Path:
+    """Return the file of a model. Raises UsageError for the built-in one of another version."""
+    return _own_file(path, MODEL_FILE) if is_built_in(path) else path
+
+
+def library_file(path: PurePath | str) -> Path:
+    """Return the zip file of the built-in library. Raises UsageError for that of another version."""
+    return _own_file(path, LIBRARY_FILE)
+
+
+_tell: Callable[[], object] = bool
+
+
+def tell_with(function: Callable[[], object]) -> None:
+    """Call a function once, when the built-in library or model is opened the next time."""
+    global _tell
+    _tell = function
+
+
+def _own_file(path: PurePath | str, file: Path) -> Path:
+    require_same(path)
+    tell = _tell
+    tell_with(bool)
+    tell()
+    return file

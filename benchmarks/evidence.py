@@ -100,6 +100,10 @@ RESULTS = {
         (*_GPLVM, *_BLEND, *_LIGHTS, "model/reconstruction.py", "evaluate/baselines.py", "evaluate/chart.py"),
     ),
     "readings": Result("bench_readings.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/expected.py")),
+    "completion_errors": Result(
+        "bench_completion_errors.py LIBRARY NEURAL",
+        (*_COMPLETE, *_LIGHTS, "estimate/expected.py", "estimate/pixel_mixtures.py"),
+    ),
     "lights": Result("bench_lights.py FILES", (*_LIGHTS, "model/reconstruction.py", "fit/principled.py")),
     "fit": Result("bench_fit.py --files FILES --appearance-only", ("fit/principled.py", "fit/gauss_newton.py")),
     "exports": Result("bench_exports.py --files FILES --targets gltf,openpbr", ("fit/exports",)),

@@ -22,7 +22,7 @@ from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
 from manifold.estimate.completion import Alternative, Completion
-from manifold.estimate.expected import Calibration, calibrate
+from manifold.estimate.expected import Calibration, calibrate, unreliable
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.picture_colours import with_picture_colours
@@ -62,7 +62,8 @@ class Completed(Result):
         located: its place on a map; None if none was asked for.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
         plausibility: of the written file, read back; None without one.
-        suggested: the next readings to take; None if none were asked for.
+        next_readings: to take, of which those that were asked for are `suggested`; None if nothing calls for any.
+        count: how many were asked for.
         plan: where to hold the lamp next; None if no picture was asked for.
         diagnostics: what a user should know before trusting it, in sentences.
         seconds: in all, without reading.
@@ -142,6 +143,13 @@ class Completed(Result):
         default=None, metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
     )  # fmt: skip
     correction: ColourCorrection | None = field(default=None, metadata=entry())
+
+    @property
+    @derived(row="advice")
+    def advice(self) -> str | None:
+        """Whether to use it, by its expected errors, and what to read first otherwise; None without them."""
+        return advise(self.expected, self.next_readings)
+
     expected: Errors[float] = field(
         metadata=entry(
             row="expected error", columns=EXPECTED_COLUMNS,
@@ -234,7 +242,7 @@ class Completed(Result):
     @property
     @derived()
     def uncertainty(self) -> dict[str, Any]:
-        """Relative standard deviation of f over mixtures, in the plane of incidence, by direction."""
+        """Factors within which f is right with a probability of 0.9, in the plane of incidence, by direction."""
         return uncertainty(self.completion)
 
     @property
@@ -254,7 +262,13 @@ class Completed(Result):
     plausibility: Plausibility | None = field(
         default=None, metadata=entry(row="albedo", words="at most {.max_albedo:.2f}")
     )
-    suggested: Suggested | None = None
+    next_readings: Suggested | None = None
+    count: int = 0
+
+    @property
+    def suggested(self) -> Suggested | None:
+        """The next readings to take, as many as were asked for; None if none were."""
+        return self.next_readings if self.count else None
 
     @property
     @derived()
@@ -408,7 +422,9 @@ def complete(
     stages, opened = Stages(shares), Library(library)
     completion, calibration, balls = observe(opened, stages, readings, gloss, pictures)
     expected = calibration.expected(completion)
-    suggested = suggest(completion.atoms, count, completion, instrument) if count and not balls else None
+    next_readings = None
+    if not balls and (count or unreliable(expected)):
+        next_readings = suggest(completion.atoms, max(count, 1), completion, instrument)
     stages.begin("writing")
     written = write_checked(
         output,
@@ -438,9 +454,27 @@ def complete(
     notes += written.notes + _of_unit(readings, written.plausibility)
     return Completed(
         path=output, picture=picture, completion=completion, balls=balls, correction=correction,
-        expected=written.expected(expected), plausibility=written.plausibility, suggested=suggested, plan=plan,
+        expected=written.expected(expected), plausibility=written.plausibility, next_readings=next_readings,
+        count=count, plan=plan,
         diagnostics=notes, seconds=time.perf_counter() - start,
     )  # fmt: skip
+
+
+def advise(expected: Errors[float], next_readings: Suggested | None) -> str | None:
+    """Return whether to use a completion of some expected errors, and the first of the next readings to take."""
+    where = unreliable(expected)
+    if where is None:
+        return "use it" if "elsewhere" in expected.known else None
+    if where == "highlights":
+        advice = (
+            f"do not use it for highlights: {percent(expected.near_mirror)} expected cube-root error there"
+        )
+    else:
+        advice = f"do not use it: {percent(expected.elsewhere)} expected cube-root error beside highlights"
+    if next_readings is None:
+        return advice
+    theta_i, theta_o, phi = next_readings.angles_deg[0]
+    return f"{advice}; read first: incidence {theta_i:.0f}, outgoing {theta_o:.0f}, azimuth {phi:.0f} degrees"
 
 
 def odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:
@@ -530,12 +564,12 @@ def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
 
 
 def uncertainty(completion: Completion) -> dict[str, Any]:
-    """Return the relative standard deviation of f over hypotheses, in the plane of incidence, by direction."""
+    """Return `Completion.factors_at` in the plane of incidence, by direction."""
     profiles: dict[str, list[float]] = {}
     for incidence in _PROFILE_INCIDENCES_DEG:
         wi = from_spherical(np.deg2rad(incidence), np.pi)
         wo = from_spherical(np.deg2rad(_PROFILE_ELEVATIONS_DEG), 0.0)
-        profiles[f"{incidence:g}"] = completion.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
+        profiles[f"{incidence:g}"] = completion.factors_at(np.broadcast_to(wi, wo.shape), wo).tolist()
     return {"theta_o_deg": _PROFILE_ELEVATIONS_DEG.tolist(), "by_incidence_deg": profiles}
 
 

@@ -288,6 +288,12 @@ class Completion:
         return tuple(errors)
 
     @property
+    def is_brightness_guessed(self) -> bool:
+        """Whether only the library says how bright the material is: exposures are unknown, and nothing was read."""
+        seen = self.evidence
+        return seen.exposure is None and not seen.of_readings and not seen.of_gloss
+
+    @property
     def exposed(self) -> Evidence:
         """The evidence with the exposures of pictures divided out; unknown ones stay unknown."""
         return self.evidence.exposed(self.exposures)
@@ -507,11 +513,10 @@ class Completion:
                 "as in its picture; expected errors take that as known"
             )
         notes += self._differing_exposures()
-        if self.evidence.exposure is None and readings is None:
+        if self.is_brightness_guessed:
             notes.append(
                 "the exposure was estimated from how bright the library's materials are: lightness may be off by a "
-                "factor of two and more, which the expected errors include; a grey card in the picture (--grey) fixes "
-                "it"
+                "factor of two and more"
             )
         if self.solution.contradiction > CONTRADICTION:
             notes.append(

@@ -462,6 +462,11 @@ def complete(
 
 def advise(expected: Errors[float], next_readings: Suggested | None) -> str | None:
     """Return whether to use a completion of some expected errors, and the first of the next readings to take."""
+    if "scaled_ball" in expected.known:
+        return (
+            "do not use its brightness, which is a guess: picture a white or grey card (--grey), or read the material "
+            "once (--lab, or --readings at 45/0)"
+        )
     where = unreliable(expected)
     if where is None:
         return "use it" if "elsewhere" in expected.known else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -23,7 +23,7 @@ from manifold.metrics import Errors, RunningErrors
 from manifold.model.expected_error import BELOW_TWICE
 from manifold.records import Array, Indices, Mask, evenly_spaced
 
-_KINDS = ("ball", "cube_root", "linear", "near_mirror", "elsewhere")  # of which some may be unknown
+_KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown
 _NEAR_MIRROR_DEG = 10.0  # from the mirror direction
 _LEFT_OUT = 16  # materials by which errors of estimates from pictures are calibrated
 _MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
@@ -31,7 +31,14 @@ _LEAST = 1e-6  # of residuals and plausible errors, in divisions
 _PIXEL_STRIDE = 4  # one in this many pixels is enough for plausible errors
 _PLAUSIBLE, _RESIDUALS = "plausible_", "residuals"  # names of arrays in a library's cache
 _WORLD = 20  # left-out materials of a library that count as much as `_OF_WORLD`
-_OF_WORLD = {"ball": 0.65, "cube_root": 1.35, "linear": 1.2, "near_mirror": 1.4, "elsewhere": 0.9}
+_OF_WORLD = {
+    "ball": 0.65,
+    "scaled_ball": 0.65,
+    "cube_root": 1.35,
+    "linear": 1.2,
+    "near_mirror": 1.4,
+    "elsewhere": 0.9,
+}
 """Factors of plausible errors in the world: 123 neural fits of RGL and MERL completed from the other 20 of RGL, as
 measured, mean over five instruments (benchmarks/bench_expected_error.py)."""
 
@@ -72,8 +79,10 @@ class Calibration:
         left-out material, errors grow in proportion to it. The error of colours that were estimated from three bands,
         or that repeated readings leave open, is added to that of the ball.
         """
-        plausible = plausible_errors(completion)
-        return self.at(plausible, completion.residual).beside(Errors(ball=completion.colour_error))
+        found = self.at(plausible_errors(completion), completion.residual)
+        if not completion.is_brightness_guessed:
+            found = replace(found, scaled_ball=np.nan)
+        return found.beside(Errors(ball=completion.colour_error))
 
     def at(self, plausible: Errors[float], residual: float) -> Errors[float]:
         """Return the expected errors at some plausible errors and a residual."""
@@ -129,7 +138,7 @@ class Calibration:
 
 
 def unreliable(expected: Errors[float]) -> str | None:
-    """Return where expected errors are too large: "all directions", or "highlights" alone; None if nowhere."""
+    """Return where expected errors are too large: "all directions", "highlights", or None."""
     if expected.elsewhere > LARGE:
         return "all directions"
     return "highlights" if expected.near_mirror > LARGE else None
@@ -180,10 +189,18 @@ def plausible_errors(made: Completion) -> Errors[float]:
             f = alike.of(atoms.directions[:, :n]) ** 3
             light = lights.of(alike.of(atoms.ball[:, pairs]).T ** 3).T
         roots, roots_star = (np.cbrt(np.clip(each, 0.0, 1.0)) for each in (light, light_star))
-        lightness = 116.0 * np.average(np.abs(roots - roots_star), axis=1, weights=lights.pixel_weights)
         errors = _errors_of_values(atoms, f[..., None], np.broadcast_to(f_star[:, None], (*f.shape, 1)))
-        means.append((errors | Errors(ball=lightness)).over(alike.geometric_mean))
+        errors |= Errors(ball=_lightness(lights, roots - roots_star))
+        if atoms.is_linear:
+            scale = roots @ roots_star / max(float(roots_star @ roots_star), _LEAST)
+            errors |= Errors(scaled_ball=_lightness(lights, roots - np.outer(scale, roots_star)))
+        means.append(errors.over(alike.geometric_mean))
     return _arrays(means).over(lambda of_channels: float(np.exp(np.mean(np.log(of_channels)))))
+
+
+def _lightness(lights: Panel, differences: Array) -> Array:
+    """Return mean differences of L* over the pixels of balls, from those of cube roots (A, K): (A,)."""
+    return np.asarray(116.0 * np.average(np.abs(differences), axis=1, weights=lights.pixel_weights))
 
 
 @lru_cache(maxsize=4)
@@ -289,12 +306,20 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Er
     lights, n = panel.judged(), atoms.n_grid
     if atoms.is_linear:
         own = channel_atoms(atoms, m)
-        balls = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in (atoms.on_ball[own].T, on_ball))
-        look = lights.compare(*balls)
+        ball, scaled = atoms.on_ball[own].T, on_ball * _best_factor(atoms.on_ball[own].T, on_ball)
+        xyz, *stars = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in (ball, on_ball, scaled))
+        look, of_scaled = (lights.compare(xyz, star) for star in stars)
+        look = replace(look, scaled_ball=of_scaled.ball)
     else:
         own = np.flatnonzero(atoms.material_of == m)
         look = lights.errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
     return look | _errors_of_values(atoms, atoms.directions[own, :n].T ** 3, on_grid).over(float)
+
+
+def _best_factor(light: Array, made: Array) -> float:
+    """Return the factor by which cube roots of pixels, at most white, are nearest to those of others: both (K, 3)."""
+    roots, roots_made = (np.cbrt(np.clip(each, 0.0, 1.0)) for each in (light, made))
+    return float(np.sum(roots * roots_made) / max(float(np.sum(roots_made**2)), _LEAST)) ** 3
 
 
 def _errors_of_values(atoms: LibraryAtoms, f: Array, f_star: Array) -> Errors[Array]:

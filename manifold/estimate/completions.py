@@ -58,23 +58,19 @@ class Completed(Result):
         path: the file; None if a place on a map was asked for without one.
         picture: of its ball, or of photographs beside predictions; None if none was asked for.
         completion: with errors at the readings that are those of the file.
-        balls: in the photographs.
-        located: its place on a map; None if none was asked for.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
         plausibility: of the written file, read back; None without one.
         next_readings: to take, of which those that were asked for are `suggested`; None if nothing calls for any.
         count: how many were asked for.
-        plan: where to hold the lamp next; None if no picture was asked for.
         diagnostics: what a user should know before trusting it, in sentences.
         seconds: in all, without reading.
     """
 
     path: Path | None = field(metadata=entry())
     picture: Path | None = field(
-        default=None, metadata=entry(row="picture", words=lambda result: result.picture if result.balls else None)
+        default=None, metadata=entry(row="picture")
     )  # fmt: skip
     completion: Completion
-    balls: tuple[SeenBall, ...] = ()
 
     @property
     @derived()
@@ -99,49 +95,6 @@ class Completed(Result):
         """Number of readings; None without."""
         return None if self._readings is None else len(self._readings)
 
-    @property
-    @derived(
-        row="photographs",
-        words=lambda result: [
-            f"{ball.photograph.path.name}, ball at {ball.circle}"
-            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
-            + f", residual {100 * residual:.1f} %"
-            + ("" if predicted is None else f", {100 * predicted:.1f} % predicted from the others")
-            for ball, residual, predicted in result.balls_with_residuals
-        ],
-    )
-    def photographs(self) -> list[dict[str, Any]]:
-        """Files with their balls, lamps and residuals."""
-        return [
-            {
-                "path": ball.photograph.path,
-                "circle": list(vars(ball.circle).values()),
-                "lamps": [lamp.direction for lamp in ball.lamps],
-                "residual": residual,
-                "predicted": predicted,
-            }
-            for ball, residual, predicted in self.balls_with_residuals
-        ]
-
-    @property
-    @derived(
-        row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
-    )
-    def latent(self) -> Array | None:
-        """Its latent on a map, if it was asked for."""
-        return None if self.located is None else self.located.latent
-
-    @property
-    @derived(
-        row="nearest", words=lambda result: [f"{name} ({apart:.2f})" for name, apart in result.nearest], json=False
-    )  # fmt: skip
-    def nearest(self) -> list[tuple[str, float]]:
-        """The nearest materials on the map, with their distances."""
-        return [] if self.located is None else self.located.nearest
-
-    located: Located | None = field(
-        default=None, metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
-    )  # fmt: skip
     correction: ColourCorrection | None = field(default=None, metadata=entry())
 
     @property
@@ -162,16 +115,8 @@ class Completed(Result):
     @property
     @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
     def residual(self) -> float:
-        """Residual in cube roots: of all pixels and readings; or of readings alone, or of gloss if it is larger."""
-        return self.completion.residual if self.balls else self.completion.residual_of_readings
-
-    @property
-    @derived(
-        row="exposure", words=lambda result: list(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
-    )  # fmt: skip
-    def exposures(self) -> Array:
-        """Exposures of the pictures."""
-        return self.completion.exposures
+        """Residual of the readings in cube roots, or of gloss if it is larger."""
+        return self.completion.residual_of_readings
 
     @property
     @derived()
@@ -246,18 +191,15 @@ class Completed(Result):
         return uncertainty(self.completion)
 
     @property
-    @derived(
-        row="change of the ball",
-        words=lambda result: (
-            f"{', '.join(f'without {name} {off:.1f}' for name, off in result.contributions.items())} {BALL}"
-            if result.contributions
-            else None
-        ),
-    )
+    @derived(row="change of the ball", words=lambda result: result.contributions_in_words())
     def contributions(self) -> dict[str, float]:
         """CIEDE2000 by which the ball changes without an observation, by its name, see `Completion.contributions`."""
-        names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
-        return {names.get(name, name): off for name, off in self.completion.contributions.items()}
+        return self.completion.contributions
+
+    def contributions_in_words(self) -> str | None:
+        """Return the contributions; None without any."""
+        parts = [f"without {name} {off:.1f}" for name, off in self.contributions.items()]
+        return f"{', '.join(parts)} {BALL}" if parts else None
 
     plausibility: Plausibility | None = field(
         default=None, metadata=entry(row="albedo", words="at most {.max_albedo:.2f}")
@@ -276,7 +218,6 @@ class Completed(Result):
         """Angles of the next readings to take, in degrees."""
         return None if self.suggested is None else self.suggested.angles_deg
 
-    plan: LampPlan | None = field(default=None, metadata=entry())
     diagnostics: tuple[str, ...] = field(default=(), metadata=entry())
     seconds: float = field(default=0.0, metadata=entry())
 
@@ -284,24 +225,14 @@ class Completed(Result):
     def _readings(self) -> Readings | None:
         return self.completion.evidence.readings
 
-    @property
-    def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
-        """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
-        residuals = self.completion.solution.residuals.tolist()
-        errors = self.completion.picture_errors or [None] * len(residuals)
-        return list(zip(self.balls, residuals, errors, strict=True))
-
     def residuals_in_words(self) -> list[str]:
-        """Return the residuals of pixels and of readings, and beside pictures that of the readings they predict."""
-        words = [f"{100 * self.residual:.1f} % of the pixels, in cube roots"] if self.balls else []
-        if self._readings is not None:
-            residual, alone = self.completion.residual_of_readings, self.completion.solution.contradiction
-            most = max(float(self.completion.misfits.max()), residual)
-            which = "readings and gloss" if self.completion.evidence.gloss else "readings"
-            of_readings = f"{100 * residual:.1f} % of the {which}, in cube roots, at most {100 * most:.1f} %"
-            predicted = f"; {100 * alone:.1f} % predicted from only the photographs" if self.balls else ""
-            words.append(of_readings + predicted)
-        return words
+        """Return the residual of the readings, and the largest of one."""
+        if self._readings is None:
+            return []
+        residual = self.completion.residual_of_readings
+        most = max(float(self.completion.misfits.max()), residual)
+        which = "readings and gloss" if self.completion.evidence.gloss else "readings"
+        return [f"{100 * residual:.1f} % of the {which}, in cube roots, at most {100 * most:.1f} %"]
 
     def colours_in_words(self) -> str:
         """Return the mean and largest difference of colours at the readings, with the angles of the largest."""
@@ -327,6 +258,101 @@ class Completed(Result):
         """Return a remark on an error that is smaller than the differences between measurements of the sample."""
         between = self.between_measurements
         return "" if between is None or ciede2000 > between.ciede2000 else " (less than measurements differ)"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photographed(Completed):
+    """A material completed from photographs, and perhaps readings.
+
+    Attributes:
+        balls: in the photographs.
+        located: its place on a map; None if none was asked for.
+        plan: where to hold the lamp next; None if no picture was asked for.
+    """
+
+    balls: tuple[SeenBall, ...]
+
+    @property
+    @derived(
+        row="photographs",
+        words=lambda result: [
+            f"{ball.photograph.path.name}, ball at {ball.circle}"
+            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
+            + f", residual {100 * residual:.1f} %"
+            + ("" if predicted is None else f", {100 * predicted:.1f} % predicted from the others")
+            for ball, residual, predicted in result.balls_with_residuals
+        ],
+    )
+    def photographs(self) -> list[dict[str, Any]]:
+        """Files with their balls, lamps and residuals."""
+        return [
+            {
+                "path": ball.photograph.path,
+                "circle": list(vars(ball.circle).values()),
+                "lamps": [lamp.direction for lamp in ball.lamps],
+                "residual": residual,
+                "predicted": predicted,
+            }
+            for ball, residual, predicted in self.balls_with_residuals
+        ]
+
+    @property
+    @derived(
+        row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
+    )
+    def latent(self) -> Array | None:
+        """Its latent on a map, if it was asked for."""
+        return None if self.located is None else self.located.latent
+
+    @property
+    @derived(
+        row="nearest", words=lambda result: [f"{name} ({apart:.2f})" for name, apart in result.nearest], json=False
+    )  # fmt: skip
+    def nearest(self) -> list[tuple[str, float]]:
+        """The nearest materials on the map, with their distances."""
+        return [] if self.located is None else self.located.nearest
+
+    located: Located | None = field(
+        default=None, metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
+    )  # fmt: skip
+
+    @property
+    @derived(
+        row="exposure", words=lambda result: list(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
+    )  # fmt: skip
+    def exposures(self) -> Array:
+        """Exposures of the pictures."""
+        return self.completion.exposures
+
+    plan: LampPlan | None = field(default=None, metadata=entry())
+
+    @property
+    @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
+    def residual(self) -> float:
+        """Residual of all pixels and readings, in cube roots."""
+        return self.completion.residual
+
+    @property
+    def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
+        """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
+        residuals = self.completion.solution.residuals.tolist()
+        errors = self.completion.picture_errors or [None] * len(residuals)
+        return list(zip(self.balls, residuals, errors, strict=True))
+
+    def residuals_in_words(self) -> list[str]:
+        """Return the residuals of pixels and of readings, and that of readings that pictures alone predict."""
+        words = [f"{100 * self.residual:.1f} % of the pixels, in cube roots"]
+        predicted = (
+            f"; {100 * self.completion.solution.contradiction:.1f} % predicted from only the photographs"
+        )
+        return words + [of_readings + predicted for of_readings in super().residuals_in_words()]
+
+    @property
+    @derived(row="change of the ball", words=lambda result: result.contributions_in_words())
+    def contributions(self) -> dict[str, float]:
+        """CIEDE2000 by which the ball changes without an observation, by its name or that of the picture."""
+        names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
+        return {names.get(name, name): off for name, off in self.completion.contributions.items()}
 
 
 def observe(
@@ -452,12 +478,12 @@ def complete(
     if balls and written.projection:
         notes += ("the residual of pixels is that of the material before it was made physical",)
     notes += written.notes + _of_unit(readings, written.plausibility)
-    return Completed(
-        path=output, picture=picture, completion=completion, balls=balls, correction=correction,
-        expected=written.expected(expected), plausibility=written.plausibility, next_readings=next_readings,
-        count=count, plan=plan,
-        diagnostics=notes, seconds=time.perf_counter() - start,
-    )  # fmt: skip
+    made: dict[str, Any] = {
+        "path": output, "picture": picture, "completion": completion, "correction": correction,
+        "expected": written.expected(expected), "plausibility": written.plausibility, "next_readings": next_readings,
+        "count": count, "diagnostics": notes, "seconds": time.perf_counter() - start,
+    }  # fmt: skip
+    return Photographed(**made, balls=balls, plan=plan) if balls else Completed(**made)
 
 
 def advise(expected: Errors[float], next_readings: Suggested | None) -> str | None:

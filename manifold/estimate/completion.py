@@ -370,11 +370,10 @@ class Completion:
         else:
             power, stars = 3, self._at(at, coordinates(wi, wo)).mean(axis=1)[None]
         for star, of in zip(stars, self.solution.hypotheses, strict=True):
-            f, f_star = (np.log(np.maximum(values, _LEAST_F)) for values in (of.alike.of(at) ** power, star))
+            alike = of.alike.as_bright_as_atoms if self.is_brightness_guessed else of.alike
+            f, f_star = (np.log(np.maximum(values, _LEAST_F)) for values in (alike.of(at) ** power, star))
             off = np.abs(f - f_star)
-            logs.append(
-                np.quantile(off, _WITHIN, axis=0, weights=of.alike.probability, method="inverted_cdf")
-            )
+            logs.append(np.quantile(off, _WITHIN, axis=0, weights=alike.probability, method="inverted_cdf"))
         return np.asarray(np.exp(np.mean(logs, axis=0)))
 
     @cached_property

@@ -40,7 +40,7 @@ _OF_WORLD = {
     "elsewhere": 0.9,
 }
 """Factors of plausible errors in the world: 123 neural fits of RGL and MERL completed from the other 20 of RGL, as
-measured, mean over five instruments (benchmarks/bench_expected_error.py)."""
+measured, mean over five sets of readings (benchmarks/bench_completion_errors.py)."""
 
 LARGE = 0.26
 """Cube-root error of values that are off by a factor of two."""
@@ -171,7 +171,8 @@ def plausible_errors(made: Completion) -> Errors[float]:
     """Return the errors that a completion has if its material is one that explains the observations about as well.
 
     Such materials are those of the library and coats, each scaled and beside a Lambertian, see `mixtures.Alike`, in the
-    mean over bands, or by channel. Errors are geometric means over them, and that of the ball is of its lightness.
+    mean over bands, or by channel; none is scaled if the brightness is a guess. Errors are geometric means over them,
+    and that of the ball is of its lightness.
     """
     atoms, n = made.atoms, made.atoms.n_grid
     lights, pixels, pairs = _some_pixels(panel.judged())
@@ -182,6 +183,8 @@ def plausible_errors(made: Completion) -> Errors[float]:
     means = []
     for f_star, light_star, hypotheses in zip(stars, lit_stars, made.solution.hypotheses, strict=True):
         alike = hypotheses.alike
+        if made.is_brightness_guessed:
+            alike = alike.as_bright_as_atoms
         if atoms.is_linear:
             f: Array = alike.of(atoms.on_grid) / atoms.grid.cosines
             light = alike.of(atoms.on_ball[:, pixels])

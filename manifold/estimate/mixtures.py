@@ -29,6 +29,7 @@ _TWO_COATS = 0.8  # share of mixtures of two coats among those that a coat is pa
 _TEMPERED = (
     0.25  # power of the likelihood of `Alike`: errors of their highlights are then nearest to true ones
 )
+_LEAST_SCALE = 0.1  # of atoms: beside smaller ones, the Lambertian is what is seen
 _WORLD_COATED = 0.2  # the same for `Alike`, where kinds that a library lacks count: plastics, varnishes
 
 LIKE_ONE = 0.8
@@ -185,6 +186,12 @@ class Alike:
     scale: Array
     lambertian: Array
     base: int
+
+    @property
+    def as_bright_as_atoms(self) -> Alike:
+        """Return them scaled so that their atoms have scale 1: as bright as the library's materials are."""
+        scale = np.maximum(self.scale, _LEAST_SCALE)
+        return replace(self, scale=self.scale / scale, lambertian=self.lambertian / scale)
 
     def of(self, values: Array) -> Array:
         """Return linear functionals of them, from those of all atoms (n, P): shape (A, P)."""

@@ -32,6 +32,7 @@ from manifold.estimate.expected import Calibration, errors_of, leave_out, plausi
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
+    Alike,
     ReadingRoots,
     band_mixtures,
     log_prior_of,
@@ -547,6 +548,14 @@ def test_expected_errors_are_the_plausible_ones_times_typical_ratios(rng, N, sha
 def test_a_typical_error_allows_for_one_more_than_were_seen():
     assert expected.typical(np.append(np.ones(8), 10.0)) == 5.0
     assert expected.typical(np.append(np.ones(99), 10.0)) == 1.0
+
+
+def test_atoms_as_bright_as_in_the_library_keep_their_shares():
+    found = Alike(np.full(2, 0.5), np.arange(2), np.array([2.0, 0.05]), np.array([1.0, 0.1]), 2)
+    np.testing.assert_allclose(
+        found.as_bright_as_atoms.scale, [1.0, 0.5]
+    )  # no scale below a tenth is raised to 1
+    np.testing.assert_allclose(found.as_bright_as_atoms.lambertian, [0.5, 1.0])
 
 
 def test_errors_of_highlights_shrink_once_a_mirror_direction_is_read(atoms):

@@ -1,6 +1,6 @@
 """Expected errors of completions beside true ones, of materials that the library does not have.
 
-    python benchmarks/bench_completion_errors.py LIBRARY NEURAL [--every K] [--only SETUP ...] [--json FILE]
+    python benchmarks/bench_completion_errors.py LIBRARY NEURAL [--every K] [--only SETUP ...] [--tasks TASK ...]
 
 NEURAL holds published neural fits (`neural_fits.py`). Those of materials that LIBRARY does not have are completed from
 LIBRARY. Then every third of all is completed from the other two thirds. Calibrations see only the library that
@@ -40,6 +40,8 @@ RANDOM = 12  # readings in random directions
 LAMPS_DEG = {"picture": (30.0,), "pictures": (15.0, 45.0, 90.0)}
 INCIDENCES_DEG = (20.0, 40.0, 60.0)
 ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
+TASKS = ("of_library", "of_neural")
+"""Completed from LIBRARY, or from two thirds of the neural fits."""
 LEAST = 1e-6  # 1/sr; smaller values count as this
 
 LeftOut = tuple[LibraryAtoms, list[int]]
@@ -187,6 +189,7 @@ def main() -> None:
     parser.add_argument("neural", type=Path)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=setups())
+    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     fits = read_neural_fits(asked.neural)
@@ -203,7 +206,8 @@ def main() -> None:
         "of_neural": (rest, [(thirds[0], list(range(len(thirds[0].names)))[:: asked.every])]),
     }
     result: dict[str, dict[str, object]] = {}
-    for task, (atoms, left_out) in tasks.items():
+    for task in asked.tasks:
+        atoms, left_out = tasks[task]
         for name, setup in setups().items():
             if asked.only and name not in asked.only:
                 continue

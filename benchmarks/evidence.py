@@ -101,7 +101,7 @@ RESULTS = {
     ),
     "readings": Result("bench_readings.py LIBRARY", (*_COMPLETE, *_LIGHTS, "estimate/expected.py")),
     "completion_errors": Result(
-        "bench_completion_errors.py LIBRARY NEURAL",
+        "bench_completion_errors.py LIBRARY NEURAL --every 3 --tasks of_library",
         (*_COMPLETE, *_LIGHTS, "estimate/expected.py", "estimate/pixel_mixtures.py"),
     ),
     "lights": Result("bench_lights.py FILES", (*_LIGHTS, "model/reconstruction.py", "fit/principled.py")),

@@ -85,7 +85,8 @@ class Setup:
     def _pictures(self, atoms: LibraryAtoms, truths: LibraryAtoms) -> Callable[[int], Completion]:
         ours, theirs = ([picture_rows(each, angle) for angle in self.lamps_deg] for each in (atoms, truths))
         exposure, one = 1.0 if self.is_exposed else None, at_45_0()
-        at = truths.at(*one)[: truths.n_measured]
+        roots = replace(truths, is_linear=False)
+        at = roots.at(*one)
 
         def complete(m: int) -> Completion:
             own = channel_atoms(truths, m)
@@ -95,7 +96,7 @@ class Setup:
             ]
             beside: dict[str, Any] = {}
             if self.has_reading:
-                readings = read(truths, m, np.cbrt(at), *one, np.arange(1))
+                readings = read(roots, m, at, *one, np.arange(1))
                 of_readings = rows_of_readings(atoms, readings, float(pictures[0][0].weights.sum()))
                 beside = {"readings": readings, "of_readings": of_readings}
             evidence = Evidence(pictures=pictures, exposure=exposure, to_bands=np.eye(3), **beside)

@@ -11,7 +11,7 @@ import io
 import re
 import sys
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -141,7 +141,11 @@ def _write(path: Path, brdf: NeuralBRDF) -> None:
     write_bsdf(path, goniometer.measure(brdf.plausible(), brdf.name, description=what, **how))  # type: ignore[arg-type]
 
 
-if __name__ == "__main__":
-    source, folder = sys.argv[1:]
-    fits = read_neural_fits(source)
+def write_fits(folder: Path | str, fits: Mapping[str, NeuralBRDF]) -> None:
+    """Write fits as RGL files."""
     write_files(folder, "_rgb.bsdf", {name: partial(_write, brdf=brdf) for name, brdf in fits.items()})
+
+
+if __name__ == "__main__":
+    source, target = sys.argv[1:]
+    write_fits(target, read_neural_fits(source))

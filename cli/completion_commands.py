@@ -232,8 +232,9 @@ def complete(
     source = ", ".join(path.name for path in readings) if readings else "a colour"
     if report is not None:
         reports.write_completion(report, made, readings or [])
-    rows = {"from": source, **made.rows} | ({} if made.picture is None else {"picture": made.picture})
-    photograph_commands.show_completion(results, f"Completed {target}", made, rows, report)
+    photograph_commands.show_completion(
+        results, f"Completed {target}", made, {"from": source, **made.rows}, report
+    )
     if made.suggested is not None:
         _show_suggested(results, made.suggested, "\nMeasure next", instrument)
     results.document(made)

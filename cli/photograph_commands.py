@@ -294,6 +294,8 @@ def complete_photographs(
     if report is not None:
         reports.write_completion(report, made, readings or ())
     show_completion(results, f"Completed {target}", made, made.rows, report)
+    if isinstance(made, completions.Photographed) and made.plan is not None:
+        show_plan(results, made.plan, " in addition to these")
     results.document(made)
 
 
@@ -304,7 +306,7 @@ def show_completion(
     rows: Mapping[str, object],
     report: Path | None = None,
 ) -> None:
-    """Print a completed material: its rows, the mixtures that explain the observations, and what to observe next."""
+    """Print a completed material: its rows, and the mixtures that explain the observations."""
     show_rows(results, title, completed, rows, report)
     results.text(
         "\nMost probable mixtures, before they are adjusted to the observations. The last column\n"
@@ -321,8 +323,6 @@ def show_completion(
             if a.probability >= _SHOWN_PROBABILITY
         ],
     )  # fmt: skip
-    if completed.plan is not None:
-        show_plan(results, completed.plan, " in addition to these")
 
 
 def show_rows(

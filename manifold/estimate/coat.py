@@ -45,7 +45,7 @@ from manifold.estimate.attributes import (
 )
 from manifold.estimate.completion import Completion
 from manifold.estimate.completions import atoms_of, colour_under_d65, draw_ball
-from manifold.estimate.expected import CALIBRATION_VERSION, Calibration, cached, errors_of
+from manifold.estimate.expected import CALIBRATION_VERSION, Calibration, cached, errors_of, typical
 from manifold.estimate.gloss import gloss_meter, gloss_units
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.suggestions import Suggested, directions_left, suggest
@@ -276,17 +276,17 @@ def expected_errors(atoms: LibraryAtoms, angles_deg: tuple[float, ...], library:
     """Return errors of coats with the colour and gloss of a library's materials; cached in the library."""
     axes = (CALIBRATION_VERSION, library.content_hash, atoms.names, angles_deg)
     key = hashlib.sha256(f"coats {axes}".encode()).hexdigest()
-    return cached(library, key, lambda: _calibrated(atoms, angles_deg)).at(np.ones(2))
+    return cached(library, key, lambda: _calibrated(atoms, angles_deg)).errors.over(typical)
 
 
 def _calibrated(atoms: LibraryAtoms, angles_deg: tuple[float, ...]) -> Calibration:
     bands, grid, lights = atoms.band_axis, atoms.grid, panel.judged()
 
-    def method(m: int) -> tuple[Errors[float], Array]:
+    def method(m: int) -> tuple[Errors[float], Errors[float], float]:
         material = atoms.materials[m]
         coat, _ = coat_of(lab_of(material), gloss_units(material, angles_deg), bands)
         on_grid, on_ball = (coat.eval(pairs.wi, pairs.wo) for pairs in (grid, lights))
-        return errors_of(atoms, m, on_grid, on_ball), np.ones(2)
+        return errors_of(atoms, m, on_grid, on_ball), Errors(), 0.0
 
     return Calibration.leave_out(method, range(len(atoms.names)))
 

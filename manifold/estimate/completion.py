@@ -18,7 +18,6 @@ from manifold.estimate.channels import Channels
 from manifold.estimate.evidence import Evidence, bands_of, beyond, in_all_bands
 from manifold.estimate.gloss import gloss_differences, gloss_units
 from manifold.estimate.mixtures import GlossReadings
-from manifold.estimate.pixel_mixtures import GRID_STRIDE
 from manifold.estimate.residual import AdjustedBRDF, ResidualFactors, coordinates
 from manifold.estimate.solving import (
     CONTRADICTION,
@@ -46,6 +45,8 @@ NOISY = 0.03
 _MUCH_LESS = 0.7  # share of a residual
 _VISIBLE_NM = 550.0  # bands on both sides make a colour
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
+_WITHIN = 0.9  # probability that f is within the factors of `Completion.factors_at`
+_LEAST_F = 1e-6  # 1/sr; smaller values count as this
 
 
 @dataclass(frozen=True)
@@ -287,6 +288,12 @@ class Completion:
         return tuple(errors)
 
     @property
+    def is_brightness_guessed(self) -> bool:
+        """Whether only the library says how bright the material is: exposures are unknown, and nothing was read."""
+        seen = self.evidence
+        return seen.exposure is None and not seen.of_readings and not seen.of_gloss
+
+    @property
     def exposed(self) -> Evidence:
         """The evidence with the exposures of pictures divided out; unknown ones stay unknown."""
         return self.evidence.exposed(self.exposures)
@@ -351,35 +358,23 @@ class Completion:
             return float(np.sqrt(np.mean(self.solution.errors**2)))
         return max(self.residual_of_readings, self.residual_of_mixtures)
 
-    @cached_property
-    def spread(self) -> float:
-        """Standard deviation of mixtures over directions, relative to their mean, in cube roots.
+    def factors_at(self, wi: Array, wo: Array) -> Array:
+        """Return factors within which f at direction pairs (P, 3) is right, with a probability of 0.9: (P,).
 
-        Directions are all, and those of the ball; or, beside pictures, all, and the mean square over channels is taken.
+        They are those of the materials that explain the observations about as well, see `mixtures.Alike`, in the mean
+        over bands, or the mean of those of channels.
         """
+        at, logs = self.atoms.at(wi, wo), []
         if self.atoms.is_linear:
-            grid = self.atoms.on_grid[:, ::GRID_STRIDE]
-            spreads = [of.spread(np.cbrt(of.weights @ grid)) for of in self.solution.hypotheses]
+            power, stars = 1, self.solution.weights @ at
         else:
-            directions, importance = self.atoms.directions, self.atoms.weights
-            spreads = [of.spread(of.weights @ directions, importance) for of in self.solution.hypotheses]
-        return float(np.sqrt(np.mean(np.square(spreads))))
-
-    @property
-    def indicators(self) -> Array:
-        """Residual and spread, from which errors are expected, shape (2,)."""
-        return np.array([self.residual, self.spread])
-
-    def spread_at(self, wi: Array, wo: Array) -> Array:
-        """Return the relative standard deviation of mixtures about f at direction pairs (P, 3), shape (P,)."""
-        at, power = self.atoms.at(wi, wo), 1 if self.atoms.is_linear else 3
-        squares = []
-        for of in self.solution.hypotheses:
-            curves = (of.weights @ at) ** power
-            mean = of.probability @ curves
-            variance = of.probability @ (curves - mean) ** 2
-            squares.append(variance / np.maximum(mean, np.finfo(float).tiny) ** 2)
-        return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+            power, stars = 3, self._at(at, coordinates(wi, wo)).mean(axis=1)[None]
+        for star, of in zip(stars, self.solution.hypotheses, strict=True):
+            alike = of.alike.as_bright_as_atoms if self.is_brightness_guessed else of.alike
+            f, f_star = (np.log(np.maximum(values, _LEAST_F)) for values in (alike.of(at) ** power, star))
+            off = np.abs(f - f_star)
+            logs.append(np.quantile(off, _WITHIN, axis=0, weights=alike.probability, method="inverted_cdf"))
+        return np.asarray(np.exp(np.mean(logs, axis=0)))
 
     @cached_property
     def residual_of_mixtures(self) -> float:
@@ -492,9 +487,9 @@ class Completion:
         from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
         if from_mirror.min() > _NEAR_MIRROR_DEG and not self.evidence.gloss:
             notes.append(
-                f"the nearest reading is {from_mirror.min():.0f} degrees from a mirror direction: narrow highlights "
-                f"(mirrors, clear coats) are not measured, and the expected errors do not include them; give the gloss "
-                f"of the sample (--gloss), or measure nearer to a mirror direction"
+                f"the nearest reading is {from_mirror.min():.0f} degrees from a mirror direction: highlights are "
+                "those of materials that agree with the readings; give the gloss of the sample (--gloss), or measure "
+                "nearer to a mirror direction"
             )
         return notes
 
@@ -517,11 +512,10 @@ class Completion:
                 "as in its picture; expected errors take that as known"
             )
         notes += self._differing_exposures()
-        if self.evidence.exposure is None and readings is None:
+        if self.is_brightness_guessed:
             notes.append(
                 "the exposure was estimated from how bright the library's materials are: lightness may be off by a "
-                "factor of two and more, which the expected errors include; a grey card in the picture (--grey) fixes "
-                "it"
+                "factor of two and more"
             )
         if self.solution.contradiction > CONTRADICTION:
             notes.append(

@@ -28,7 +28,7 @@ from manifold.estimate import instruments
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import Channels
 from manifold.estimate.completion import Alternative, Completion
-from manifold.estimate.expected import Calibration, calibrate
+from manifold.estimate.expected import Calibration, calibrate, unreliable
 from manifold.estimate.inputs import safe_name
 from manifold.estimate.lamp_plan import LampPlan, plan_lamps
 from manifold.estimate.picture_colours import with_picture_colours
@@ -58,22 +58,19 @@ class Completed(Result):
         path: the file; None if a place on a map was asked for without one.
         picture: of its ball, or of photographs beside predictions; None if none was asked for.
         completion: with errors at the readings that are those of the file.
-        balls: in the photographs.
-        located: its place on a map; None if none was asked for.
         correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
         plausibility: of the written file, read back; None without one.
-        suggested: the next readings to take; None if none were asked for.
-        plan: where to hold the lamp next; None if no picture was asked for.
+        next_readings: to take, of which those that were asked for are `suggested`; None if nothing calls for any.
+        count: how many were asked for.
         diagnostics: what a user should know before trusting it, in sentences.
         seconds: in all, without reading.
     """
 
     path: Path | None = field(metadata=entry())
     picture: Path | None = field(
-        default=None, metadata=entry(row="picture", words=lambda result: result.picture if result.balls else None)
+        default=None, metadata=entry(row="picture")
     )  # fmt: skip
     completion: Completion
-    balls: tuple[SeenBall, ...] = ()
 
     @property
     @derived()
@@ -98,50 +95,14 @@ class Completed(Result):
         """Number of readings; None without."""
         return None if self._readings is None else len(self._readings)
 
-    @property
-    @derived(
-        row="photographs",
-        words=lambda result: [
-            f"{ball.photograph.path.name}, ball at {ball.circle}"
-            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
-            + f", residual {100 * residual:.1f} %"
-            + ("" if predicted is None else f", {100 * predicted:.1f} % predicted from the others")
-            for ball, residual, predicted in result.balls_with_residuals
-        ],
-    )
-    def photographs(self) -> list[dict[str, Any]]:
-        """Files with their balls, lamps and residuals."""
-        return [
-            {
-                "path": ball.photograph.path,
-                "circle": list(vars(ball.circle).values()),
-                "lamps": [lamp.direction for lamp in ball.lamps],
-                "residual": residual,
-                "predicted": predicted,
-            }
-            for ball, residual, predicted in self.balls_with_residuals
-        ]
-
-    @property
-    @derived(
-        row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
-    )
-    def latent(self) -> Array | None:
-        """Its latent on a map, if it was asked for."""
-        return None if self.located is None else self.located.latent
-
-    @property
-    @derived(
-        row="nearest", words=lambda result: [f"{name} ({apart:.2f})" for name, apart in result.nearest], json=False
-    )  # fmt: skip
-    def nearest(self) -> list[tuple[str, float]]:
-        """The nearest materials on the map, with their distances."""
-        return [] if self.located is None else self.located.nearest
-
-    located: Located | None = field(
-        default=None, metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
-    )  # fmt: skip
     correction: ColourCorrection | None = field(default=None, metadata=entry())
+
+    @property
+    @derived(row="advice")
+    def advice(self) -> str | None:
+        """Whether to use it, by its expected errors, and what to read first otherwise; None without them."""
+        return advise(self.expected, self.next_readings)
+
     expected: Errors[float] = field(
         metadata=entry(
             row="expected error", columns=EXPECTED_COLUMNS,
@@ -154,16 +115,8 @@ class Completed(Result):
     @property
     @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
     def residual(self) -> float:
-        """Residual in cube roots: of all pixels and readings; or of readings alone, or of gloss if it is larger."""
-        return self.completion.residual if self.balls else self.completion.residual_of_readings
-
-    @property
-    @derived(
-        row="exposure", words=lambda result: list(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
-    )  # fmt: skip
-    def exposures(self) -> Array:
-        """Exposures of the pictures."""
-        return self.completion.exposures
+        """Residual of the readings in cube roots, or of gloss if it is larger."""
+        return self.completion.residual_of_readings
 
     @property
     @derived()
@@ -234,27 +187,30 @@ class Completed(Result):
     @property
     @derived()
     def uncertainty(self) -> dict[str, Any]:
-        """Relative standard deviation of f over mixtures, in the plane of incidence, by direction."""
+        """Factors within which f is right with a probability of 0.9, in the plane of incidence, by direction."""
         return uncertainty(self.completion)
 
     @property
-    @derived(
-        row="change of the ball",
-        words=lambda result: (
-            f"{', '.join(f'without {name} {off:.1f}' for name, off in result.contributions.items())} {BALL}"
-            if result.contributions
-            else None
-        ),
-    )
+    @derived(row="change of the ball", words=lambda result: result.contributions_in_words())
     def contributions(self) -> dict[str, float]:
         """CIEDE2000 by which the ball changes without an observation, by its name, see `Completion.contributions`."""
-        names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
-        return {names.get(name, name): off for name, off in self.completion.contributions.items()}
+        return self.completion.contributions
+
+    def contributions_in_words(self) -> str | None:
+        """Return the contributions; None without any."""
+        parts = [f"without {name} {off:.1f}" for name, off in self.contributions.items()]
+        return f"{', '.join(parts)} {BALL}" if parts else None
 
     plausibility: Plausibility | None = field(
         default=None, metadata=entry(row="albedo", words="at most {.max_albedo:.2f}")
     )
-    suggested: Suggested | None = None
+    next_readings: Suggested | None = None
+    count: int = 0
+
+    @property
+    def suggested(self) -> Suggested | None:
+        """The next readings to take, as many as were asked for; None if none were."""
+        return self.next_readings if self.count else None
 
     @property
     @derived()
@@ -262,7 +218,6 @@ class Completed(Result):
         """Angles of the next readings to take, in degrees."""
         return None if self.suggested is None else self.suggested.angles_deg
 
-    plan: LampPlan | None = field(default=None, metadata=entry())
     diagnostics: tuple[str, ...] = field(default=(), metadata=entry())
     seconds: float = field(default=0.0, metadata=entry())
 
@@ -270,24 +225,14 @@ class Completed(Result):
     def _readings(self) -> Readings | None:
         return self.completion.evidence.readings
 
-    @property
-    def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
-        """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
-        residuals = self.completion.solution.residuals.tolist()
-        errors = self.completion.picture_errors or [None] * len(residuals)
-        return list(zip(self.balls, residuals, errors, strict=True))
-
     def residuals_in_words(self) -> list[str]:
-        """Return the residuals of pixels and of readings, and beside pictures that of the readings they predict."""
-        words = [f"{100 * self.residual:.1f} % of the pixels, in cube roots"] if self.balls else []
-        if self._readings is not None:
-            residual, alone = self.completion.residual_of_readings, self.completion.solution.contradiction
-            most = max(float(self.completion.misfits.max()), residual)
-            which = "readings and gloss" if self.completion.evidence.gloss else "readings"
-            of_readings = f"{100 * residual:.1f} % of the {which}, in cube roots, at most {100 * most:.1f} %"
-            predicted = f"; {100 * alone:.1f} % predicted from only the photographs" if self.balls else ""
-            words.append(of_readings + predicted)
-        return words
+        """Return the residual of the readings, and the largest of one."""
+        if self._readings is None:
+            return []
+        residual = self.completion.residual_of_readings
+        most = max(float(self.completion.misfits.max()), residual)
+        which = "readings and gloss" if self.completion.evidence.gloss else "readings"
+        return [f"{100 * residual:.1f} % of the {which}, in cube roots, at most {100 * most:.1f} %"]
 
     def colours_in_words(self) -> str:
         """Return the mean and largest difference of colours at the readings, with the angles of the largest."""
@@ -313,6 +258,101 @@ class Completed(Result):
         """Return a remark on an error that is smaller than the differences between measurements of the sample."""
         between = self.between_measurements
         return "" if between is None or ciede2000 > between.ciede2000 else " (less than measurements differ)"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photographed(Completed):
+    """A material completed from photographs, and perhaps readings.
+
+    Attributes:
+        balls: in the photographs.
+        located: its place on a map; None if none was asked for.
+        plan: where to hold the lamp next; None if no picture was asked for.
+    """
+
+    balls: tuple[SeenBall, ...]
+
+    @property
+    @derived(
+        row="photographs",
+        words=lambda result: [
+            f"{ball.photograph.path.name}, ball at {ball.circle}"
+            + "".join(f", lamp {lamp}" for lamp in ball.lamps)
+            + f", residual {100 * residual:.1f} %"
+            + ("" if predicted is None else f", {100 * predicted:.1f} % predicted from the others")
+            for ball, residual, predicted in result.balls_with_residuals
+        ],
+    )
+    def photographs(self) -> list[dict[str, Any]]:
+        """Files with their balls, lamps and residuals."""
+        return [
+            {
+                "path": ball.photograph.path,
+                "circle": list(vars(ball.circle).values()),
+                "lamps": [lamp.direction for lamp in ball.lamps],
+                "residual": residual,
+                "predicted": predicted,
+            }
+            for ball, residual, predicted in self.balls_with_residuals
+        ]
+
+    @property
+    @derived(
+        row="latent", words=lambda result: result.located and ",".join(result.located.coordinates), json=False
+    )
+    def latent(self) -> Array | None:
+        """Its latent on a map, if it was asked for."""
+        return None if self.located is None else self.located.latent
+
+    @property
+    @derived(
+        row="nearest", words=lambda result: [f"{name} ({apart:.2f})" for name, apart in result.nearest], json=False
+    )  # fmt: skip
+    def nearest(self) -> list[tuple[str, float]]:
+        """The nearest materials on the map, with their distances."""
+        return [] if self.located is None else self.located.nearest
+
+    located: Located | None = field(
+        default=None, metadata=entry(row="reconstruction error", words=lambda result: result.located.errors.words)
+    )  # fmt: skip
+
+    @property
+    @derived(
+        row="exposure", words=lambda result: list(dict.fromkeys(f"{each:.3g}" for each in result.exposures))
+    )  # fmt: skip
+    def exposures(self) -> Array:
+        """Exposures of the pictures."""
+        return self.completion.exposures
+
+    plan: LampPlan | None = field(default=None, metadata=entry())
+
+    @property
+    @derived(row="residual", columns={"residual": ()}, words=lambda result: result.residuals_in_words())
+    def residual(self) -> float:
+        """Residual of all pixels and readings, in cube roots."""
+        return self.completion.residual
+
+    @property
+    def balls_with_residuals(self) -> list[tuple[SeenBall, float, float | None]]:
+        """The balls, each with the residual of its pixels, and with their error as the other pictures predict them."""
+        residuals = self.completion.solution.residuals.tolist()
+        errors = self.completion.picture_errors or [None] * len(residuals)
+        return list(zip(self.balls, residuals, errors, strict=True))
+
+    def residuals_in_words(self) -> list[str]:
+        """Return the residuals of pixels and of readings, and that of readings that pictures alone predict."""
+        words = [f"{100 * self.residual:.1f} % of the pixels, in cube roots"]
+        predicted = (
+            f"; {100 * self.completion.solution.contradiction:.1f} % predicted from only the photographs"
+        )
+        return words + [of_readings + predicted for of_readings in super().residuals_in_words()]
+
+    @property
+    @derived(row="change of the ball", words=lambda result: result.contributions_in_words())
+    def contributions(self) -> dict[str, float]:
+        """CIEDE2000 by which the ball changes without an observation, by its name or that of the picture."""
+        names = {f"picture {k}": ball.photograph.path.name for k, ball in enumerate(self.balls, start=1)}
+        return {names.get(name, name): off for name, off in self.completion.contributions.items()}
 
 
 def observe(
@@ -408,7 +448,9 @@ def complete(
     stages, opened = Stages(shares), Library(library)
     completion, calibration, balls = observe(opened, stages, readings, gloss, pictures)
     expected = calibration.expected(completion)
-    suggested = suggest(completion.atoms, count, completion, instrument) if count and not balls else None
+    next_readings = None
+    if not balls and (count or unreliable(expected)):
+        next_readings = suggest(completion.atoms, max(count, 1), completion, instrument)
     stages.begin("writing")
     written = write_checked(
         output,
@@ -436,11 +478,34 @@ def complete(
     if balls and written.projection:
         notes += ("the residual of pixels is that of the material before it was made physical",)
     notes += written.notes + _of_unit(readings, written.plausibility)
-    return Completed(
-        path=output, picture=picture, completion=completion, balls=balls, correction=correction,
-        expected=written.expected(expected), plausibility=written.plausibility, suggested=suggested, plan=plan,
-        diagnostics=notes, seconds=time.perf_counter() - start,
-    )  # fmt: skip
+    made: dict[str, Any] = {
+        "path": output, "picture": picture, "completion": completion, "correction": correction,
+        "expected": written.expected(expected), "plausibility": written.plausibility, "next_readings": next_readings,
+        "count": count, "diagnostics": notes, "seconds": time.perf_counter() - start,
+    }  # fmt: skip
+    return Photographed(**made, balls=balls, plan=plan) if balls else Completed(**made)
+
+
+def advise(expected: Errors[float], next_readings: Suggested | None) -> str | None:
+    """Return whether to use a completion of some expected errors, and the first of the next readings to take."""
+    if "scaled_ball" in expected.known:
+        return (
+            "do not use its brightness, which is a guess: picture a white or grey card (--grey), or read the material "
+            "once (--lab, or --readings at 45/0)"
+        )
+    where = unreliable(expected)
+    if where is None:
+        return "use it" if "elsewhere" in expected.known else None
+    if where == "highlights":
+        advice = (
+            f"do not use it for highlights: {percent(expected.near_mirror)} expected cube-root error there"
+        )
+    else:
+        advice = f"do not use it: {percent(expected.elsewhere)} expected cube-root error beside highlights"
+    if next_readings is None:
+        return advice
+    theta_i, theta_o, phi = next_readings.angles_deg[0]
+    return f"{advice}; read first: incidence {theta_i:.0f}, outgoing {theta_o:.0f}, azimuth {phi:.0f} degrees"
 
 
 def odd_pictures(names: Sequence[str], predicted: Sequence[float]) -> list[str]:
@@ -530,12 +595,12 @@ def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
 
 
 def uncertainty(completion: Completion) -> dict[str, Any]:
-    """Return the relative standard deviation of f over hypotheses, in the plane of incidence, by direction."""
+    """Return `Completion.factors_at` in the plane of incidence, by direction."""
     profiles: dict[str, list[float]] = {}
     for incidence in _PROFILE_INCIDENCES_DEG:
         wi = from_spherical(np.deg2rad(incidence), np.pi)
         wo = from_spherical(np.deg2rad(_PROFILE_ELEVATIONS_DEG), 0.0)
-        profiles[f"{incidence:g}"] = completion.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
+        profiles[f"{incidence:g}"] = completion.factors_at(np.broadcast_to(wi, wo.shape), wo).tolist()
     return {"theta_o_deg": _PROFILE_ELEVATIONS_DEG.tolist(), "by_incidence_deg": profiles}
 
 

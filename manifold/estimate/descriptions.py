@@ -31,7 +31,7 @@ from manifold.model.output_file import (
 from manifold.model.prediction import ClippedBRDF
 
 if TYPE_CHECKING:
-    from manifold.estimate.completions import Completed
+    from manifold.estimate.completions import Photographed
     from manifold.estimate.sightings import PhotoRequest
 
 _R = TypeVar("_R", bound=Reconstruction)
@@ -118,14 +118,14 @@ def locate_photographs(
     library: Path | None = None,
     picture: Path | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-) -> Completed:
+) -> Photographed:
     """Find the place of photographed balls on a fitted manifold, and write the prediction there.
 
     Give the library if it has moved since the model was fitted. `picture` has the meaning that it has in
     `completions.complete`.
     """
     from manifold.estimate import photographs
-    from manifold.estimate.completions import Completed, notes_of, observe
+    from manifold.estimate.completions import Photographed, notes_of, observe
 
     start = time.perf_counter()
     if output is not None:
@@ -164,7 +164,7 @@ def locate_photographs(
         if picture is not None:
             stages.begin("rendering")
             photographs.draw_residuals(balls, shown, material, request.exposure, picture)
-    return Completed(
+    return Photographed(
         path=output, picture=picture, completion=material, balls=balls, located=place,
         expected=calibration.expected(material),
         plausibility=plausibility, diagnostics=notes, seconds=time.perf_counter() - start,

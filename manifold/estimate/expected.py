@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
 from manifold.colour import panel
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.core.metrics import Errors
-from manifold.core.records import Array, evenly_spaced
+from manifold.colour.panel import Panel
+from manifold.core.metrics import Errors, RunningErrors
+from manifold.core.records import Array, Indices, Mask, evenly_spaced
 from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.completion import NOISY, Completion
 from manifold.estimate.evidence import Evidence, channel_atoms, clipping, nearest_bands
@@ -21,59 +22,77 @@ from manifold.formats.readings import Readings
 from manifold.library.store import Library
 from manifold.model.expected_error import BELOW_TWICE
 
-CALIBRATION_VERSION = 1
+CALIBRATION_VERSION = 2
 """Raised where completions, or errors of left-out materials, change: calibrations that are stored are stale then."""
 
-_KINDS = ("ball", "cube_root", "linear", "near_mirror", "elsewhere")  # of which some may be unknown
+_KINDS = ("ball", "scaled_ball", "cube_root", "linear", "near_mirror", "elsewhere")  # some may be unknown
 _NEAR_MIRROR_DEG = 10.0  # from the mirror direction
 _LEFT_OUT = 16  # materials by which errors of estimates from pictures are calibrated
 _MARGIN = 1.05  # residuals closer to the largest are equal to it for a user, and by rounding
-_PRIOR = 0.1  # strength of the prior that errors do not depend on an indicator, in units of its variance
+_LEAST = 1e-6  # of residuals and plausible errors, in divisions
+_PIXEL_STRIDE = 4  # one in this many pixels is enough for plausible errors
+_PLAUSIBLE, _RESIDUALS = "plausible_", "residuals"  # names of arrays in a library's cache
+_WORLD = 20  # left-out materials of a library that count as much as `_OF_WORLD`
+_OF_WORLD = {
+    "ball": 0.65,
+    "scaled_ball": 0.65,
+    "cube_root": 1.35,
+    "linear": 1.2,
+    "near_mirror": 1.4,
+    "elsewhere": 0.9,
+}
+"""Factors of plausible errors in the world: 123 neural fits of RGL and MERL completed from the other 20 of RGL, as
+measured, mean over five sets of readings (benchmarks/bench_completion_errors.py)."""
+
+LARGE = 0.26
+"""Cube-root error of values that are off by a factor of two."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """Errors of left-out materials of a library, completed from the same observations.
+    """Errors of N left-out materials of a library, completed from the same observations.
 
     Attributes:
-        errors: of every material, those of `_KINDS` that are known, each (N,).
-        indicators: residual of the observations and spread of mixtures, from which errors are predicted, shape (N, 2).
+        errors: true ones of every material, those of `_KINDS` that are known, each (N,).
+        plausible: their `plausible_errors`, each (N,).
+        residuals: of the observations, shape (N,).
     """
 
     errors: Errors[Array]
-    indicators: Array
+    plausible: Errors[Array]
+    residuals: Array
 
     @classmethod
     def leave_out(
-        cls, method: Callable[[int], tuple[Errors[float], Array]], materials: Iterable[int]
+        cls, method: Callable[[int], tuple[Errors[float], Errors[float], float]], materials: Iterable[int]
     ) -> Calibration:
-        """Make a calibration from errors and indicators (2,) that a method finds for left-out materials."""
-        errors, indicators = zip(*map(method, materials), strict=True)
-        known = Errors.of_several(errors).known
-        return cls(Errors(**{kind: known[kind] for kind in _KINDS if kind in known}), np.array(indicators))
+        """Make a calibration from the errors, plausible errors and residual of each left-out material."""
+        errors, plausible, residuals = zip(*map(method, materials), strict=True)
+        return cls(_arrays(errors), _arrays(plausible), np.array(residuals))
 
     def __repr__(self) -> str:
         medians = ", ".join(self.errors.median.words)
-        return f"<Calibration: {len(self.indicators)} materials left out, medians: {medians}>"
+        return f"<Calibration: {len(self.residuals)} materials left out, medians: {medians}>"
 
     def expected(self, completion: Completion) -> Errors[float]:
         """Return the expected errors of a completion from these observations.
 
-        Logarithms of errors are linear in those of the indicators, with non-negative slopes. As for predictions, at
-        least half of the left-out errors are below the expected one, and 90 % below twice that. Where the residual is
-        larger than that of any left-out material, errors grow in proportion to it. The error of colours that were
-        estimated from three bands, or that repeated readings leave open, is added to that of the ball.
+        They are its plausible errors times factors, see `factors`. Where the residual is larger than that of any
+        left-out material, errors grow in proportion to it. The error of colours that were estimated from three bands,
+        or that repeated readings leave open, is added to that of the ball.
         """
-        return self.at(completion.indicators).beside(Errors(ball=completion.colour_error))
+        found = self.at(plausible_errors(completion), completion.residual)
+        if not completion.is_brightness_guessed:
+            found = replace(found, scaled_ball=np.nan)
+        return found.beside(Errors(ball=completion.colour_error))
 
-    def at(self, indicators: Array) -> Errors[float]:
-        """Return the expected errors for some indicators (2,)."""
-        line = self._line(indicators, np.ones(len(self.indicators), bool))
-        return Errors(**dict(zip(self._kinds, line.tolist(), strict=True)))
+    def at(self, plausible: Errors[float], residual: float) -> Errors[float]:
+        """Return the expected errors at some plausible errors and a residual."""
+        return self._at(plausible, residual, np.ones(len(self.residuals), bool))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
         """Return a note if the residual is larger than that of every left-out material, and than noise makes it."""
-        residual, has_pictures = float(completion.indicators[0]), bool(completion.evidence.pictures)
+        residual, has_pictures = completion.residual, bool(completion.evidence.pictures)
         if not self.is_beyond(residual) or (has_pictures and residual <= NOISY):
             return ()
         what, check = "readings", "they may be of two samples, in other units or directions"
@@ -91,7 +110,7 @@ class Calibration:
     @property
     def largest_residual(self) -> float:
         """The largest residual of a left-out material."""
-        return float(self.indicators[:, 0].max())
+        return float(self.residuals.max())
 
     def is_beyond(self, residual: float) -> bool:
         """Return whether a residual is larger than that of every left-out material, by more than `_MARGIN`."""
@@ -100,31 +119,100 @@ class Calibration:
     @property
     def left_out(self) -> Errors[Array]:
         """Expected errors of every material, learned from the others, each (N,)."""
-        every = np.arange(len(self.indicators))
-        lines = np.array([self._line(self.indicators[i], every != i) for i in every])
-        return Errors(**dict(zip(self._kinds, lines.T, strict=True)))
+        every = np.arange(len(self.residuals))
+        return Errors.of_several(
+            [
+                self._at(self.plausible.over(lambda values: float(values[i])), self.residuals[i], every != i)  # noqa: B023
+                for i in every
+            ]
+        )
 
-    @property
-    def _kinds(self) -> list[str]:
-        return [kind for kind in _KINDS if kind in self.errors.known]
+    def _at(self, plausible: Errors[float], residual: float, known: Mask) -> Errors[float]:
+        """Return expected errors from some of the left-out materials, a mask (N,)."""
+        beyond = max(residual / max(float(self.residuals[known].max()), _LEAST), 1.0)
+        expected = {}
+        for kind in self.errors.known:
+            ratios = getattr(self.errors, kind)[known] / np.maximum(
+                getattr(self.plausible, kind)[known], _LEAST
+            )
+            expected[kind] = beyond * _factor(ratios, _OF_WORLD[kind]) * getattr(plausible, kind)
+        return Errors(**expected)
 
-    @property
-    def _table(self) -> Array:
-        return np.column_stack([getattr(self.errors, kind) for kind in self._kinds])
 
-    def _line(self, indicators: Array, known: Array) -> Array:
-        """Return expected errors of the known kinds at indicators (2,), from some materials (N,)."""
-        x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.indicators, self._table))
-        centre, level = x.mean(axis=0), y.mean(axis=0)
-        scale = x.std(axis=0) + 1e-6
-        X = np.vstack([(x - centre) / scale, np.sqrt(_PRIOR * len(x)) * np.eye(x.shape[1])])
-        log = np.log(np.maximum(indicators, 1e-6))
-        at = (np.clip(log, x.min(axis=0), x.max(axis=0)) - centre) / scale
-        beyond = max(log[0] - x[:, 0].max(), 0.0)
-        slopes = np.array([nnls(X, np.append(column, np.zeros(x.shape[1])))[0] for column in (y - level).T])
-        above = y - level - X[: len(x)] @ slopes.T
-        enough = np.quantile(above, BELOW_TWICE, axis=0) - np.log(2.0)
-        return np.asarray(np.exp(level + slopes @ at + beyond + np.maximum(np.median(above, axis=0), enough)))
+def unreliable(expected: Errors[float]) -> str | None:
+    """Return where expected errors are too large: "all directions", "highlights", or None."""
+    if expected.elsewhere > LARGE:
+        return "all directions"
+    return "highlights" if expected.near_mirror > LARGE else None
+
+
+def _arrays(errors: Sequence[Errors[float]]) -> Errors[Array]:
+    known = Errors.of_several(errors).known
+    return Errors(**{kind: known[kind] for kind in _KINDS if kind in known})
+
+
+def typical(values: Array) -> float:
+    """Return what at least half of some values are below, and 90 % of them and of a further one below twice of."""
+    N = len(values)
+    most = float(np.quantile(values, min(BELOW_TWICE * (N + 1) / N, 1.0)))
+    return max(float(np.median(values)), most / 2.0)
+
+
+def _factor(ratios: Array, of_world: float) -> float:
+    """Return the factor of plausible errors: the typical ratio (N,) of true errors to them, or a larger one.
+
+    A library that lacks kinds of materials leaves out none of them, and has too small a factor: that of the world
+    counts as `_WORLD` further materials where it is larger. Factors are averaged by their logarithms.
+    """
+    own = max(typical(ratios), _LEAST)
+    share = _WORLD / (_WORLD + len(ratios))
+    return own * max(of_world / own, 1.0) ** share
+
+
+def plausible_errors(made: Completion) -> Errors[float]:
+    """Return the errors that a completion has if its material is one that explains the observations about as well.
+
+    Such materials are those of the library and coats, each scaled and beside a Lambertian, see `mixtures.Alike`, in the
+    mean over bands, or by channel; none is scaled if the brightness is a guess. Errors are geometric means over them,
+    and that of the ball is of its lightness.
+    """
+    atoms, n = made.atoms, made.atoms.n_grid
+    lights, pixels, pairs = _some_pixels(panel.judged())
+    stars: Array = made.on_grid.T
+    lit_stars: Array = made.on_ball[pixels].T if atoms.is_linear else lights.of(made.on_ball[pairs]).T
+    if not atoms.is_linear:
+        stars, lit_stars = stars.mean(axis=0)[None], lit_stars.mean(axis=0)[None]
+    means = []
+    for f_star, light_star, hypotheses in zip(stars, lit_stars, made.solution.hypotheses, strict=True):
+        alike = hypotheses.alike
+        if made.is_brightness_guessed:
+            alike = alike.as_bright_as_atoms
+        if atoms.is_linear:
+            f: Array = alike.of(atoms.on_grid) / atoms.grid.cosines
+            light = alike.of(atoms.on_ball[:, pixels])
+        else:
+            f = alike.of(atoms.directions[:, :n]) ** 3
+            light = lights.of(alike.of(atoms.ball[:, pairs]).T ** 3).T
+        roots, roots_star = (np.cbrt(np.clip(each, 0.0, 1.0)) for each in (light, light_star))
+        errors = _errors_of_values(atoms, f[..., None], np.broadcast_to(f_star[:, None], (*f.shape, 1)))
+        errors |= Errors(ball=_lightness(lights, roots - roots_star))
+        if atoms.is_linear:
+            scale = roots @ roots_star / max(float(roots_star @ roots_star), _LEAST)
+            errors |= Errors(scaled_ball=_lightness(lights, roots - np.outer(scale, roots_star)))
+        means.append(errors.over(alike.geometric_mean))
+    return _arrays(means).over(lambda of_channels: float(np.exp(np.mean(np.log(of_channels)))))
+
+
+def _lightness(lights: Panel, differences: Array) -> Array:
+    """Return mean differences of L* over the pixels of balls, from those of cube roots (A, K): (A,)."""
+    return np.asarray(116.0 * np.average(np.abs(differences), axis=1, weights=lights.pixel_weights))
+
+
+@lru_cache(maxsize=4)
+def _some_pixels(lights: Panel) -> tuple[Panel, Indices, Indices]:
+    """Return some pixels of lights, their indices, and those of the direction pairs that light them."""
+    some, pixels = lights.every(_PIXEL_STRIDE)
+    return some, pixels, np.unique(lights.sums[pixels].indices)
 
 
 def calibrate(atoms: LibraryAtoms, seen: Readings | Evidence, library: Library | None = None) -> Calibration:
@@ -151,16 +239,16 @@ def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> 
     """
     key = hashlib.sha256(f"{key} {panel.judged().signature}".encode()).hexdigest()
     kept = library.cache_get(key) or {}
-    indicators = kept.get("indicators", np.empty(0))
-    errors = {kind: kept[kind] for kind in _KINDS if kind in kept}
-    if (
-        errors
-        and all(array.shape == (len(indicators),) for array in errors.values())
-        and indicators.shape[1:] == (2,)
-    ):
-        return Calibration(Errors(**cast(dict[str, Any], errors)), indicators)
+    residuals = kept.get(_RESIDUALS, np.empty(0))
+    arrays: list[dict[str, Any]] = [
+        {kind: kept[prefix + kind] for kind in _KINDS if prefix + kind in kept} for prefix in ("", _PLAUSIBLE)
+    ]
+    shapes = {values.shape for each in arrays for values in each.values()}
+    if shapes == {residuals.shape} == {(len(residuals),)}:
+        return Calibration(Errors(**arrays[0]), Errors(**arrays[1]), residuals)
     calibration = calibrate()
-    library.cache_put(key, {**calibration.errors.known, "indicators": calibration.indicators})
+    plausible = {_PLAUSIBLE + kind: values for kind, values in calibration.plausible.known.items()}
+    library.cache_put(key, {**calibration.errors.known, **plausible, _RESIDUALS: calibration.residuals})
     return calibration
 
 
@@ -194,9 +282,9 @@ def _cache_key(atoms: LibraryAtoms, evidence: Evidence, library: Library) -> str
 def _calibrated(atoms: LibraryAtoms, evidence: Evidence) -> Calibration:
     N = len(atoms.names)
 
-    def method(m: int) -> tuple[Errors[float], Array]:
+    def method(m: int) -> tuple[Errors[float], Errors[float], float]:
         made = leave_out(atoms, m, evidence)
-        return errors_of(atoms, m, made.on_grid, made.on_ball), made.indicators
+        return errors_of(atoms, m, made.on_grid, made.on_ball), plausible_errors(made), made.residual
 
     return Calibration.leave_out(
         method, evenly_spaced(N, _LEFT_OUT).tolist() if evidence.pictures else range(N)
@@ -229,15 +317,34 @@ def errors_of(atoms: LibraryAtoms, m: int, on_grid: Array, on_ball: Array) -> Er
     lights, n = panel.judged(), atoms.n_grid
     if atoms.is_linear:
         own = channel_atoms(atoms, m)
-        balls = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in (atoms.on_ball[own].T, on_ball))
-        look = lights.compare(*balls)
+        ball, scaled = atoms.on_ball[own].T, on_ball * _best_factor(atoms.on_ball[own].T, on_ball)
+        xyz, *stars = (srgb_to_xyz(np.clip(pixels, 0.0, 1.0)) for pixels in (ball, on_ball, scaled))
+        look, of_scaled = (lights.compare(xyz, star) for star in stars)
+        look = replace(look, scaled_ball=of_scaled.ball)
     else:
         own = np.flatnonzero(atoms.material_of == m)
         look = lights.errors(atoms.ball[own].T ** 3, on_ball, atoms.band_axis)
-    truth, cosines = atoms.directions[own, :n].T ** 3, atoms.weights[:n] ** 1.5
-    wi, wo = atoms.grid.wi, atoms.grid.wo
-    is_near = np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1) > np.cos(np.deg2rad(_NEAR_MIRROR_DEG))
-    near, elsewhere = (
-        Errors.of_values(truth[part], on_grid[part], cosines[part]).cube_root for part in (is_near, ~is_near)
+    return look | _errors_of_values(atoms, atoms.directions[own, :n].T ** 3, on_grid).over(float)
+
+
+def _best_factor(light: Array, made: Array) -> float:
+    """Return the factor by which cube roots of pixels, at most white, are nearest to those of others: both (K, 3)."""
+    roots, roots_made = (np.cbrt(np.clip(each, 0.0, 1.0)) for each in (light, made))
+    return float(np.sum(roots * roots_made) / max(float(np.sum(roots_made**2)), _LEAST)) ** 3
+
+
+def _errors_of_values(atoms: LibraryAtoms, f: Array, f_star: Array) -> Errors[Array]:
+    """Return errors of values f_star at the grid, near mirror directions and elsewhere too, from f (..., P_g, B)."""
+    cosines = atoms.weights[: atoms.n_grid] ** 1.5
+    is_near = np.sum(atoms.grid.wi * atoms.grid.wo * [-1.0, -1.0, 1.0], axis=1) > np.cos(
+        np.deg2rad(_NEAR_MIRROR_DEG)
     )
-    return replace(look | Errors.of_values(truth, on_grid, cosines), near_mirror=near, elsewhere=elsewhere)
+
+    def within(part: Mask | slice) -> Errors[Array]:
+        errors = RunningErrors()
+        errors.add(f[..., part, :], f_star[..., part, :], cosines[part])
+        return errors.errors()
+
+    every = within(slice(None))
+    near, elsewhere = within(is_near).cube_root, within(~is_near).cube_root
+    return Errors(cube_root=every.cube_root, linear=every.linear, near_mirror=near, elsewhere=elsewhere)

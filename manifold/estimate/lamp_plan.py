@@ -97,7 +97,7 @@ def determined(
     atoms: LibraryAtoms, angles_deg: Sequence[float], known: Sequence[Observation] | None
 ) -> Determined:
     """Return the errors to expect from pictures under far lamps at angles from the camera; see `plan_lamps`."""
-    pictures = [_rows(atoms, angle) for angle in angles_deg]
+    pictures = [picture_rows(atoms, angle) for angle in angles_deg]
     if known is not None:
         level = float(np.mean(known[0].weights))
         pictures = [[replace(row, weights=level * row.weights) for row in rows] for rows in pictures]
@@ -125,7 +125,7 @@ def determined(
 
 
 @lru_cache(maxsize=len(ANGLES_DEG))
-def _rows(atoms: LibraryAtoms, angle_deg: float) -> list[Observation]:
+def picture_rows(atoms: LibraryAtoms, angle_deg: float) -> list[Observation]:
     """Return pixels of atoms in a picture under one lamp, channel by channel."""
     across = _WITHIN * (2.0 * (np.arange(_ACROSS) + 0.5) / _ACROSS - 1.0)
     x, y = (grid.ravel() for grid in np.meshgrid(across, across))

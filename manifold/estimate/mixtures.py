@@ -26,6 +26,12 @@ _MOST_PAIRS = 40_000  # pairs of atoms of two materials; of larger libraries as 
 _FREEDOM = 3.0  # degrees of freedom of Student's t: the variances of noise and residual are estimates
 _TWO_COATS = 0.8  # share of mixtures of two coats among those that a coat is part of
 
+_TEMPERED = (
+    0.25  # power of the likelihood of `Alike`: errors of their highlights are then nearest to true ones
+)
+_LEAST_SCALE = 0.1  # of atoms: beside smaller ones, the Lambertian is what is seen
+_WORLD_COATED = 0.2  # the same for `Alike`, where kinds that a library lacks count: plastics, varnishes
+
 LIKE_ONE = 0.8
 """Prior probability that a material is like a single one of the library, in one band or between two."""
 
@@ -52,6 +58,7 @@ class Mixtures:
         n_atoms: n; the Lambertian is atom n.
         log_posterior: logarithm of their probability, shape (H,); up to `evidence`, that of what was seen.
         evidence: likewise, up to a constant.
+        count: number of independent errors in the misfit.
     """
 
     first: Indices
@@ -64,6 +71,7 @@ class Mixtures:
     n_atoms: int
     log_posterior: Array
     evidence: float = 0.0
+    count: float = 0.0
 
     @classmethod
     def fitted(cls, X: Array, y: Array, material_of: Indices, n_library: int | None = None) -> Mixtures:
@@ -113,7 +121,14 @@ class Mixtures:
         """
         log = self.log_prior + log_likelihood(self.misfit, count) - 0.5 * exponent * np.log(norm)
         evidence = float(logsumexp(log))
-        return replace(self, log_posterior=log - evidence, evidence=evidence)
+        return replace(self, log_posterior=log - evidence, evidence=evidence, count=count)
+
+    def alike(self, material_of: Indices, n_library: int | None = None) -> Alike:
+        """Return the single atoms that explain the observations about as well; arguments as of `posterior`."""
+        n = self.n_atoms
+        prior = material_prior(int(material_of[-1]), n_library, _WORLD_COATED)[material_of[:n]]
+        log = np.log(prior) + _TEMPERED * log_likelihood(self.misfit[:n], self.count)
+        return Alike(np.exp(log - logsumexp(log)), np.arange(n), self.scale[:n], self.lambertian[:n], n)
 
     @property
     def probability(self) -> Array:
@@ -153,6 +168,43 @@ class Mixtures:
 
 
 @dataclass(frozen=True, eq=False)
+class Alike:
+    """Single atoms `a g + l L` that explain observations about as well as the best one.
+
+    Their likelihood is tempered. Posterior probabilities of mixtures are too sure of highlights that nobody measured:
+    a few close fits take all of them.
+
+    Attributes:
+        probability: of A atoms, of sum 1, shape (A,).
+        atoms: which they are, shape (A,).
+        scale, lambertian: a and l, shape (A,).
+        base: which atom is the Lambertian.
+    """
+
+    probability: Array
+    atoms: Indices
+    scale: Array
+    lambertian: Array
+    base: int
+
+    @property
+    def as_bright_as_atoms(self) -> Alike:
+        """Return them scaled so that their atoms have scale 1: as bright as the library's materials are."""
+        scale = np.maximum(self.scale, _LEAST_SCALE)
+        return replace(self, scale=self.scale / scale, lambertian=self.lambertian / scale)
+
+    def of(self, values: Array) -> Array:
+        """Return linear functionals of them, from those of all atoms (n, P): shape (A, P)."""
+        return np.asarray(
+            self.scale[:, None] * values[self.atoms] + np.outer(self.lambertian, values[self.base])
+        )
+
+    def geometric_mean(self, errors: Array) -> float:
+        """Return the mean of errors (A,), each between a thousandth and a thousand, by their logarithms."""
+        return float(np.exp(self.probability @ np.log(np.clip(errors, 1e-3, 1e3))))
+
+
+@dataclass(frozen=True, eq=False)
 class Hypotheses:
     """Hypotheses about a material that was seen: mixtures of one or two materials.
 
@@ -160,33 +212,26 @@ class Hypotheses:
         probability: of H hypotheses, of sum 1, most probable first, shape (H,).
         weights: of n atoms, mean over bands, shape (H, n).
         mean: weights in every band, averaged over hypotheses, shape (B, n).
+        alike: single atoms that explain the observations about as well.
     """
 
     probability: Array
     weights: Array
     mean: Array
+    alike: Alike
 
     def among(self, index: Indices, n: int) -> Hypotheses:
         """Return the hypotheses with weights of n atoms, of which theirs are some, by index."""
         weights, mean = np.zeros((len(self.weights), n)), np.zeros((len(self.mean), n))
         weights[:, index], mean[:, index] = self.weights, self.mean
-        return replace(self, weights=weights, mean=mean)
-
-    def spread(self, roots: Array, importance: Array | float = 1.0) -> float:
-        """Return the standard deviation over directions, relative to the mean, from cube roots there (H, P).
-
-        Directions have an importance (P,).
-        """
-        mean = self.probability @ roots
-        variance = self.probability @ (roots - mean) ** 2
-        norm = max(float(np.sum(mean**2 * importance)), np.finfo(float).tiny)
-        return float(np.sqrt(np.sum(variance * importance) / norm))
+        alike = replace(self.alike, atoms=index[self.alike.atoms], base=int(index[self.alike.base]))
+        return replace(self, weights=weights, mean=mean, alike=alike)
 
 
-def material_prior(N: int, n_library: int | None = None) -> Array:
+def material_prior(N: int, n_library: int | None = None, coated: float = COATED) -> Array:
     """Return prior probabilities of N materials, of which all but the first n are coats: shape (N,)."""
     n = N if n_library is None else n_library
-    coated = COATED if n < N else 0.0
+    coated = coated if n < N else 0.0
     return np.repeat([(1.0 - coated) / n, coated / max(N - n, 1)], [n, N - n])
 
 
@@ -429,7 +474,8 @@ def band_mixtures(
         replace(mixtures, log_prior=log_prior, misfit=misfit).weighed(count, norm, _EXPONENT).probability
     )
     order = np.argsort(-probability, kind="stable")
-    return Hypotheses(probability[order], of_mean[order], np.tensordot(probability, fitted, 1))
+    mean = np.tensordot(probability, fitted, 1)
+    return Hypotheses(probability[order], of_mean[order], mean, mixtures.alike(material_of, n_library))
 
 
 def _of_different_materials(mixtures: Mixtures, material_of: Indices) -> Indices:

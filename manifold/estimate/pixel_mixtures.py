@@ -103,9 +103,11 @@ class PixelPosterior:
 
 def pixel_mixtures(atoms: LibraryAtoms, rows: Observation, usable: Mask) -> Hypotheses:
     """Return the most probable of the mixtures under one exposure, in one channel."""
-    mixtures = PixelPosterior.of(atoms, rows, usable, np.ones(1)).at(0)
+    pixels = PixelPosterior.of(atoms, rows, usable, np.ones(1))
+    mixtures = pixels.at(0)
     best = mixtures.most_probable(_COUNT)
     probability = mixtures.probability[best] / mixtures.probability[best].sum()
-    weights = np.zeros((len(best), len(atoms)))
-    weights[:, atoms.mixed[usable[atoms.mixed]]] = mixtures.weights(best)
-    return Hypotheses(probability, weights, (probability @ weights)[None])
+    weights = mixtures.weights(best)
+    alike = mixtures.alike(pixels.material_of, pixels.n_library)
+    found = Hypotheses(probability, weights, (probability @ weights)[None], alike)
+    return found.among(atoms.mixed[usable[atoms.mixed]], len(atoms))

@@ -68,14 +68,14 @@ def write_completion(path: Path, completed: Completed, sources: Sequence[Path] =
         ),
         Section("Notes", notes=completed.diagnostics),
     ]  # fmt: skip
-    if completed.balls and completed.picture is not None:
+    if completion.evidence.pictures and completed.picture is not None:
         shown = html_page.picture(
             images.read_display(completed.picture), "photographs and predictions", _WIDE
         )
         drawn = Section("Photographs", pictures=[("photographs, predictions and differences", shown)])
         sections.insert(-1, drawn)
     observed = " and ".join(
-        ["readings"] * (completed.readings is not None) + ["photographs"] * bool(completed.balls)
+        ["readings"] * (completed.readings is not None) + ["photographs"] * bool(completion.evidence.pictures)
     )
     title = completed.sample or completed.path.stem
     html_page.write(path, title, f"{completed.path.name}, completed from {observed}.", sections)

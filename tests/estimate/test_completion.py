@@ -30,10 +30,11 @@ from manifold.estimate.atoms import LibraryAtoms
 from manifold.estimate.channels import in_channels, srgb_responses
 from manifold.estimate.completions import _of_unit as of_unit
 from manifold.estimate.evidence import Evidence, for_library, in_all_bands
-from manifold.estimate.expected import Calibration, errors_of, leave_out
+from manifold.estimate.expected import Calibration, errors_of, leave_out, plausible_errors
 from manifold.estimate.mixtures import (
     COATED,
     LIKE_ONE,
+    Alike,
     ReadingRoots,
     band_mixtures,
     log_prior_of,
@@ -368,7 +369,7 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(atoms, library):
     pairs = encoding_pairs()
     np.testing.assert_allclose(made.brdf.eval(pairs.wi, pairs.wo), made.on_grid, rtol=1e-5, atol=1e-9)
     assert sum(a.probability for a in made.alternatives) <= 1.0 + 1e-9
-    assert len(made.spread_at(wi, wo)) == 12
+    assert np.all(made.factors_at(wi, wo) >= 1.0)
 
 
 @pytest.mark.parametrize("name", ["syn_paper_white", "syn_gloss_red"])
@@ -418,7 +419,7 @@ def test_errors_near_the_mirror_direction_are_apart_from_those_elsewhere(atoms, 
         errors = expected.errors_of(atoms, 0, made, atoms.ball[own].T ** 3)
         # Eight times the value has twice the cube root; values are kept in single precision.
         assert (errors.near_mirror, errors.elsewhere) == pytest.approx((near, elsewhere), abs=1e-5)
-    words = " ".join(calibration.at(np.array([0.05, 0.1])).words)
+    words = " ".join(calibration.at(calibration.plausible.median, 0.05).words)
     assert "within 10 degrees of the mirror direction" in words
 
 
@@ -427,9 +428,11 @@ def test_expected_errors_are_learned_from_the_other_materials(atoms, calibration
         made = leave_out(atoms, m, readings(np.ones((12, 3))))
         found = errors_of(atoms, m, made.on_grid, made.on_ball)
         np.testing.assert_allclose(three(calibration.errors)[:, m], three(found))
-        np.testing.assert_allclose(calibration.indicators[m], made.indicators)
+        np.testing.assert_allclose(calibration.residuals[m], made.residual)
+        np.testing.assert_allclose(three(calibration.plausible)[:, m], three(plausible_errors(made)))
         others = np.arange(len(NAMES)) != m
-        known = Calibration(Errors(*three(calibration.errors)[:, others]), calibration.indicators[others])
+        arrays = [Errors(*three(each)[:, others]) for each in (calibration.errors, calibration.plausible)]
+        known = Calibration(*arrays, calibration.residuals[others])
         np.testing.assert_allclose(three(calibration.left_out)[:, m], three(known.expected(made)))
 
 
@@ -451,7 +454,8 @@ def test_a_calibration_is_kept_in_the_library_for_its_instrument(
     for one in (read, brighter):
         kept = calibrate(atoms, one, opened)
         np.testing.assert_array_equal(three(kept.errors), three(calibration.errors))
-        np.testing.assert_array_equal(kept.indicators, calibration.indicators)
+        np.testing.assert_array_equal(three(kept.plausible), three(calibration.plausible))
+        np.testing.assert_array_equal(kept.residuals, calibration.residuals)
     assert len(computed) == 1
     for other in (
         replace(read, gloss={60.0: 1.0}), read.select_pairs(np.arange(11)), replace(read, weights=np.full(12, 2.0)),
@@ -510,7 +514,7 @@ def test_a_library_of_more_bands_than_atoms_have_is_calibrated_in_those_of_its_a
 
 
 def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibration, rng):
-    most = int(calibration.indicators[:, 0].argmax())
+    most = int(calibration.residuals.argmax())
     own = leave_out(atoms, most, readings(np.ones((12, 3))))
     assert calibration.notes(own) == ()
     (note,) = calibration.notes(Completion.of(atoms, readings(np.exp(2.0 * rng.standard_normal((12, 3))))))
@@ -521,32 +525,48 @@ def test_a_residual_larger_than_of_any_left_out_material_is_noted(atoms, calibra
     ("excess", "words"), [(1e-12, None), (0.04, None), (0.06, "is 10.6 %, .* at most 10 %")]
 )
 def test_a_residual_that_is_the_largest_but_for_rounding_is_not_noted(excess, words):
-    calibration = Calibration(Errors(*np.ones((3, 4))), np.array([[0.02, 0.1]] * 3 + [[0.1, 0.1]]))
-    read = SimpleNamespace(indicators=np.array([0.1 * (1.0 + excess), 0.1]), evidence=Evidence())
+    ones = Errors(*np.ones((3, 4)))
+    calibration = Calibration(ones, ones, np.array([0.02, 0.02, 0.02, 0.1]))
+    read = SimpleNamespace(residual=0.1 * (1.0 + excess), evidence=Evidence())
     notes = calibration.notes(read)
     assert re.search(words, notes[0]) if words else notes == ()
 
 
-def test_expected_errors_are_the_line_of_their_logarithms(rng):
-    x = rng.standard_normal((400, 2))
-    x = (x - x.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(x.T, bias=True)).T)  # uncorrelated
-    slopes = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -1.0]])
-    held = Calibration(Errors(*np.exp(1.0 + x @ slopes).T), np.exp(x))
-    # Ridge regression on standardised, uncorrelated indicators divides slopes by 1 + 0.1; negative ones are 0.
-    line = np.array([[1.0 / 1.1, 0.0, 0.0], [0.0, 0.5 / 1.1, 0.0]])
-    above = x @ (slopes - line)
-    # Twice the expected is enough for 90 %: only the third kind, which no sign tells, needs more than the median.
-    raised = np.maximum(np.median(above, axis=0), np.quantile(above, 0.9, axis=0) - np.log(2.0))
-    assert raised[2] > np.median(above[:, 2])
-    found = held.expected(SimpleNamespace(indicators=np.exp([1.0, 0.5]), colour_error=0.0))
-    want = np.exp(1.0 + np.array([1.0, 0.5]) @ line + raised)
-    np.testing.assert_allclose(three(found), want, rtol=1e-6)  # 1e-6 is added to deviations
-    largest = np.exp(x[:, 0].max())
-    at_most, beyond = (
-        held.expected(SimpleNamespace(indicators=np.array([k * largest, 1.0]), colour_error=0.0))
-        for k in (1.0, 5.0)
-    )
-    np.testing.assert_allclose(three(beyond), 5.0 * three(at_most))
+@pytest.mark.parametrize(("N", "share"), [(19, 20.0 / 39.0), (1999, 20.0 / 2019.0)])
+def test_expected_errors_are_the_plausible_ones_times_typical_ratios(rng, N, share):
+    plausible = np.exp(rng.standard_normal((3, N)))
+    # Of ratios from 0 to 1, half are below 0.5 and 90 % below 0.9. The world has 0.65, 1.35 and 1.2 (`_OF_WORLD`).
+    ratios = np.array([np.linspace(0.0, 1.0, N)] * 3) * [[2.0], [1.0], [4.0]]
+    held = Calibration(Errors(*plausible * ratios), Errors(*plausible), np.linspace(0.0, 0.1, N))
+    own = np.median(ratios, axis=1)
+    want = own * np.maximum(np.array([0.65, 1.35, 1.2]) / own, 1.0) ** share
+    at = Errors(2.0, 3.0, 4.0)
+    np.testing.assert_allclose(three(held.at(at, 0.05)), want * [2.0, 3.0, 4.0])
+    np.testing.assert_allclose(three(held.at(at, 0.5)), 5.0 * want * [2.0, 3.0, 4.0])  # a residual never seen
+
+
+def test_a_typical_error_allows_for_one_more_than_were_seen():
+    assert expected.typical(np.append(np.ones(8), 10.0)) == 5.0
+    assert expected.typical(np.append(np.ones(99), 10.0)) == 1.0
+
+
+def test_atoms_as_bright_as_in_the_library_keep_their_shares():
+    found = Alike(np.full(2, 0.5), np.arange(2), np.array([2.0, 0.05]), np.array([1.0, 0.1]), 2)
+    np.testing.assert_allclose(
+        found.as_bright_as_atoms.scale, [1.0, 0.5]
+    )  # no scale below a tenth is raised to 1
+    np.testing.assert_allclose(found.as_bright_as_atoms.lambertian, [0.5, 1.0])
+
+
+def test_errors_of_highlights_shrink_once_a_mirror_direction_is_read(atoms):
+    mirror = from_spherical(np.deg2rad([45.0]), np.pi), from_spherical(np.deg2rad([45.0]), 0.0)
+    with_mirror = tuple(np.vstack(both) for both in zip(DIRECTIONS, mirror, strict=True))
+    for name in ("syn_felt_green", "syn_gloss_red"):
+        off, on = (
+            plausible_errors(leave_out(atoms, NAMES.index(name), readings(np.ones((len(pair[0]), 3)), pair)))
+            for pair in (DIRECTIONS, with_mirror)
+        )
+        assert on.near_mirror < 0.7 * off.near_mirror
 
 
 def test_readings_that_contradict_each_other_raise_the_expected_error(atoms, calibration):

@@ -18,7 +18,7 @@ from manifold.core.errors import ManifoldError, UsageError
 from manifold.core.metrics import Errors
 from manifold.core.records import Bands
 from manifold.estimate import Completion, lamp_plan
-from manifold.estimate.completions import Completed, odd_pictures
+from manifold.estimate.completions import Photographed, odd_pictures
 from manifold.estimate.lamp_plan import plan_lamps
 from manifold.estimate.lamps import (
     Lamp,
@@ -316,7 +316,7 @@ def test_a_picture_of_another_material_contradicts_the_others(photo_atoms):
         assert len(found.picture_errors) == 3
         assert [note.partition(":")[0] for note in odd_pictures(names, found.picture_errors)] == odd
         balls = [SeenBall(picture, CIRCLE, None, sighting) for sighting in seen]
-        made = Completed(path=None, completion=found, balls=tuple(balls), expected=Errors())
+        made = Photographed(path=None, completion=found, balls=tuple(balls), expected=Errors())
         assert [row["predicted"] for row in made.photographs] == list(found.picture_errors)
         assert made.rows["photographs"][0].endswith("% predicted from the others")
     one = Completion.of(photo_atoms, sightings_of(DIRECTIONS[:1], [1.0]))

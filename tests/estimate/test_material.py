@@ -15,7 +15,8 @@ from manifold.core.directions import from_spherical
 from manifold.core.records import Bands
 from manifold.estimate import Completion, calibrate, expected
 from manifold.estimate.channels import wiener_matrix
-from manifold.estimate.evidence import seen_instead
+from manifold.estimate.completions import advise
+from manifold.estimate.evidence import channel_atoms, seen_instead
 from manifold.estimate.expected import errors_of_weights
 from manifold.estimate.gloss import gloss_units
 from manifold.estimate.outlines import Circle, Photograph
@@ -23,7 +24,7 @@ from manifold.estimate.pixel_mixtures import PixelPosterior
 from manifold.estimate.pixels import Camera, Environment, block_sums, blocks_of
 from manifold.estimate.sightings import Sighting
 from manifold.estimate.solving import estimate
-from manifold.formats.readings import Readings
+from manifold.formats.readings import Readings, aspecular_pair
 from manifold.library.store import Library
 from manifold.model.estimator import Observation
 
@@ -77,6 +78,31 @@ def test_errors_of_left_out_materials_are_kept_in_the_library(felt, library, mon
     monkeypatch.setattr(expected, "_calibrated", None)
     assert calibrate(felt[1].atoms, felt[1].exposed, Library(library)).expected(felt[1]) == first
     assert first.near_mirror > first.elsewhere  # which no lamp of the studio shows
+
+
+def test_a_wrong_exposure_is_no_error_with_the_brightness_aside(photo_atoms, felt):
+    own = channel_atoms(photo_atoms, photo_atoms.names.index("syn_felt_green"))
+    grid, ball = (
+        values[own].T for values in (photo_atoms.on_grid / photo_atoms.grid.cosines, photo_atoms.on_ball)
+    )
+    off = expected.errors_of(photo_atoms, int(photo_atoms.material_of[own[0]]), 0.5 * grid, 0.5 * ball)
+    assert off.ball > 5.0
+    assert off.scaled_ball < 0.1
+    assert "scaled_ball" not in calibrate(photo_atoms, felt[1].exposed).expected(felt[1]).known
+
+
+def test_pictures_of_unknown_exposure_ask_for_a_card_or_a_reading(photo_atoms, felt):
+    found = Completion.of(photo_atoms, [felt[0]], exposure=None)
+    errors = calibrate(photo_atoms, found.exposed).expected(found)
+    assert errors.words[0].endswith("with the brightness aside")
+    assert errors.scaled_ball < errors.ball
+    assert "--grey" in advise(errors, None)
+    wi, wo = aspecular_pair(45.0, 45.0)
+    own = photo_atoms.material_of == photo_atoms.names.index("syn_felt_green")
+    read = Readings(
+        "felt", "", wi[None], wo[None], None, photo_atoms.at(wi[None], wo[None])[: len(own)][own][:3].T
+    )
+    assert not Completion.of(photo_atoms, [felt[0], read], exposure=None).is_brightness_guessed
 
 
 def test_a_channel_without_any_light_is_black(photo_atoms, render):

@@ -12,7 +12,7 @@ from manifold.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many
+from .batch_options import PER_CORE, WorkerOptions, inputs_of, make_many, require_folder
 from .outputs import or_default, written
 
 if TYPE_CHECKING:
@@ -191,8 +191,8 @@ def export(
     target: Annotated[
         str | None,
         typer.Option(
-            help="The target, if neither the suffix nor the fit determines it: {manifold.registries.TARGETS}. "
-            "[default for folders: gltf]",
+            help="The target, if neither the suffix nor the fit determines it: {manifold.registries.TARGETS}; or "
+            "shader, a folder of tables and code that evaluate the BRDF itself. [default for folders: gltf]",
             metavar="NAME",
         ),
     ] = None,
@@ -203,6 +203,13 @@ def export(
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw the material beside the target's model, into NAME.png.")
     ] = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="For shaders: write the smallest table within so many CIEDE2000 of the ball. [default: 0.3]",
+            metavar="CIEDE2000",
+        ),
+    ] = None,
     pack: Annotated[
         Path | None,
         written(
@@ -217,7 +224,7 @@ def export(
 
     The target's own model is fitted to the material, which takes seconds. The error is the CIEDE2000 between
     balls of the material and of its fit, mean of {manifold.judged_lights.LIGHTS} that the fit did not use. The error of
-    Mitsuba's principled, where the fit starts, is printed beside it.
+    Mitsuba's principled, where the fit starts, is printed beside it. A shader evaluates the BRDF itself, without a fit.
     """
     from manifold.estimate.sources import FileSource
     from manifold.fit import exporting
@@ -232,6 +239,13 @@ def export(
     if pack is not None and source is None and latent is None:
         source = str(library or options.DEFAULT_LIBRARY)
     material = options.one_material(source, latent, model, library, colour=colour)
+    if target == "shader":
+        if against is not None:
+            raise UsageError("--against goes with the fit of a target's model; leave it out for a shader")
+        _export_shader(results, material, output, tolerance, picture, pack)
+        return
+    if tolerance is not None:
+        raise UsageError("--tolerance goes with --target shader; leave it out for models that are fitted")
     if isinstance(material, FileSource) and material.path.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
@@ -248,6 +262,39 @@ def export(
     with progress.shown("Exporting"):
         outcome = exporting.export(material, target, path, against=against, picture=drawn)
     _show_export(results, outcome, drawn)
+
+
+def _export_shader(
+    results: terminal.Results, material: MaterialSource, output: Path | None, tolerance: float | None,
+    picture: bool, pack: Path | None,
+) -> None:  # fmt: skip
+    from manifold.estimate.inputs import find_inputs, is_many
+    from manifold.metrics import Errors
+    from manifold.shader import exporting
+
+    tolerance = exporting.DEFAULT_TOLERANCE if tolerance is None else tolerance
+    if is_many([material]):
+        command = exporting.exports(tolerance, with_pictures=picture, is_pack=pack is not None)
+        make_many(results, command, find_inputs([material]), pack or output)
+        return
+    if pack is not None:
+        raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
+    folder = or_default(output, material.name.removesuffix(".fit.json"))
+    require_folder(folder, "the files of a shader")
+    with progress.shown("Exporting"):
+        outcome = exporting.export(material, folder, tolerance=tolerance, with_picture=picture)
+    content = outcome.content or {}
+    rows: dict[str, object] = {
+        "CIEDE2000 of the ball": f"{Errors(**content['errors'])}, against the {content['against']}",
+        "texture": "{file}, {width} x {height}, ".format(**content["texture"])
+        + f"{content['bytes'] / 1000:.0f} kB",
+        "texture reads": ", ".join(f"{name} {count}" for name, count in content["fetches"].items()),
+        "code": ", ".join(f"manifold.{language}" for language in content["code"]),
+        "page": folder / exporting.PAGE,
+    }
+    rows |= terminal.numbered("note", outcome.notes)
+    results.rows(f"Exported {folder} (shader)", rows)
+    results.document({"exports": [outcome.to_json()], "failed": []})
 
 
 def _show_export(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:

@@ -1,0 +1,35 @@
+"""A satin and a glossy material as shaders, and a browser."""
+
+from __future__ import annotations
+
+import pytest
+from helpers.browser import chromium
+from helpers.small_library import measured
+
+from manifold.shader import code
+from manifold.shader.exporting import make_shader
+
+
+@pytest.fixture(scope="session")
+def satin():
+    """A satin gold as a shader, within the default tolerance."""
+    return make_shader(measured("syn_satin_gold"))
+
+
+@pytest.fixture(scope="session")
+def gloss():
+    """A red under a gloss coat, whose highlight is sharp."""
+    return make_shader(measured("syn_gloss_red"))
+
+
+@pytest.fixture(scope="session")
+def glsl(satin):
+    """The code of the satin gold."""
+    return code.glsl(satin.table, satin.name)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, or skipped tests."""
+    with chromium() as started:
+        yield started

@@ -103,6 +103,8 @@ RESULTS = {
     "lights": Result("bench_lights.py FILES", (*_LIGHTS, "model/reconstruction.py", "fit/principled.py")),
     "fit": Result("bench_fit.py --files FILES --appearance-only", ("fit/principled.py", "fit/gauss_newton.py")),
     "exports": Result("bench_exports.py --files FILES --targets gltf,openpbr", ("fit/exports",)),
+    "shader": Result("bench_shader.py FILES", ("shader", *_LIGHTS)),
+    "shader_time": Result("bench_shader.py FILES --time", ("shader",)),
     "expected_error": Result("bench_expected_error.py LIBRARY", (*_BLEND, "model/expected_error.py")),
     "interior": Result("bench_interior.py LIBRARY", _BLEND),
     "walks": Result("bench_walks.py LIBRARY", ("model/walks.py",)),

@@ -280,7 +280,7 @@ def _export_shader(
     if pack is not None:
         raise UsageError(f"--pack goes with a library or a folder of files, found {material}; use -o for one")
     folder = or_default(output, material.name.removesuffix(".fit.json"))
-    require_folder(folder, "the files of a shader")
+    require_folder(folder, "the files of a shader", ".glsl")
     with progress.shown("Exporting"):
         outcome = exporting.export(material, folder, tolerance=tolerance, with_picture=picture)
     content = outcome.content or {}

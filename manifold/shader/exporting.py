@@ -14,7 +14,7 @@ import numpy as np
 from manifold import __version__, disk
 from manifold.batch import Batch, Command, Content, Outcome, make_folder
 from manifold.brdf import goniometer
-from manifold.brdf.interface import BRDF
+from manifold.brdf.interface import BRDF, EvaluableBRDF
 from manifold.brdf.measured import MeasuredBRDF, values_at
 from manifold.brdf.notebook import ball_image, sun_image
 from manifold.brdf.unmeasured_cells import fill_unmeasured
@@ -26,8 +26,9 @@ from manifold.estimate.source_files import read_source
 from manifold.estimate.sources import FileSource, MaterialSource
 from manifold.judged_lights import BALL, BALL_COLUMN, LIGHTS
 from manifold.metrics import Errors
+from manifold.model.output_file import FINE_OPTIONS
 from manifold.plots import html_page
-from manifold.recognition import is_fit
+from manifold.recognition import FIT_SUFFIX, is_fit
 from manifold.records import BsdfFile
 from manifold.render import images
 from manifold.render.fitted_brdf import FittedBRDF
@@ -45,7 +46,6 @@ MOST_BYTES = 1 << 20
 
 LAYOUT, TEXTURE, CODE, PAGE = "manifold.json", "manifold.ktx2", "manifold", "index.html"
 PICTURE, BALLS = "manifold.png", "balls.png"
-_FIT_RESOLUTION, _FIT_INCIDENCES = 48, 24  # of a fit as a file: those of predictions in place of files
 _PACK_PIXELS, _PACK_SUN_DEG = 64, 45.0
 
 
@@ -56,7 +56,7 @@ class Shader:
     Attributes:
         table: the smallest within the tolerance, or the best of at most `MOST_BYTES`.
         errors: of it against the source.
-        source: the material.
+        source, against: the material, and what it is: a measured, completed or predicted file, or a fit.
         reference: a finer table, which the page shows as the source, and its error.
         notes: what a user should know.
     """
@@ -64,21 +64,25 @@ class Shader:
     name: str
     table: ShaderTable
     errors: Errors[float]
-    source: BRDF
-    origin: str
+    source: EvaluableBRDF
+    against: str
     reference: tuple[ShaderTable, float]
     notes: tuple[str, ...]
 
 
-def make_shader(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Shader:
+def make_shader(
+    file: BsdfFile, material: EvaluableBRDF | None = None, *, tolerance: float = DEFAULT_TOLERANCE
+) -> Shader:
     """Return the smallest table within a tolerance, in CIEDE2000 of the ball (mean of the judged lights).
 
-    An anisotropic material is averaged over its azimuths.
+    Errors are against the file, or against the fit that it was measured from. An anisotropic material is averaged over
+    its azimuths.
     """
     if not tolerance > 0.0:
         raise UsageError(f"a tolerance of {tolerance:g}, expected more than 0 {BALL}")
     notes = []
-    source = MeasuredBRDF(fill_unmeasured(file))
+    source = MeasuredBRDF(fill_unmeasured(file)) if material is None else material
+    against = f"{file.origin} file" if material is None else "fit"
     if not file.is_isotropic:
         notes.append("anisotropic: averaged over all azimuths of the sample, since the table has none")
         file = averaged(file)
@@ -112,16 +116,22 @@ def make_shader(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Shader:
     finest = Shape.of(len(rgb.theta_i_rad), rgb.spectra.shape[-1], *SUMS[-1], shapes[0].nodes)
     reference = tabulate(rgb, finest, lobes)
     beside = (reference, errors_of(reference).ball)
-    return Shader(file.name, table, errors, source, f"{file.origin} file", beside, tuple(notes))
+    return Shader(file.name, table, errors, source, against, beside, tuple(notes))
 
 
-def read_material(source: MaterialSource) -> BsdfFile:
-    """Return the file of a source; the JSON of a fit is measured by the virtual goniometer."""
-    if isinstance(source, FileSource) and is_fit(source.path):
-        brdf = cast(BRDF, FittedBRDF.read(source.path))  # which is evaluated only
-        name = source.path.name.removesuffix(".fit.json")
-        return goniometer.measure(brdf, name, resolution=_FIT_RESOLUTION, n_theta_i=_FIT_INCIDENCES)
-    return read_source(source)
+def read_material(source: MaterialSource) -> tuple[BsdfFile, EvaluableBRDF | None]:
+    """Return the file of a source; that of a fit is measured by the virtual goniometer, and has the fit beside it."""
+    if not isinstance(source, FileSource) or not is_fit(source.path):
+        return read_source(source), None
+    fit = FittedBRDF.read(source.path)
+    name = source.path.name.removesuffix(FIT_SUFFIX)
+    file = goniometer.measure(
+        cast(BRDF, fit),  # which is evaluated only
+        name,
+        resolution=FINE_OPTIONS.resolution,
+        n_theta_i=FINE_OPTIONS.incidences,
+    )
+    return file, fit
 
 
 def export(
@@ -165,7 +175,7 @@ def _export(
     source: Input, path: Path, *, tolerance: float, with_pictures: bool = False, is_pack: bool = False
 ) -> Content:
     """Write the files of a material beside its layout, and return that."""
-    shader = make_shader(read_material(source.source), tolerance)
+    shader = make_shader(*read_material(source.source), tolerance=tolerance)
     glsl = code.glsl(shader.table, shader.name)
     translations = code.translated(glsl)
     texture = ktx2.content(shader.table.texels)
@@ -185,7 +195,7 @@ def _export(
         from manifold.fit.comparison import picture_of_brdfs
         from manifold.plots.slice_figures import Source
 
-        sources = [Source(shader.origin, shader.source), Source("exported: shader", shader.table)]
+        sources = [Source(shader.against, shader.source), Source("exported: shader", shader.table)]
         picture_of_brdfs(shader.name, sources, folder / PICTURE)
     disk.write_text(path, json.dumps(layout, indent=1) + "\n")
     return layout
@@ -202,7 +212,7 @@ def _layout(
         "material": shader.name,
         "target": TARGET,
         "source": {"from": str(source.source), **source.made_of()},
-        "against": shader.origin,
+        "against": shader.against,
         "tolerance": tolerance,
         "errors": shader.errors.to_json(),
         "bytes": size,

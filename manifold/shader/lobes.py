@@ -83,7 +83,8 @@ def sample_lobe(wi: Array, u: Array, alpha: float) -> Array:
     z = (1.0 - u[:, 1]) * (1.0 + bound) - bound
     phi, sine = 2.0 * np.pi * u[:, 0], np.sqrt(np.maximum(1.0 - z * z, 0.0))
     m = (stretched + np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=1)) * [alpha, alpha, 1.0]
-    m = m / np.maximum(np.linalg.norm(m, axis=1, keepdims=True), 1e-20)
+    size = np.linalg.norm(m, axis=1, keepdims=True)
+    m = np.where(size > 0.0, m / np.maximum(size, 1e-20), [0.0, 0.0, 1.0])  # 0 where a reflection grazes
     return np.asarray(2.0 * np.sum(wi * m, axis=1, keepdims=True) * m - wi)
 
 

@@ -90,7 +90,8 @@ vec3 manifold_lobe(vec2 u, vec3 wi, float alpha) {
   float phi = 2.0 * MANIFOLD_PI * u.x, sine = sqrt(max(1.0 - z * z, 0.0));
   vec3 m = stretched + vec3(sine * cos(phi), sine * sin(phi), z);
   m.xy *= alpha;
-  m /= max(length(m), 1e-20);
+  float size = length(m);
+  m = size > 0.0 ? m / size : vec3(0.0, 0.0, 1.0); // 0 where a reflection grazes
   return 2.0 * dot(wi, m) * m - wi;
 }
 

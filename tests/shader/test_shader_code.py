@@ -72,8 +72,8 @@ def test_weighted_samples_return_the_albedo(run, satin, rng):
         wo, pdf = run.sample(wi, rng.random((50_000, 2)))
         valid = pdf > 0.0
         found = (run.eval_cos(wi, wo[valid]) / pdf[valid, None]).sum(axis=0) / len(pdf)
-        # 50,000 samples have a deviation of 0.3 %; the table differs from its source by as much.
-        assert np.allclose(found, satin.source.albedo(wi[0]), rtol=0.015)
+        assert found == pytest.approx(satin.table.albedo(wi[0]), rel=0.01)  # 50,000 samples: 0.3 %
+        assert found == pytest.approx(satin.source.albedo(wi[0]), rel=0.05)  # the table within 0.3 CIEDE2000
 
 
 def test_no_direction_gives_a_value_that_is_not_finite(run, run_gloss, rng):
@@ -93,7 +93,7 @@ def test_no_direction_gives_a_value_that_is_not_finite(run, run_gloss, rng):
         drawn, pdf = shader.sample(np.repeat(above, len(u), axis=0), np.tile(u, (len(above), 1)))
         assert np.isfinite(drawn).all()
         assert np.isfinite(pdf).all()
-        assert np.allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-4)
+        assert np.abs(np.linalg.norm(drawn, axis=1) - 1.0).max() < 1e-3  # single precision, at the horizon
 
 
 def test_an_own_name_of_the_table_can_be_defined(browser, satin, glsl):

@@ -49,7 +49,7 @@ from manifold.shader.table import SUMS, TEXEL_BYTES, Shape, shapes_of, tabulate
 
 TOLERANCES = (0.1, 0.3, 1.0)
 INCIDENCES_DEG = (10.0, 45.0, 75.0)
-GRIDS = ((32, 16, 12), (45, 23, 12), (45, 23, 24), (64, 32, 24), (90, 45, 24))
+GRIDS = ((45, 23, 12), (64, 32, 24), (90, 45, 24))
 _SAMPLES = 20_000
 
 
@@ -117,7 +117,9 @@ def of_file(path: Path) -> dict[str, Any]:
             break
     rng = np.random.default_rng(0)
     found["p_values"] = [
-        chi_square_p_value(table, from_spherical(np.deg2rad(t), 0.3), rng, n_samples=100_000, is_glossy=True)
+        chi_square_p_value(
+            table, from_spherical(np.deg2rad(t), 0.3), rng, n_samples=50_000, order=4, is_glossy=True
+        )
         for t in INCIDENCES_DEG
     ]
     found["alphas"] = lobes.alphas.tolist()
@@ -133,7 +135,10 @@ def of_file(path: Path) -> dict[str, Any]:
 
 def figures(files: Path, work: Path) -> dict[str, Any]:
     """Figures of all files, and their summaries."""
-    each = {material_name(path): of_file(path) for path in sorted(files.rglob("*.bsdf"))}
+    each = {}
+    for path in sorted(files.rglob("*.bsdf")):
+        each[material_name(path)] = of_file(path)
+        print(material_name(path), json.dumps(each[material_name(path)]), file=sys.stderr)
     for name, loss in losses(files, "gltf", work).items():
         each[name]["gltf"] = loss["own"]
         print(_row(name, each[name]))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,27 +124,27 @@ class ShaderTable(WrappedBRDF):
         pairs = Pairs(wi, wo)
         theta_i, _, x, y, cosine = pairs.located(True, 1).T
         lower, share = incidence(self.theta_i_rad, theta_i)
-        sums, f = np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
-        for t, k, weight in self._slices(lower, share):
-            sums[k] += weight * _bilinear(self._texels[self.shape.blocks(t)[0]], x[k], y[k])
+        upper, shape = np.minimum(lower + 1, len(self.theta_i_rad) - 1), self.shape
+        sums = _mixed(share, *(self._block(t, x, y, shape.columns, shape.rows, 0) for t in (lower, upper)))
         u = sums[:, 0] / np.maximum(sums[:, 1], _LEAST_TOTAL)
-        for t, k, weight in self._slices(lower, share):
-            f[k] += weight * _bilinear(self._texels[self.shape.blocks(t)[1]], u[k], sums[k, 2])
-        row = self._texels[self.shape.normal_row, : self.shape.nodes]
-        nodes = np.linspace(0.0, 1.0, self.shape.nodes)
+        size = shape.values, shape.values, shape.first_value_row
+        f = _mixed(share, *(self._block(t, u, sums[:, 2], *size) for t in (lower, upper)))
+        row = self._texels[shape.normal_row, : shape.nodes]
+        nodes = np.linspace(0.0, 1.0, shape.nodes)
         area = np.interp(np.sqrt(theta_i * 2.0 / np.pi), nodes, row[:, 1])
         f *= (self.factor * np.interp(x, nodes, row[:, 0]) / area)[:, None]
         f[cosine <= 0.0] = 0.0
         return f.reshape(*pairs.shape, 3)
 
-    def _slices(self, lower: NDArray[np.intp], share: Array) -> list[tuple[int, Any, Array]]:
-        """Return every incidence with the pairs that it has a weight for, and these weights, shape (k, 1)."""
-        found = []
-        for t in range(len(self.theta_i_rad)):
-            weight = np.where(lower == t, 1.0 - share, np.where(lower + 1 == t, share, 0.0))
-            k = np.flatnonzero(weight)
-            found.append((t, k, weight[k, None]))
-        return found
+    def _block(
+        self, t: NDArray[np.intp], x: Array, y: Array, columns: int, rows: int, first_row: int
+    ) -> Array:
+        """Return values of the blocks of incidences t at coordinates in [0, 1], all (K,), shape (K, 3)."""
+        row, column = np.divmod(t, self.shape.width // columns)
+        (j, tx), (i, ty) = _cell(x, columns), _cell(y, rows)
+        i, j = i + first_row + row * rows, j + column * columns
+        low, high = (_mixed(tx, self._texels[k, j], self._texels[k, j + 1]) for k in (i, i + 1))
+        return _mixed(ty, low, high)
 
     @cached_property
     def _texels(self) -> Array:
@@ -177,9 +176,9 @@ def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
     theta = np.asarray(file.theta_i_rad, float)[kept]
     texels = np.zeros((shape.height, shape.width, CHANNELS))
     warp = Warp.from_values(file.vndf[:, kept], file.phi_i_rad, theta)
-    values = np.moveaxis(file.spectra[0, kept], 1, -1).astype(float)  # [T, R, R, 3]
-    to_nodes = interpolation_matrix(np.linspace(0, 1, values.shape[1]), np.linspace(0, 1, shape.values))
-    values = np.einsum("ai,bj,tijc->tabc", to_nodes, to_nodes, values)
+    values = file.spectra[0, kept].astype(float)  # [T, 3, R, R]
+    to_nodes = interpolation_matrix(np.linspace(0, 1, values.shape[-1]), np.linspace(0, 1, shape.values))
+    values = np.moveaxis(to_nodes @ values @ to_nodes.T, 1, -1)
     ndf, sigma = (file.ndf, file.sigma) if file.jacobian else (np.ones((1, 2)), np.full((1, 2), 0.25))
     scales = [_unit(values), _unit(ndf)]
     for t in range(len(theta)):
@@ -258,13 +257,9 @@ def _unit(values: Array) -> float:
     return float(2.0 ** np.ceil(np.log2(largest / _LARGEST))) if largest > 0.0 else 1.0
 
 
-def _bilinear(grid: Array, x: Array, y: Array) -> Array:
-    """Return values of a grid (rows, columns, 3) at coordinates in [0, 1], clamped, shape (K, 3)."""
-    (j, tx), (i, ty) = (_cell(a, n) for a, n in ((x, grid.shape[1]), (y, grid.shape[0])))
-    tx, ty = tx[:, None], ty[:, None]
-    low = (1.0 - tx) * grid[i, j] + tx * grid[i, j + 1]
-    high = (1.0 - tx) * grid[i + 1, j] + tx * grid[i + 1, j + 1]
-    return np.asarray((1.0 - ty) * low + ty * high)
+def _mixed(share: Array, first: Array, second: Array) -> Array:
+    """Return rows (K, 3) between two, the second with a share (K,)."""
+    return np.asarray(first + share[:, None] * (second - first))
 
 
 def _cell(coordinate: Array, nodes: int) -> tuple[NDArray[np.intp], Array]:

@@ -124,7 +124,7 @@ class ShaderTable(WrappedBRDF):
         pairs = Pairs(wi, wo)
         theta_i, _, x, y, cosine = pairs.located(True, 1).T
         lower, share = incidence(self.theta_i_rad, theta_i)
-        upper, shape = np.minimum(lower + 1, len(self.theta_i_rad) - 1), self.shape
+        upper, shape = lower + 1, self.shape
         sums = _mixed(share, *(self._block(t, x, y, shape.columns, shape.rows, 0) for t in (lower, upper)))
         u = sums[:, 0] / np.maximum(sums[:, 1], _LEAST_TOTAL)
         size = shape.values, shape.values, shape.first_value_row
@@ -164,14 +164,13 @@ class ShaderTable(WrappedBRDF):
 
 def incidence(theta_i_rad: Array, theta: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the index of the incidence below angles (K,), and the weight of the next one."""
-    lower = np.clip(np.searchsorted(theta_i_rad, theta, side="right") - 1, 0, max(len(theta_i_rad) - 2, 0))
-    upper = np.minimum(lower + 1, len(theta_i_rad) - 1)
-    step = np.maximum(theta_i_rad[upper] - theta_i_rad[lower], 1e-9)
-    return lower, np.clip((theta - theta_i_rad[lower]) / step, 0.0, 1.0)
+    lower = np.clip(np.searchsorted(theta_i_rad, theta, side="right") - 1, 0, len(theta_i_rad) - 2)
+    low, high = theta_i_rad[lower], theta_i_rad[lower + 1]
+    return lower, np.clip((theta - low) / (high - low), 0.0, 1.0)
 
 
 def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
-    """Return an isotropic file in linear sRGB as a table; every second incidence is left out if fewer are asked for."""
+    """Return an isotropic file in linear sRGB as a table, at some of its incidences; lobes are of all of them."""
     kept = kept_incidences(len(file.theta_i_rad), shape.incidences)
     theta = np.asarray(file.theta_i_rad, float)[kept]
     texels = np.zeros((shape.height, shape.width, CHANNELS))
@@ -187,6 +186,7 @@ def tabulate(file: BsdfFile, shape: Shape, lobes: Lobes) -> ShaderTable:
         texels[of_values][..., :3] = values[t] / scales[0]
     row = texels[shape.normal_row, : shape.nodes]
     row[:, 0], row[:, 1] = _resampled(ndf, shape.nodes) / scales[1], _resampled(sigma, shape.nodes)
+    lobes = Lobes(lobes.alphas, theta, lobes.weights[kept])
     return ShaderTable(shape, theta, texels.astype(np.float16), 0.25 * scales[0] * scales[1], lobes)
 
 
@@ -196,10 +196,7 @@ def kept_incidences(available: int, count: int) -> NDArray[np.intp]:
 
 
 def shapes_of(file: BsdfFile, most_bytes: int) -> list[Shape]:
-    """Return the shapes of tables of a file that have at most so many bytes, the smallest first.
-
-    Those of the most bytes at least reproduce the file within its rounding: all incidences and all values.
-    """
+    """Return the shapes of tables of a file that have at most so many bytes, the smallest first."""
     T, R = len(file.theta_i_rad), file.spectra.shape[-1]
     nodes = min(max(file.ndf.shape[1], file.sigma.shape[1]), _MOST_NODES) if file.jacobian else 2
     found = {

@@ -8,6 +8,8 @@ from helpers.small_library import measured
 
 from manifold.shader import code
 from manifold.shader.exporting import make_shader
+from manifold.shader.lobes import fit_lobes
+from manifold.shader.table import Shape, tabulate
 
 
 @pytest.fixture(scope="session")
@@ -20,6 +22,14 @@ def satin():
 def gloss():
     """A red under a gloss coat, whose highlight is sharp."""
     return make_shader(measured("syn_gloss_red"))
+
+
+@pytest.fixture(scope="session")
+def reduced(satin):
+    """The satin gold as a table of half of its incidences, like those of predictions."""
+    file = measured("syn_satin_gold")
+    shape = Shape.of(5, 24, 32, 16, 128)
+    return tabulate(file, shape, fit_lobes(satin.source, file.theta_i_rad))
 
 
 @pytest.fixture(scope="session")

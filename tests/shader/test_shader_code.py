@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from helpers.chi_square import chi_square_p_value
 from helpers.shaders import BrowserShader
+from helpers.three_js import node_modules
 
 from manifold.colour import panel
 from manifold.directions import from_spherical, normalize
-from manifold.shader import code
+from manifold.shader import code, ktx2
 
 TOOLS = [name for name in ("glslangValidator", "spirv-cross") if shutil.which(name) is None]
 needs_tools = pytest.mark.skipif(
@@ -47,6 +48,13 @@ def test_values_and_densities_are_those_of_numpy(run, run_gloss, satin, gloss, r
         assert np.mean(np.abs(found - expected) <= 0.01 * np.abs(expected)) > 0.99
         expected, found = shader.table.pdf(wi, wo), browser_shader.pdf(wi, wo)
         assert np.allclose(found, expected, rtol=2e-3)  # single precision, at a lobe of 0.004
+
+
+def test_a_table_of_fewer_incidences_has_its_own_code(browser, reduced, rng):
+    run = BrowserShader(browser, code.glsl(reduced, "reduced"), reduced.texels)
+    wi, wo = directions(rng, 2000), directions(rng, 2000)
+    assert np.allclose(run.eval_cos(wi, wo), reduced.eval_cos(wi, wo), rtol=0.02, atol=1e-4)
+    assert np.allclose(run.pdf(wi, wo), reduced.pdf(wi, wo), rtol=2e-3)
 
 
 def test_the_ball_has_the_stated_error(run, satin):
@@ -101,6 +109,26 @@ def test_an_own_name_of_the_table_can_be_defined(browser, satin, glsl):
     shader = BrowserShader(browser, own, satin.table.texels)
     wi, wo = from_spherical(0.4, 0.0), from_spherical(0.3, 3.0)
     assert np.allclose(shader.eval_cos(wi, wo), satin.table.eval_cos(wi, wo), rtol=0.01)
+
+
+def test_the_parser_of_three_js_reads_the_texture(browser, satin):
+    modules, page = node_modules(), browser.new_page()
+
+    def answer(route):
+        name = route.request.url.removeprefix("http://files.test/")
+        body = {"": b"<!doctype html>", "x.ktx2": ktx2.content(satin.table.texels)}.get(name)
+        kind = "text/javascript" if name.endswith(".js") else "text/html"
+        route.fulfill(body=(modules / name).read_bytes() if body is None else body, content_type=kind)
+
+    page.route("**/*", answer)
+    page.goto("http://files.test/")
+    script = """async () => {
+      const { read } = await import("/three/examples/jsm/libs/ktx-parse.module.js");
+      const found = read(new Uint8Array(await (await fetch("/x.ktx2")).arrayBuffer()));
+      return [found.vkFormat, found.pixelWidth, found.pixelHeight, found.levels[0].levelData.length];
+    }"""
+    height, width, _ = satin.table.texels.shape
+    assert page.evaluate(script) == [97, width, height, satin.table.texels.nbytes]
 
 
 @needs_tools
